@@ -24,7 +24,7 @@ from canopen_proto.drive.failures import DriveError, accounted, require_referenc
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import BY_DEFAULT, Limit, SetPointLimits, read_limits
 from canopen_proto.drive.set_points import SET_POINT_OF
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.steps import Procedure
 
@@ -128,6 +128,8 @@ def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
     no limit. Raises ReferenceLost if the axis has position limits, and has lost its reference; DriveError if nothing limits its
     speed (neither max_speed, nor the settings, nor the drive), or if neither speed nor position can be watched; SdoFailed.
     """
+    if max_speed is not None and not max_speed > 0:
+        raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {max_speed!r}")
     yield from learn_units(axis)
     limits = yield from read_limits(axis)
     if limits.lowest is not None or limits.highest is not None:

@@ -40,13 +40,14 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     Bit 5 is always set: it drops a target that a halt has kept, or that is under way. A drive in another mode is halted first.
     The position (0x6062, 0x6064) shows whether the target is reached: bit 10 also rises when a drive stops at a software limit.
     timeout: ns for the whole way. Raises LimitReached; nothing is sent if the target is beyond min_position or max_position of
-    the settings. Raises DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position
-    that is not relative. The drive is halted if this fails or is cancelled.
+    the settings, or does not fit 0x607A (ValueRangeError). Raises DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported,
+    StepTimeout; ReferenceLost for a position that is not relative. The drive is halted if this fails or is cancelled.
     """
     if not relative:
         require_reference(axis)
     settings = axis.settings
     counts = axis.to_counts(position) - (settings.offset if relative else 0)
+    axis.node.encode(objects.TARGET_POSITION, counts)
     if not axis.has_lost_reference:
         start = yield from demand_of(axis)
         require_within_limits(axis, start, counts + (start if relative else 0))

@@ -27,7 +27,7 @@ from canopen_proto.drive.halting import halt, halt_after, halt_and_forget
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.synchronous import holding_torque
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch
-from canopen_proto.machine import Time
+from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.objects import read_if_present, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 
@@ -47,6 +47,8 @@ def apply_torque(
     ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost, StepTimeout, SdoFailed. The drive is halted if this fails or is
     cancelled.
     """
+    if duration < 0:
+        raise LocalProtocolError(f"duration must not be below 0; it is {duration!r}")
     target = axis.torque_to_wire(torque)
     if torque and not target:
         raise DriveError(axis, f"gets no torque of {torque:g}", reason="0x6071 counts thousandths of the rated torque")

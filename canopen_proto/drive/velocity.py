@@ -84,6 +84,8 @@ def run_at(
     unit that is not known, or a velocity below it; ValueRangeError. Later: LimitReached at a limit of the position or of the
     drive, DriveTimeout if it does not reach the velocity, DriveFault, StateLost, ModeLost, NodeLost. The drive is halted then.
     """
+    if duration is not None and duration < 0:
+        raise LocalProtocolError(f"duration must not be below 0, or None for no end; it is {duration!r}")
     run = _Run(axis, velocity, acceleration, deceleration, news)
     yield from run.prepare(mode)
     try:

@@ -14,7 +14,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import ControlBit, State
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.procedures.runner import ProcedureCancelled
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulated_drive.plant import Mechanics
@@ -195,6 +195,17 @@ def test_what_the_wire_cannot_hold_is_refused_and_nothing_moves(torque: float, s
         rig.run(drive.apply_torque(rig.axis, torque, SECOND, slope=slope))
     assert rig.drive.state is State.SWITCH_ON_DISABLED
     assert velocity_of(rig) == 0
+
+
+@pytest.mark.parametrize(
+    ("duration", "max_speed", "name"),
+    [(-1, 2.0, "duration"), (SECOND, 0.0, "max_speed"), (SECOND, -1.0, "max_speed"), (SECOND, math.nan, "max_speed")],
+)
+def test_limits_that_limit_nothing_are_refused(duration: int, max_speed: float, name: str) -> None:
+    rig = rig_of(max_speed=2.0)
+    with pytest.raises(LocalProtocolError, match=f"{name} must"):
+        rig.run(drive.apply_torque(rig.axis, 0.1, duration, max_speed=max_speed))
+    assert rig.drive.state is State.SWITCH_ON_DISABLED
 
 
 def test_a_fault_and_another_mode_end_it() -> None:

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import StatusBit
+from canopen_proto.cia402.states import State, StatusBit
+from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.machine import SECOND
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
@@ -67,3 +68,12 @@ def test_a_drive_moves_away_from_an_internal_limit(beyond: str) -> None:
     rig.run(drive.move_to(rig.axis, 10_000, timeout=60 * SECOND))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(10_000, abs=20)
     assert not rig.axis.statusword & StatusBit.INTERNAL_LIMIT
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_a_target_that_0x607a_cannot_hold_is_refused_before_the_drive_has_power(relative: bool) -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.axis.settings = MILLIDEGREES
+    with pytest.raises(ValueRangeError, match="0x607A"):
+        rig.run(drive.move_to(rig.axis, 1e6, relative=relative, timeout=SECOND))
+    assert rig.drive.state is State.SWITCH_ON_DISABLED

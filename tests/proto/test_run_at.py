@@ -16,7 +16,7 @@ from canopen_proto.cia402.states import POWERED
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive.settings import AxisSettings
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.simulated_drive.answers import Answer
@@ -381,3 +381,9 @@ def test_a_frequency_converter_without_a_position_is_seen_to_stand(knows: bool) 
     rig.axis.settings = replace(DEGREES, max_position=20.0)
     with pytest.raises(drive.DriveError, match="shows no position"):
         rig.run(drive.run_at(rig.axis, 10.0, mode=Mode.VELOCITY, duration=2 * SECOND))
+
+
+def test_a_duration_below_0_is_refused() -> None:
+    rig = rig_with()
+    with pytest.raises(LocalProtocolError, match="duration must"):
+        rig.run(drive.run_at(rig.axis, 10.0, duration=-1))
