@@ -146,8 +146,9 @@ _MODE_BITS: Final[dict[int, tuple[str, str]]] = {
 def describe_status(statusword: int, mode: int | None = None) -> tuple[str, ...]:
     """Return a statusword in words, by the mode that 6061h shows: ("operation enabled", "interpolation active").
 
-    The state comes first. In homing mode, one `HomingStatus` stands for bits 10, 12 and 13. mode: None if it is not known; bits
-    12 and 13, whose meaning depends on it, are left out then.
+    The state comes first. In homing mode, one `HomingStatus` stands for bits 10, 12 and 13; "in progress" (none of them) is said
+    only of a drive that is enabled. mode: None if it is not known; bits 12 and 13, whose meaning depends on it, are left out
+    then.
     """
     state = state_of(statusword)
     words = [str(state) if state is not State.UNKNOWN else f"unknown state 0x{statusword:04X}"]
@@ -155,7 +156,9 @@ def describe_status(statusword: int, mode: int | None = None) -> tuple[str, ...]
         if statusword & bit and not (mode == Mode.HOMING and bit == StatusBit.TARGET_REACHED):
             words.append(text)
     if mode == Mode.HOMING:
-        words.append(str(homing_status(statusword)))
+        homing = homing_status(statusword)
+        if state is State.OPERATION_ENABLED or homing is not HomingStatus.IN_PROGRESS:
+            words.append(str(homing))
     for shift, text in zip((12, 13), _MODE_BITS.get(mode if mode is not None else Mode.NO_MODE, ("", "")), strict=True):
         if text and statusword >> shift & 1:
             words.append(text)

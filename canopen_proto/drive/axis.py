@@ -262,8 +262,8 @@ class Axis:
             raise LocalProtocolError(f"drive {self.node.node_id} is in use with other settings: {difference}")
 
     def to_counts(self, position: float) -> int:
-        """Convert a position in the user's unit to counts on the wire."""
-        return round(self._direction * position * self._scale) + self._offset
+        """Convert a position in the user's unit to counts on the wire. Raises LocalProtocolError unless it is a finite number."""
+        return _whole(self._direction * position * self._scale, "a position", position) + self._offset
 
     def from_counts(self, counts: float) -> float:
         """Convert counts on the wire to a position in the user's unit."""
@@ -317,8 +317,11 @@ class Axis:
         return self.way_from_counts(number * (self.velocity_unit or 1.0))
 
     def torque_to_wire(self, torque: float) -> int:
-        """Convert a torque, as a share of the rated torque, to thousandths of it on the wire, rounded to a whole number."""
-        return round(self._direction * torque * 1000)
+        """Convert a torque, as a share of the rated torque, to thousandths of it on the wire, rounded to a whole number.
+
+        Raises LocalProtocolError unless it is a finite number.
+        """
+        return _whole(self._direction * torque * 1000, "a torque", torque)
 
     # ---- set-points: what the RPDO behind the next SYNC takes along ----
 
@@ -469,3 +472,11 @@ class Axis:
         if state is not self.state:
             previous, self.state = self.state, state
             self.node.out.events.append(AxisStateChanged(self.node.node_id, previous, state, self.statusword))
+
+
+def _whole(number: float, what: str, given: float) -> int:
+    """Return the nearest whole number. Raises LocalProtocolError, which tells `given`, if there is none."""
+    try:
+        return round(number)
+    except (ValueError, OverflowError):
+        raise LocalProtocolError(f"{what} must be a finite number; it is {given!r}") from None

@@ -141,7 +141,7 @@ def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
             axis,
             "is not moved",
             reason="nothing limits its speed: neither the settings nor the drive (0x607F, 0x6080) say how fast it may go",
-            remedy="max_speed; math.inf allows any speed",
+            remedy="max_speed (--max-speed); math.inf (--any-speed) allows any speed",
         )
     bounds = Bounds(axis, limits)
     if not bounds.watched and not math.isinf(limits.speed.value):

@@ -99,6 +99,15 @@ def enable(axis: Axis) -> Procedure[None]:
     yield from change_state(axis, State.OPERATION_ENABLED)
 
 
+def require_mode(axis: Axis, mode: int) -> Procedure[None]:
+    """Raise ModeUnsupported if 0x6502 lacks a mode of the standard. Nothing is written; without 0x6502 any mode may do."""
+    modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
+    if isinstance(modes, int) and not supported(modes, mode):
+        has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
+        reason = f"0x6502 = 0x{modes:08X}, which is {has}"
+        raise ModeUnsupported(axis, f"does not support {mode_name(mode)}", reason=reason, remedy=_ANOTHER)
+
+
 @accounted
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
     """Select a mode of operation and wait until the drive shows it. 0x6060 goes by the live RPDO that carries it, else by SDO.
@@ -112,11 +121,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     and led down to a state in which it does; it stays there. One that shows the mode already is left as it is.
     """
     if not waive_check and mode >= 0:
-        modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
-        if isinstance(modes, int) and not supported(modes, mode):
-            has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
-            reason = f"0x6502 = 0x{modes:08X}, which is {has}"
-            raise ModeUnsupported(axis, f"does not support {mode_name(mode)}", reason=reason, remedy=_ANOTHER)
+        yield from require_mode(axis, mode)
     state = state_of((yield from read_statusword(axis)))
     lower = _state_below(axis, state)
     if lower is not None:

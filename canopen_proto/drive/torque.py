@@ -24,7 +24,7 @@ from canopen_proto.drive.bounds import bounds_of
 from canopen_proto.drive.controlword import bring, command
 from canopen_proto.drive.failures import DriveError, LimitReached, accounted
 from canopen_proto.drive.halting import halt, halt_after, halt_and_forget
-from canopen_proto.drive.state import enable, set_mode
+from canopen_proto.drive.state import enable, require_mode, set_mode
 from canopen_proto.drive.synchronous import holding_torque
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch
 from canopen_proto.machine import LocalProtocolError, Time
@@ -53,6 +53,7 @@ def apply_torque(
     if torque and not target:
         raise DriveError(axis, f"gets no torque of {torque:g}", reason="0x6071 counts thousandths of the rated torque")
     steepness = None if slope is None else _slope_number(axis, slope)
+    yield from require_mode(axis, Mode.TORQUE)
     bounds = yield from bounds_of(axis, max_speed)
     most = yield from read_if_present(axis.node, objects.MAX_TORQUE)
     if isinstance(most, int) and abs(target) > most:

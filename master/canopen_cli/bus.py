@@ -9,7 +9,7 @@ import click
 import trio
 
 from canopen_cli.nmt import confirm
-from canopen_cli.options import Settings, common
+from canopen_cli.options import FiniteRange, Settings, common
 from canopen_cli.running import first_of, run_until_interrupted
 from canopen_cli.screen import escape
 from canopen_proto.frame import Frame
@@ -30,7 +30,7 @@ def bus() -> None:
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0 for any free one.")
 @click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
-@click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
 @common
 @click.pass_obj
 def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | None) -> None:

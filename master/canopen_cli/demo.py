@@ -11,7 +11,7 @@ from canopen_cli.demo_plan import Plan
 from canopen_cli.demonstration import Demonstration
 from canopen_cli.drive_files import drive_files, drives_of
 from canopen_cli.new_files import check_new_file
-from canopen_cli.options import Duration, Fault, Settings, common, enabling
+from canopen_cli.options import Duration, Fault, FiniteRange, Settings, common, enabling
 from canopen_cli.plot import check_plot, write_plot
 from canopen_cli.problem import usage
 from canopen_cli.running import run
@@ -27,11 +27,11 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.command()
 @click.option("--chains", metavar="FILE", help=f"A chain file, yours or an installed one.  [default: {CHAINS}]")
 @click.option("--chain", metavar="NAME", help="Which chain of that file.  [default: the first]")
-@click.option("--seconds", type=click.FloatRange(0.5, 3600), default=5.0, show_default=True, help="How long to move.")
+@click.option("--seconds", type=FiniteRange(0.5, 3600), default=5.0, show_default=True, help="How long to move.")
 @click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
 @click.option(
     "--swing",
-    type=click.FloatRange(0.1, 60),
+    type=FiniteRange(0.1, 60),
     default=15.0,
     show_default=True,
     help="How far, in degrees; less where the joints may not go as fast as that takes.",
@@ -39,7 +39,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--plot", type=PICTURE, help="Draw commanded and actual positions, as .png, .svg or .pdf (needs matplotlib).")
 @click.option(
     "--counts-per-degree",
-    type=click.FloatRange(1e-6, 1e9),
+    type=FiniteRange(1e-6, 1e9),
     metavar="N",
     help="What real drives count in; 1000 for millidegrees.  [default: Schunk's by their vendor-ID]",
 )

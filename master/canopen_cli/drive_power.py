@@ -12,7 +12,8 @@ from canopen_cli.drive_session import (
     show_drive,
     unit_of_command,
 )
-from canopen_cli.options import Duration, Settings, commanding, common, enabling
+from canopen_cli.options import Duration, FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.problem import usage
 from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import State
@@ -26,7 +27,7 @@ from canopen_proto.procedures.steps import Procedure, current_time
 
 
 @click.command()
-@click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
 @enabling
 @commanding
 @common
@@ -74,6 +75,8 @@ def move(settings: Settings, position: float, relative: bool, unit: str | None, 
     """
     screen = settings.screen()
     chosen, scale = unit_of_command(settings, unit)
+    if chosen == COUNTS and not position.is_integer():
+        raise usage("CO120", f"a position in counts is a whole number; it is {position!r}", tries=("a whole number, or --in",))
 
     def procedure(axis: Axis) -> Procedure[tuple[float, float, DriveView]]:
         yield from identify(axis)

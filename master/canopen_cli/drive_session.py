@@ -191,6 +191,10 @@ def counts_per(node: RemoteNode, unit: Unit) -> Procedure[float]:
             ExitCode.USAGE,
             "CO321",
             f"drive {node.node_id} does not tell how many counts a {unit} has",
-            tries=(f"canopen drive {node.node_id} units    what it tells", "the same in counts, without --in"),
+            tries=(
+                f"canopen drive {node.node_id} units    what it tells",
+                "the same in counts, without --in",
+                "counts_per_turn, or counts_per_unit, of its joint in a machine file (-m), by its manual",
+            ),
         )
     return found

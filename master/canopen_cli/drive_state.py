@@ -64,7 +64,7 @@ def units(settings: Settings) -> None:
     for conflict in found.conflicts:
         screen.data(f"[yellow]these differ:[/] {conflict}")
     if found.per_turn is None and found.per_metre is None:
-        screen.say("The drive does not tell what a count is. Try: --counts-per-degree, by its manual")
+        screen.say("The drive does not tell what a count is. Try: counts_per_turn in a machine file, by its manual")
 
 
 def _units_rows(units: DriveUnits) -> list[tuple[str, str, str]]:

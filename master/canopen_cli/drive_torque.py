@@ -8,7 +8,7 @@ from typing import Final
 import click
 
 from canopen_cli.drive_session import command_drive, ends_unpowered, look_at_drive
-from canopen_cli.options import Settings, commanding, common, enabling
+from canopen_cli.options import FiniteRange, Settings, commanding, common, enabling
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_proto import drive as procedures
 from canopen_proto.drive.axis import Axis
@@ -30,11 +30,11 @@ NEWTON_METRE: Final = "newton-metre"
     show_default=True,
     help="The unit of VALUE: thousandths of the rated torque, or N·m.",
 )
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), required=True, help="For how long; then it stands.")
-@click.option("--slope", type=click.FloatRange(0, min_open=True), help="Per second, in the unit of VALUE, into 0x6087.")
+@click.option("--seconds", type=FiniteRange(0, min_open=True), required=True, help="For how long; then it stands.")
+@click.option("--slope", type=FiniteRange(0, min_open=True), help="Per second, in the unit of VALUE, into 0x6087.")
 @click.option(
     "--max-speed",
-    type=click.FloatRange(0, min_open=True),
+    type=FiniteRange(0, min_open=True),
     help="Stop it when it is faster, in counts (or the joint's unit) per second.",
 )
 @click.option("--any-speed", is_flag=True, help="It may be as fast as it can.")

@@ -8,7 +8,7 @@ from typing import Final
 import click
 
 from canopen_cli.drive_session import COUNTS, command_drive, ends_unpowered, look_at_drive, unit_of_command
-from canopen_cli.options import Settings, commanding, common, enabling
+from canopen_cli.options import FiniteRange, Settings, commanding, common, enabling
 from canopen_cli.problem import ExitCode, Problem
 from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import Mode, mode_name
@@ -20,7 +20,7 @@ from canopen_proto.procedures.steps import Procedure
 
 RPM: Final = "rpm"
 _MODES: Final = {"pv": Mode.PROFILE_VELOCITY, "vl": Mode.VELOCITY}
-_ABOVE_0: Final = click.FloatRange(0, min_open=True)
+_ABOVE_0: Final = FiniteRange(0, min_open=True)
 
 
 @click.command(context_settings={"ignore_unknown_options": True})  # a velocity may be below 0

@@ -7,6 +7,7 @@ CANOPEN_MACHINE the machine file, if no option does.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable
@@ -205,6 +206,16 @@ class Duration(Kind):
         if not self.low <= time <= self.high:
             self.fail(f"{value} is outside {_time_text(self.low)} to {_time_text(self.high)}", param, ctx)
         return time
+
+
+class FiniteRange(click.FloatRange):
+    """A number within a range; nan and inf are none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
 
 
 class Encoding(Kind):

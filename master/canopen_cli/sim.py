@@ -13,7 +13,7 @@ import click
 import trio
 
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
-from canopen_cli.options import DEMO, NodeIds, Settings, common
+from canopen_cli.options import DEMO, FiniteRange, NodeIds, Settings, common
 from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.sim_devices import SHAPES, devices_of, machine_of, models, wanted
@@ -48,7 +48,7 @@ DEFAULT_IDS: Final = DEMO_NODES
 @click.option("--script", metavar="FILE.py", default="", help="A Python file that animates the devices.")
 @click.option("--state", metavar="FILE.json", help="Where what they store (1010) is kept; by default in memory.")
 @click.option("--defaults", is_flag=True, help="Of a DCF: the defaults, not what it has configured.")
-@click.option("--seconds", type=click.FloatRange(0), help="End after this time, instead of by Ctrl-C.")
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
 @common
 @click.pass_obj
 def sim(

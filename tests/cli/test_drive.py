@@ -154,7 +154,7 @@ def test_units_that_differ_and_a_drive_that_tells_nothing(run: Run, monkeypatch:
     assert "a degree             1000 counts" in outcome.out
     prepare(monkeypatch, of_another_maker)
     outcome = run("drive", "3", "units", *DEMO)
-    assert "The drive does not tell what a count is. Try: --counts-per-degree" in outcome.err
+    assert "The drive does not tell what a count is. Try: counts_per_turn in a machine file" in outcome.err
     encoder = {objects.POSITION_ENCODER_RESOLUTION: 2000, objects.POSITION_ENCODER_RESOLUTION + 1: 1}
     device(monkeypatch, {**encoder, objects.SI_UNIT_POSITION: 0xFD410000})
     outcome = run("drive", "5", "units", *DEMO)
@@ -199,6 +199,32 @@ def test_a_move_in_a_unit_that_the_drive_does_not_tell(run: Run, monkeypatch: py
     assert outcome.status == ExitCode.USAGE
     assert "does not tell how many counts a degree has" in outcome.err
     assert drives[-1].values[objects.POSITION_ACTUAL_VALUE] == -14000
+
+
+@pytest.mark.parametrize("position", ["nan", "inf", "2000.5"])
+def test_a_position_in_counts_is_a_whole_number(run: Run, position: str) -> None:
+    outcome = run("drive", "3", "move", position, *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "CO120: a position in counts is a whole number" in outcome.err
+
+
+@pytest.mark.parametrize("position", ["nan", "inf"])
+def test_a_position_is_a_finite_number(run: Run, fleets: list[Fleet], position: str) -> None:
+    outcome = run("drive", "3", "move", position, "--in", "degree", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert f"CO120: a position must be a finite number; it is {position}" in outcome.err
+    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("number", ["nan", "inf"])
+@pytest.mark.parametrize("command", ["enable --seconds", "velocity 5 --acceleration", "torque 5 --any-speed --seconds"])
+def test_an_option_that_is_no_finite_number_is_refused_before_a_drive_is_enabled(
+    run: Run, fleets: list[Fleet], command: str, number: str
+) -> None:
+    outcome = run("drive", "3", *command.split(), number, *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert f"'{number}' is not a finite number" in outcome.err
+    assert not fleets
 
 
 def test_a_mode_of_the_maker_needs_no_dashes_before_it(run: Run, fleets: list[Fleet]) -> None:

@@ -86,6 +86,19 @@ def test_wrong_words(run: Run, drives: list[DriveNode]) -> None:
     assert drives[-1].drive.mode == Mode.NO_MODE
 
 
+@pytest.mark.parametrize("torque", ["nan", "inf"])
+def test_a_torque_is_a_finite_number(run: Run, drives: list[DriveNode], torque: str) -> None:
+    outcome = run("drive", "5", "torque", torque, "--any-speed", *ON_IT)
+    assert outcome.status == ExitCode.USAGE
+    assert f"CO120: a torque must be a finite number; it is {torque}" in outcome.err
+
+
+def test_a_drive_without_the_mode_is_named_before_anything_is_written(run: Run) -> None:
+    outcome = run("drive", "3", "torque", "80", "--any-speed", *ON_IT)  # a joint of Schunk's
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "CO405: drive 3 does not support torque (tq)" in outcome.err
+
+
 def test_a_rehearsal_shows_the_frames_and_sends_none(run: Run, drives: list[DriveNode]) -> None:
     outcome = run("drive", "5", "torque", "80", "--any-speed", "--dry-run", *ON_IT)
     assert outcome.status == 0, outcome.err

@@ -225,6 +225,8 @@ def test_homing_bits_are_the_other_way_round() -> None:
 
 def test_statuswords_for_people() -> None:
     assert describe_status(0x1637, Mode.HOMING) == ("operation enabled", "voltage enabled", "remote", "homing is complete")
+    assert describe_status(0x0237, Mode.HOMING)[-1] == "homing is in progress"
+    assert describe_status(0x0240, Mode.HOMING) == ("switch on disabled", "remote")  # homed, and without power since
     assert describe_status(0x1A37, Mode.INTERPOLATED_POSITION) == (
         "operation enabled",
         "voltage enabled",
