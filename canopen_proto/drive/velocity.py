@@ -141,7 +141,7 @@ class _Run:
         if abs(self._velocity) > limits.speed.value * _ALL:
             failed = f"was not run at {self._velocity:g} per second"
             reason = f"{limits.speed.source} allows {limits.speed.value:g}; nothing was sent"
-            remedy = "a lower velocity; AxisSettings(max_speed=...), if it may go as fast as that"
+            remedy = "a lower velocity; max_speed (--max-speed, AxisSettings, the machine file), if it may go as fast as that"
             raise LimitReached(axis, failed, reason=reason, remedy=remedy, looks=False)
         exact = axis.settings.direction * self._velocity * axis.counts_of_amount(1.0) / self._unit
         self._number = round(exact)

@@ -66,7 +66,7 @@ class DriveView:
 
     def describe(self) -> str:
         """Return one line for people: statusword by its bits, the command, the mode, error code and last emergency."""
-        parts = ["its statusword was never heard"]
+        parts = ["its statusword was not heard yet"]
         if self.is_heard:
             parts = [f"statusword 0x{self.statusword:04X}: {', '.join(describe_status(self.statusword, self.mode))}"]
         if self.commanded is not None:

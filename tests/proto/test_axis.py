@@ -37,7 +37,7 @@ def test_without_a_scale_positions_are_counts() -> None:
 def test_a_node_never_heard_has_no_position_and_no_state() -> None:
     axis = Axis(RemoteNode(Outbox(), 5, drive_dictionary()))
     assert (axis.position, axis.velocity, axis.torque, axis.mode, axis.state) == (None, None, None, None, State.UNKNOWN)
-    assert axis.describe() == "its statusword was never heard"
+    assert axis.describe() == "its statusword was not heard yet"
 
 
 @pytest.mark.parametrize("shape", list(Shape))
