@@ -1,4 +1,4 @@
-"""What a planted bug is."""
+"""The catalogue of planted bugs."""
 
 from __future__ import annotations
 

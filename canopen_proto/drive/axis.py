@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 _OPEN: Final = AxisSettings()
 _EXACT: Final = 1 + 1e-12
-"""What is a whole number but for the rounding of floating point is not rounded down to the next one."""
+"""So that a whole number is not rounded down to the next one, because of the rounding of floating point."""
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
 

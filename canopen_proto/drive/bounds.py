@@ -7,7 +7,7 @@ by the way of one look and of the ramp.
 
 The speed is the drive's 0x606C if its velocity unit is known; else it is computed from positions (0x6064) of SPEED_TIME.
 
-In csv and cst an RPDO repeats the last set-point for ever if none is given. So a set-point other than 0 that was not given anew
+In csv and cst an RPDO repeats the last set-point for ever if none is given. So a set-point other than 0 that was not given again
 for some SYNCs in a row is out of bounds, too.
 """
 

@@ -83,7 +83,7 @@ _REMEDIES = {
     ),
     objects.TARGET_POSITION: "look at its limits (0x607D), and whether it is homed",
 }
-"""What to try if a drive refuses an object, and shows no obstacle."""
+"""The remedy if a drive refuses an object, and shows no obstacle."""
 
 
 _WHAT_TOOK_IT = (

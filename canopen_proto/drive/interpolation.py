@@ -1,6 +1,6 @@
 """Interpolated position mode (ip): its start, its sub-modes, and the drive's buffer of data records (0x60C4).
 
-What is written, as far as the dictionary has the object; the rest is as in synchronous.py:
+These objects are written, as far as the dictionary has them; the rest is as in synchronous.py:
 
     60C0       the sub-mode, if the drive has another one
     60C3       SYNC (:01 = 0), at each one (:02 = 1), if the drive has something else

@@ -89,7 +89,7 @@ def look_at(node: RemoteNode, settings: AxisSettings = _NO_SETTINGS) -> Procedur
 
 
 def look_closer(axis: Axis) -> Procedure[DriveView]:
-    """Return what is known of a drive, and read what tells why it does not obey. A drive that does not answer tells no more."""
+    """Return what is known of a drive, and read what tells why it does not obey. A drive that does not answer adds nothing."""
     view = replace(axis.view(), is_homed=axis.is_homed or axis.settings.keeps_reference)
     try:
         for name in _TELLING:
@@ -188,7 +188,7 @@ def _command(view: DriveView) -> list[Reason]:
     if view.rpdo is None:
         return [Reason(differs, "find the other master that commands it")]
     what = f"its RPDO {view.rpdo}, which carries the controlword, does not reach it: {differs}"
-    return [Reason(what, "compare the RPDO's CAN-ID and mapping with those of the drive (canopen info), or define them anew")]
+    return [Reason(what, "compare the RPDO's CAN-ID and mapping with those of the drive (canopen info), or define them again")]
 
 
 def _mode(view: DriveView) -> list[Reason]:

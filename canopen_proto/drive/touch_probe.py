@@ -38,7 +38,7 @@ _COUNTER: Final = 1 << 16
 
 
 class ProbeSource(IntEnum):
-    """What a probe listens to."""
+    """The source that a probe listens to."""
 
     INPUT = 0
     """The probe's own input."""
@@ -71,7 +71,7 @@ class ProbeReading(NamedTuple):
 
 
 class _Shown(NamedTuple):
-    """What tells one latched edge from the next."""
+    """The values by which one latched edge is told from the next."""
 
     counter: int | None
     toggle: int

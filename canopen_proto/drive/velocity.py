@@ -56,7 +56,7 @@ _MEASURED: Final = 30 * MILLISECOND
 
 
 class Running(NamedTuple):
-    """What the drive was told. velocity: rounded to its unit, in the user's unit per second. is_reached: it shows that."""
+    """A command that was given. velocity: rounded to its unit, in the user's unit per second. is_reached: it shows that."""
 
     mode: Mode
     velocity: float

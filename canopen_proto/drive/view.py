@@ -17,7 +17,7 @@ RECENT: Final = 5 * SECOND
 
 
 class ForeignCommand(NamedTuple):
-    """What another master commanded. words: such as "commanded 0x0006 (shutdown)". age: ns before the drive was last heard.
+    """A command of another master. words: such as "commanded 0x0006 (shutdown)". age: ns before the drive was last heard.
     source: "SDO", or "RPDO 0x203"."""
 
     words: str
@@ -30,7 +30,7 @@ class ForeignCommand(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class DriveView:
-    """What is known of a drive, by the values of its objects of CiA 402. None: it lacks the object, or it was not heard.
+    """A drive as it is known, by the values of its objects of CiA 402. None: it lacks the object, or it was not heard.
 
     statusword: 0 if it was never heard, and `is_heard` is False. controlword, wanted_mode: 0x6040 and 0x6060 as the drive has
     them. commanded, selected_mode: as this master sent them last. rpdo: number of the live RPDO that carries the controlword.

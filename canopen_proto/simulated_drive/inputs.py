@@ -8,7 +8,7 @@ A touch probe latches the position at an edge of its input. 60B8h arms it; 60B9h
     60B9h  bit 0 enabled   bit 1 positive edge latched   bit 2 negative edge latched
            bits 6, 7 change with each positive, negative edge, if each edge is latched
 
-A probe is armed anew when bit 0 rises; an edge, when its bit 4 or 5 rises. The probes' inputs are active on parts of the track
+A probe is armed again when bit 0 rises; an edge, when its bit 4 or 5 rises. The probes' inputs are active on parts of the track
 (`Track.probes`). An index pulse counts as a positive and a negative edge at one place. Edges are latched where they lie on the
 track, as the encoder hardware of real drives does: neither the time of the look nor the speed matters. An axis that turns round
 between two looks may miss an edge.

@@ -109,7 +109,7 @@ class _CyclicMode(SynchronousMode):
         self._command(target)
 
     def stopped_by_switch(self) -> None:
-        """Go on following: each SYNC is looked at anew, and one that leads away from the switch is obeyed."""
+        """Go on following: each SYNC is looked at again, and one that leads away from the switch is obeyed."""
 
     def _target(self) -> int:
         raise NotImplementedError

@@ -65,8 +65,8 @@ def open_master(
     master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for no grip. See grip.py.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
-    `joints` and `chains` of the master. buses then replace those of the file, by their names. What else is given goes before what
-    the file says; a grip that is DEFAULT_GRIP is not given. Raises DataError, DictionaryError with every error in the file.
+    `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the
+    file says; a grip that is DEFAULT_GRIP is not given. Raises DataError, DictionaryError with every error in the file.
 
     Entering the block raises BusError if a bus cannot be opened. On leaving it, see this module's text.
     """

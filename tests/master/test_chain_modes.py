@@ -248,7 +248,7 @@ async def test_a_joint_that_takes_no_targets_stops_its_chain() -> None:
 
 @virtual_time
 async def test_slow_answers_do_not_delay_the_cycle() -> None:
-    """What goes by SDO goes beside the cycle: no SYNC is late, and a joint in csp gets each set-point."""
+    """SDO goes beside the cycle: no SYNC is late, and a joint in csp gets each set-point."""
     slow = changed(SLOW | NOTHING_MAPPABLE, without=without_pdos())
     async with planned_arm(changed({}), slow, slow) as (host, _, arm):
         await arm.follow()

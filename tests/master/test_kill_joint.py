@@ -1,6 +1,6 @@
 """A joint that dies stops its chain, in every mode of chains: the others stand within a named detection time and their ramp.
 
-What ends the motion of the dead joint itself stands in tests/proto/test_kill_table.py.
+How the motion of the dead joint itself ends stands in tests/proto/test_kill_table.py.
 """
 
 from __future__ import annotations

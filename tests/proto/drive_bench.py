@@ -114,7 +114,7 @@ class Bench:
         return all(self.read(0x6041) >> bit & 1 for bit in bits)
 
     def events(self) -> list[Event]:
-        """What was reported since the last call, but for changes of the statusword and of the mode."""
+        """The events since the last call, but for changes of the statusword and of the mode."""
         events = [each for each in self.out.events if not isinstance(each, StatuswordChanged | ModeChanged | InputsChanged)]
         self.out.events.clear()
         return events

@@ -248,7 +248,7 @@ class MasterAndDrive(RuleBasedStateMachine):
         self.do(name, None)
 
     def do(self, name: str, duration: int | None) -> None:
-        """Begin a task, and let it run for so many ms, or (None) to its end. What is under way is cancelled before."""
+        """Begin a task, and let it run for so many ms, or (None) to its end. A task that is under way is cancelled before."""
         if self.request is not None:
             self.cancel()
             self.await_its_end()

@@ -142,7 +142,7 @@ def test_quick_stop_and_disable_brake_by_their_ramps(mechanics: Mechanics | None
 
 
 def test_a_drive_with_the_lag_goes_back_to_it() -> None:
-    """What a torque moved is at rest where the lag takes over: no jump, and pp goes on as ever."""
+    """An axis that a torque moved is at rest where the lag takes over: no jump, and pp goes on as ever."""
     bench = bench_of(TQ, None)
     bench.write(0x6071, 300)
     bench.run(200)

@@ -29,8 +29,8 @@ QUICK_STOP: Final = 100_000
 CYCLE: Final = 10 * MILLISECOND
 LOOK: Final = 5 * MILLISECOND
 SETTLING: Final = 15 * MILLISECOND
-"""What a mass under torque control needs behind the end of its ramp, or to be stopped by its brake: 20 N·m stop 0.5 kg·m² from
-FASTEST, which is 0.44 rad/s, in 11 ms."""
+"""The time that a mass under torque control needs behind the end of its ramp, or until its brake has stopped it: 20 N·m stop
+0.5 kg·m² from FASTEST, which is 0.44 rad/s, in 11 ms."""
 
 RATES = {
     mux(0x607F): FASTEST, mux(0x6084): SLOW_DOWN, mux(0x6085): QUICK_STOP, mux(0x6049, 1): SLOW_DOWN, mux(0x604A, 1): QUICK_STOP,

@@ -1,4 +1,4 @@
-"""Write machine files. What is the default is left out; the reader gives the same machine back."""
+"""Write machine files. Defaults are left out; the reader gives the same machine back."""
 
 from __future__ import annotations
 
