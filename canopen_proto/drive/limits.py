@@ -51,7 +51,7 @@ is 30 degrees per second. Half a metre from the joint that is 250 mm/s, which IS
 
 BY_DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
 """The source of a speed limit that nobody gave."""
-_TOLERANCE: Final = 1 + 1e-6
+EXACT: Final = 1 + 1e-6
 """A path at the limit itself is not refused for a rounding error of floating point."""
 
 
@@ -96,7 +96,7 @@ class SetPointLimits:
     def excess(self, start: float, target: float, time: Time) -> Excess | None:
         """Return the limit that a straight way from `start` to `target` within `time` ns exceeds; None if it is allowed."""
         speed = abs(target - start) * SECOND / time
-        if speed > self.speed.value * _TOLERANCE:
+        if speed > self.speed.value * EXACT:
             return Excess(True, speed, self.speed)
         limit = self.position_excess(start, target)
         return None if limit is None else Excess(False, target, limit)

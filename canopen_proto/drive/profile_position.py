@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from canopen_proto.cia402 import objects
@@ -11,7 +12,8 @@ from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import LimitReached, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
-from canopen_proto.drive.limits import limits_of
+from canopen_proto.drive.identity import learn_units
+from canopen_proto.drive.limits import EXACT, limits_of
 from canopen_proto.drive.reasons import LIMIT_SWITCHES
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
@@ -40,8 +42,9 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     Bit 5 is always set: it drops a target that a halt has kept, or that is under way. A drive in another mode is halted first.
     The position (0x6062, 0x6064) shows whether the target is reached: bit 10 also rises when a drive stops at a software limit.
     timeout: ns for the whole way. Raises LimitReached; nothing is sent if the target is beyond min_position or max_position of
-    the settings, or does not fit 0x607A (ValueRangeError). Raises DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported,
-    StepTimeout; ReferenceLost for a position that is not relative. The drive is halted if this fails or is cancelled.
+    the settings, if 0x6081 is beyond their max_speed, or if the target does not fit 0x607A (ValueRangeError). Raises
+    DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is not relative.
+    The drive is halted if this fails or is cancelled.
     """
     if not relative:
         require_reference(axis)
@@ -51,6 +54,7 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     if not axis.has_lost_reference:
         start = yield from demand_of(axis)
         require_within_limits(axis, start, counts + (start if relative else 0))
+    yield from require_profile_speed(axis)
     relation = ModeControl.RELATIVE if relative else 0
     try:
         if axis.mode != Mode.PROFILE_POSITION:
@@ -107,6 +111,31 @@ def require_within_limits(axis: Axis, start: int, target: int) -> None:
             f"was not moved to {axis.from_counts(target):g}",
             reason=f"{limit.source} say {limit.value:g}; it got no such target",
             remedy=OTHER_TARGET,
+        )
+
+
+def require_profile_speed(axis: Axis) -> Procedure[None]:
+    """Raise LimitReached if the drive's own profile velocity (0x6081) is beyond max_speed of the settings.
+
+    A drive without 0x6081, or whose velocity unit cannot be converted, is not judged.
+    """
+    limit = axis.settings.max_speed
+    if limit is None or math.isinf(limit):
+        return
+    number = yield from read_if_present(axis.node, objects.PROFILE_VELOCITY)
+    if axis.velocity_unit is None:
+        yield from learn_units(axis)
+    unit = axis.velocity_unit
+    if not isinstance(number, int) or unit is None:
+        return
+    speed = axis.amount_from_counts(number * unit)
+    if speed > limit * EXACT:
+        raise LimitReached(
+            axis,
+            f"was not moved at {speed:g} per second",
+            reason=f"that is its profile velocity (0x6081 = {number}); the settings (max_speed) say {limit:g}; nothing was sent",
+            remedy="a lower 0x6081, or move_along, which sets the velocity of each target",
+            looks=False,
         )
 
 

@@ -32,6 +32,7 @@ from canopen_proto.drive.profile_position import (
     OTHER_TARGET,
     demand_of,
     limit_before,
+    require_profile_speed,
     require_within_limits,
     wait_for_acknowledge,
     wait_for_target,
@@ -164,6 +165,8 @@ class _Feeder:
         if (speeds or any(each.end_velocity for each in points)) and axis.settings.velocity_unit is None:
             yield from learn_units(axis)
         self._profiles = [self._profile_of(each) for each in points]
+        if points[0].velocity is None:
+            yield from require_profile_speed(axis)
         end_velocity = yield from read_if_present(axis.node, objects.END_VELOCITY)
         if isinstance(end_velocity, int):
             self._written[objects.END_VELOCITY] = end_velocity

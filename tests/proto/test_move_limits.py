@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -77,3 +78,30 @@ def test_a_target_that_0x607a_cannot_hold_is_refused_before_the_drive_has_power(
     with pytest.raises(ValueRangeError, match="0x607A"):
         rig.run(drive.move_to(rig.axis, 1e6, relative=relative, timeout=SECOND))
     assert rig.drive.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("along", [False, True])
+def test_a_profile_velocity_beyond_max_speed_is_refused(along: bool) -> None:
+    """0x6081 is the drive's own: another tool may have left it."""
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.axis.settings = replace(MILLIDEGREES, counts_per_unit=1000.0, max_speed=10.0)
+
+    def move(**velocity: float) -> None:
+        if along:
+            rig.run(drive.move_along(rig.axis, [drive.Target(5.0, **velocity)], timeout=60 * SECOND))
+        else:
+            rig.run(drive.move_to(rig.axis, 5.0, timeout=60 * SECOND))
+
+    rig.node.values.store[objects.PROFILE_VELOCITY] = 20_000
+    written = writes_of(rig)
+    with pytest.raises(drive.LimitReached, match=r"at 20 per second: .*0x6081 = 20000.*\(max_speed\) say 10; nothing was sent"):
+        move()
+    assert writes_of(rig) == written
+    if along:
+        move(velocity=10.0)
+    rig.node.values.store[objects.PROFILE_VELOCITY] = 10_000
+    move()
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(5.0, abs=0.02)
+    rig.axis.settings = replace(rig.axis.settings, max_speed=math.inf)
+    rig.node.values.store[objects.PROFILE_VELOCITY] = 20_000
+    move()
