@@ -262,8 +262,11 @@ class Axis:
             raise LocalProtocolError(f"drive {self.node.node_id} is in use with other settings: {difference}")
 
     def to_counts(self, position: float) -> int:
-        """Convert a position in the user's unit to counts on the wire. Raises LocalProtocolError unless it is a finite number."""
-        return _whole(self._direction * position * self._scale, "a position", position) + self._offset
+        """Convert a position in the user's unit to counts on the wire. Raises LocalProtocolError unless they are a number."""
+        try:
+            return round(self._direction * position * self._scale) + self._offset
+        except (ValueError, OverflowError):
+            raise LocalProtocolError(f"a position must be a finite number, in counts too; it is {position!r}") from None
 
     def from_counts(self, counts: float) -> float:
         """Convert counts on the wire to a position in the user's unit."""
@@ -321,7 +324,10 @@ class Axis:
 
         Raises LocalProtocolError unless it is a finite number.
         """
-        return _whole(self._direction * torque * 1000, "a torque", torque)
+        try:
+            return round(self._direction * torque * 1000)
+        except (ValueError, OverflowError):
+            raise LocalProtocolError(f"a torque must be a finite number; it is {torque!r}") from None
 
     # ---- set-points: what the RPDO behind the next SYNC takes along ----
 
@@ -472,11 +478,3 @@ class Axis:
         if state is not self.state:
             previous, self.state = self.state, state
             self.node.out.events.append(AxisStateChanged(self.node.node_id, previous, state, self.statusword))
-
-
-def _whole(number: float, what: str, given: float) -> int:
-    """Return the nearest whole number. Raises LocalProtocolError, which tells `given`, if there is none."""
-    try:
-        return round(number)
-    except (ValueError, OverflowError):
-        raise LocalProtocolError(f"{what} must be a finite number; it is {given!r}") from None

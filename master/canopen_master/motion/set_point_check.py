@@ -8,7 +8,7 @@ from canopen_master.errors import SetPointRefused
 from canopen_master.motion.device import Device
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drive.limits import Excess
-from canopen_proto.machine import Time
+from canopen_proto.machine import LocalProtocolError, Time
 
 NO_SCALE = ("give its scale: AxisSettings(counts_per_unit=...) in `axes`, 180_000 / math.pi for millidegrees on the wire",)
 FINER = "a finer path, or more `cycles`"
@@ -29,7 +29,7 @@ def check_set_point(device: Device, start: float, target: float, time: Time) -> 
     try:
         counts = axis.to_counts(target)
         axis.check_set_point(counts)
-    except (OverflowError, ValueRangeError) as error:
+    except (LocalProtocolError, ValueRangeError) as error:
         raise refused(device, target, str(error)) from error
     check_limits(device, start, target, time)
     return counts
