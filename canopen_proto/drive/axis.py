@@ -266,7 +266,7 @@ class Axis:
         try:
             return round(self._direction * position * self._scale) + self._offset
         except (ValueError, OverflowError):
-            raise LocalProtocolError(f"a position must be a finite number, in counts too; it is {position!r}") from None
+            raise LocalProtocolError(f"a position must be a finite number; it is {position!r}") from None
 
     def from_counts(self, counts: float) -> float:
         """Convert counts on the wire to a position in the user's unit."""
