@@ -110,8 +110,9 @@ def is_near(rig: Rig, position: int) -> bool:
     return bool(abs(rig.remote.sdo[0x6064].raw - position) <= 10)
 
 
-def shows(rig: Rig, index: int, value: int) -> bool:
-    return bool(rig.remote.sdo[index].raw == value)
+def shows(rig: Rig, index: int, value: int, sub: int = 0) -> bool:
+    found = rig.remote.sdo[index]
+    return bool((found[sub] if sub else found).raw == value)
 
 
 def profile_position(rig: Rig) -> None:
@@ -158,16 +159,26 @@ def torque(rig: Rig) -> None:
 
 
 def interpolated_position(rig: Rig) -> None:
-    """The buffer is filled before; the last set-points stand, so that no SYNC finds it empty while the axis moves."""
-    sdo = rig.remote.sdo
+    """The buffer is filled before, and each SYNC is sent when the axis is at the set-point before: none comes too early.
+
+    It moves slowly, since it passes each set-point by the way that it needs to brake.
+    """
+    sdo, sync = rig.remote.sdo, rig.peer.sync
     start = sdo[0x6064].raw
-    sdo[0x60C2][1].raw = PERIOD
+    sdo[0x60C2][1].raw = 100  # ms
     sdo[0x60C4][6].raw = 1
-    for step in (20, 40, 60, 80, 80, 80):
+    steps = (20, 40, 60, 80)
+    for step in steps:
         sdo[0x60C1][1].raw = start + step
+    sync.stop()
     rig.remote.controlword = 0x1F
-    rig.wait(lambda: is_near(rig, start + 80) and sdo[0x60C4][2].raw == 0)
+    rig.wait(lambda: bool(sdo[0x6041].raw & 0x1000))
+    for number, step in enumerate(steps, 1):
+        sync.transmit()
+        rig.wait(partial(shows, rig, 0x60C4, len(steps) - number, 2))
+        rig.wait(partial(is_near, rig, start + step))
     assert sdo[0x6041].raw & 0x1000
+    sync.start(PERIOD / 1000)
 
 
 def cyclic_position(rig: Rig) -> None:
