@@ -20,7 +20,8 @@
     engage_brake  down to Ready to switch on                                  manual: enableBreak
     shut_down     unpowered (Switch on disabled)                              manual: shutdownDevice, with NMT stop
 
-A procedure that moves the drive halts it if the procedure is cancelled or fails. Bit 4 is cleared before each homing and each
+A procedure that moves the drive halts it if the procedure is cancelled or fails. While one moves the drive, another is refused
+(AxisBusy), and a stop takes over: the first ends with TakenOver (one_motion.py). Bit 4 is cleared before each homing and each
 start of interpolation: both begin on its rising edge.
 
 watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py,
@@ -41,6 +42,7 @@ from canopen_proto.drive.digital_io import read_inputs as read_inputs
 from canopen_proto.drive.digital_io import set_outputs as set_outputs
 from canopen_proto.drive.digital_io import watch_inputs as watch_inputs
 from canopen_proto.drive.failures import AccessFailed as AccessFailed
+from canopen_proto.drive.failures import AxisBusy as AxisBusy
 from canopen_proto.drive.failures import DriveError as DriveError
 from canopen_proto.drive.failures import DriveFault as DriveFault
 from canopen_proto.drive.failures import DriveTimeout as DriveTimeout
@@ -51,6 +53,7 @@ from canopen_proto.drive.failures import ModeUnsupported as ModeUnsupported
 from canopen_proto.drive.failures import NodeLost as NodeLost
 from canopen_proto.drive.failures import ReferenceLost as ReferenceLost
 from canopen_proto.drive.failures import StateLost as StateLost
+from canopen_proto.drive.failures import TakenOver as TakenOver
 from canopen_proto.drive.failures import fault_of as fault_of
 from canopen_proto.drive.halting import halt as halt
 from canopen_proto.drive.halting import halt_after as halt_after

@@ -39,6 +39,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.drive.foreign import COMMANDS, foreign_command
+from canopen_proto.drive.occupancy import Occupancy
 from canopen_proto.drive.set_points import SET_POINT_OF, RecordSetPoint, SetPoint
 from canopen_proto.drive.settings import MILLIDEGREES_PER_RADIAN as MILLIDEGREES_PER_RADIAN
 from canopen_proto.drive.settings import SCHUNK_POWERBALL as SCHUNK_POWERBALL
@@ -93,14 +94,14 @@ class Axis:
     starts a motion; OBEYED once the drive has shown that it took it. selected_mode: the mode of operation that this master
     selected last; None: none since the drive's last boot. commanded_at, selected_at: when this master last sent
     a controlword, and a mode; None: not since then.
-    has_opened_brake: whether this master holds the brake open by an output, see digital_io.py.
+    has_opened_brake: whether this master holds the brake open by an output, see digital_io.py. occupancy: the motion under way,
+    see one_motion.py.
     """
 
     __slots__ = (
         "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
-        "_store", "_was_homed", "commanded_at", "grip", "has_opened_brake", "has_scale", "is_identified", "node", "selected_at",
-        "selected_mode",
-        "set_points_given", "started_at", "state", "units",
+        "_store", "_was_homed", "commanded_at", "grip", "has_opened_brake", "has_scale", "is_identified", "node", "occupancy",
+        "selected_at", "selected_mode", "set_points_given", "started_at", "state", "units",
     )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN) -> None:
@@ -120,6 +121,7 @@ class Axis:
         self.commanded_at: Time | None = None
         self.selected_at: Time | None = None
         self.has_opened_brake = False
+        self.occupancy = Occupancy()
         self.units = DriveUnits()
         self._set_points: dict[Mux, SetPoint] = {}
         self.set_points_given = 0

@@ -120,6 +120,23 @@ class LimitReached(DriveError):
     (min_position, max_position of its settings)."""
 
 
+class AxisBusy(DriveError):
+    """Another command moves the axis. Nothing was sent."""
+
+    def __init__(self, axis: Axis, name: str, occupant: str) -> None:
+        """name: the command that was refused; occupant: the one under way."""
+        reason = f"{occupant} is under way; nothing was sent"
+        super().__init__(axis, f"cannot {name} now", reason=reason, remedy="wait for its end, or halt the drive first")
+
+
+class TakenOver(DriveError):
+    """A stop took the place of a command that moved the axis, and sees that the axis stands."""
+
+    def __init__(self, axis: Axis, name: str, stop: str) -> None:
+        """name: the command that ended; stop: the one that ended it."""
+        super().__init__(axis, f"was taken from {name}", reason=f"{stop} took over", looks=False)
+
+
 class ReferenceLost(DriveError):
     """Positions of the drive may not mean what they meant before: the drive must be homed again. Nothing was sent."""
 

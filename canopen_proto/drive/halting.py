@@ -17,7 +17,8 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
 from canopen_proto.drive.axis import Axis, HomingStyle
 from canopen_proto.drive.controlword import STAYS, command, command_held
-from canopen_proto.drive.failures import accounted, name_of
+from canopen_proto.drive.failures import TakenOver, accounted, name_of
+from canopen_proto.drive.one_motion import stops
 from canopen_proto.drive.watching import Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux
@@ -61,6 +62,7 @@ _OF_ITS_RAMP: Final = 0.25
 """If its ramp is known, more than this share of the ramp's loss in `halt_time` is enough too: a ramp may begin smoothly."""
 
 
+@stops(None)
 @accounted
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
@@ -138,13 +140,21 @@ def _halt_word(axis: Axis) -> int:
     return (axis.controlword if is_enabling else int(Command.ENABLE_OPERATION)) | ControlBit.HALT
 
 
-def halt_after(axis: Axis, cause: BaseException, stop: Callable[[Axis], Procedure[None]] | None = None) -> Procedure[None]:
+def halt_after(axis: Axis, cause: BaseException, forget: Callable[[], Procedure[None]] | None = None) -> Procedure[None]:
     """Halt as the clean-up after `cause`. A halt that fails is noted in `cause`, or raised if `cause` is Cancelled.
 
-    stop: halts and does more; by default `halt`.
+    forget: makes the drive's target 0, see `halt_and_forget`. After TakenOver the other command halts, and only this is done.
     """
+    if axis.occupancy.is_inside and axis.occupancy.occupant is not None:
+        axis.occupancy.occupant.is_ending = True
     try:
-        yield from (halt if stop is None else stop)(axis)
+        if isinstance(cause, TakenOver):
+            if forget is not None:
+                yield from forget()
+        elif forget is not None:
+            yield from halt_and_forget(axis, forget)
+        else:
+            yield from halt(axis)
     except ProcedureError as error:
         if isinstance(cause, Cancelled):
             raise
@@ -158,6 +168,9 @@ def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Proced
     """
     try:
         yield from halt(axis)
+    except TakenOver:
+        yield from forget()
+        raise
     except ProcedureError:
         yield from forget()
         yield from halt(axis)

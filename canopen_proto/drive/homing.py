@@ -30,6 +30,7 @@ from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import HomingFailed, accounted
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.homing_parameters import check_home_position, check_homing_method, method_text, write_homing_parameters
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.reasons import LIMIT_SWITCHES
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.units import read_number
@@ -71,6 +72,7 @@ _SCHUNK_BITS: Final = {_Ending.HOMED: StatusBit.MANUFACTURER_15}
 _FREE: Final = "look whether the axis can move freely, and at its homing method (0x6098)"
 
 
+@moves
 @accounted
 def home(axis: Axis) -> Procedure[None]:
     """Home the drive, from any state without fault, and wait for the end. A drive that moves is halted first.
@@ -100,6 +102,7 @@ def home(axis: Axis) -> Procedure[None]:
     axis.is_homed = True
 
 
+@moves
 @accounted
 def home_if_needed(axis: Axis) -> Procedure[bool]:
     """Home the drive unless it has its reference; return whether it was homed. Else as `home`.

@@ -27,6 +27,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import DriveError, ModeUnsupported, accounted, require_reference
 from canopen_proto.drive.halting import halt_after
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.sub_modes import LINEAR, SubMode
 from canopen_proto.drive.synchronous import align_position, follow, prepare, require_carried, write_record
 from canopen_proto.machine import LocalProtocolError, Time
@@ -54,6 +55,7 @@ class InterpolationBuffer:
             raise LocalProtocolError(f"lead must be 0 or more; it is {self.lead}")
 
 
+@moves
 @accounted
 def start_interpolation(
     axis: Axis,

@@ -14,11 +14,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NoReturn
 
-from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.bounds import MAX_MISSED, Bounds
 from canopen_proto.drive.failures import DriveError
 from canopen_proto.drive.following import SILENT_SYNCS, Following, FollowingLost, read_unsent
-from canopen_proto.drive.halting import halt_after, halt_and_forget
+from canopen_proto.drive.halting import halt_after
 from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.machine import Event
 from canopen_proto.multiplexer import Mux
@@ -45,8 +44,8 @@ def keep_within(
     """
     axis = following.axis
 
-    def stop(axis: Axis) -> Procedure[None]:
-        return halt_and_forget(axis, lambda: act(lambda now: axis.put(SET_POINT_OF[mode], 0, now)))
+    def forget() -> Procedure[None]:
+        return act(lambda now: axis.put(SET_POINT_OF[mode], 0, now))
 
     following.begin_within(bounds, mode, cyclic=cyclic, silent_syncs=silent_syncs, max_missed=max_missed)
     try:
@@ -54,7 +53,7 @@ def keep_within(
         raise AssertionError("the watch ends by an error")
     except (Cancelled, Exception) as cause:
         following.end()
-        yield from halt_after(axis, cause, stop)
+        yield from halt_after(axis, cause, forget)
         raise
 
 

@@ -14,6 +14,7 @@ from canopen_proto.drive.failures import LimitReached, accounted, require_refere
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import EXACT, limits_of
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.reasons import LIMIT_SWITCHES
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
@@ -34,6 +35,7 @@ _AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 """The controlword with which a new set-point drops the one before."""
 
 
+@moves
 @accounted
 def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = False) -> Procedure[None]:
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.

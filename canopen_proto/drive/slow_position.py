@@ -31,6 +31,7 @@ from canopen_proto.drive.controlword import command, syncs_passed
 from canopen_proto.drive.failures import accounted, require_reference
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
@@ -52,6 +53,7 @@ LONGEST_RAMP: Final = 2 * SECOND
 _TAKES_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 
 
+@moves
 @accounted
 def start_slow_position(axis: Axis) -> Procedure[float]:
     """Make the drive take targets in profile position mode; return the position where it starts, which is its first target.

@@ -9,6 +9,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, mode_name
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.failures import ModeUnsupported, accounted
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.state import set_mode
 from canopen_proto.drive.synchronous import align_position, clear_offsets
 from canopen_proto.procedures.objects import read_int
@@ -18,6 +19,7 @@ _STANDING: Final = (Mode.INTERPOLATED_POSITION, Mode.HOMING, Mode.PROFILE_POSITI
 """Modes in which a drive stands until bit 4 of the controlword rises."""
 
 
+@moves
 @accounted
 def select_standing_mode(axis: Axis) -> Procedure[None]:
     """Select a mode in which power alone moves nothing: ip, hm or pp, and the present mode if it is one of them.

@@ -12,7 +12,8 @@ from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.controlword import STAYS, bring, command, command_held
 from canopen_proto.drive.digital_io import return_brake
 from canopen_proto.drive.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
-from canopen_proto.drive.halting import halt
+from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.one_motion import moves, stops
 from canopen_proto.drive.settings import MODE_CHANGE_STATES
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.machine import Time
@@ -35,8 +36,14 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
     A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
     when it is led up, or reaches a state twice: something else commands it. Raises DriveFault, NodeLost, StepTimeout, SdoFailed.
     On the way to Operation enabled, `axis.grip` first makes the drive watch its master. On the way to any other state, the drive
-    first gets its brake back if this master has opened it.
+    first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a stop, see
+    one_motion.py.
     """
+    lead = _change_state_up if target is State.OPERATION_ENABLED else _change_state_down
+    return (yield from lead(axis, target))
+
+
+def _lead(axis: Axis, target: State) -> Procedure[int]:
     if target is State.OPERATION_ENABLED and axis.grip is not None:
         yield from axis.grip.hold()
     if target is not State.OPERATION_ENABLED:
@@ -57,6 +64,18 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
             yield from command(axis, int(step))
         statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
     return statusword
+
+
+@moves
+def _change_state_up(axis: Axis, target: State) -> Procedure[int]:
+    """As `change_state`."""
+    return (yield from _lead(axis, target))
+
+
+@stops(halt_after)
+def _change_state_down(axis: Axis, target: State) -> Procedure[int]:
+    """As `change_state`."""
+    return (yield from _lead(axis, target))
 
 
 @accounted
@@ -89,6 +108,7 @@ def reset_fault(axis: Axis) -> Procedure[None]:
     yield from command(axis, 0)
 
 
+@moves
 @accounted
 def enable(axis: Axis) -> Procedure[None]:
     """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed.
@@ -108,6 +128,7 @@ def require_mode(axis: Axis, mode: int) -> Procedure[None]:
         raise ModeUnsupported(axis, f"does not support {mode_name(mode)}", reason=reason, remedy=_ANOTHER)
 
 
+@moves
 @accounted
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
     """Select a mode of operation and wait until the drive shows it. 0x6060 goes by the live RPDO that carries it, else by SDO.
@@ -174,6 +195,7 @@ def _state_below(axis: Axis, state: State) -> State | None:
     return highest if goes_down else None
 
 
+@stops(halt_after)
 @accounted
 def quick_stop(axis: Axis) -> Procedure[None]:
     """Command a quick stop; wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
@@ -183,12 +205,14 @@ def quick_stop(axis: Axis) -> Procedure[None]:
     yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
 
 
+@stops(halt_after)
 @accounted
 def engage_brake(axis: Axis) -> Procedure[None]:
     """Lead the drive from any state without fault to Ready to switch on: no torque, brake engaged."""
     yield from change_state(axis, State.READY_TO_SWITCH_ON)
 
 
+@stops(halt_after)
 @accounted
 def shut_down(axis: Axis) -> Procedure[None]:
     """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.grip` go.

@@ -32,6 +32,7 @@ from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import DriveError, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.identity import learn_units
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.set_points import OFFSETS_OF
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import read_statusword, wait_for_statusword
@@ -47,6 +48,7 @@ _EXPONENTS: Final = (-3, -4, -5, -6, -2, -1, 0)
 """Of 0x60C2:02, in the order in which they are tried: every drive has milliseconds."""
 
 
+@moves
 @accounted
 def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow one position per SYNC in cyclic synchronous position mode; return the position where it starts.
@@ -63,6 +65,7 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     return (yield from follow(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, carried, align_position))
 
 
+@moves
 @accounted
 def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow one velocity per SYNC (0x60FF) in cyclic synchronous velocity mode; return the first one, 0.
@@ -83,6 +86,7 @@ def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     return (yield from follow(axis, Mode.CYCLIC_SYNCHRONOUS_VELOCITY, carried, align))
 
 
+@moves
 @accounted
 def start_cyclic_torque(
     axis: Axis, cycle_time: Time, *, torque: float | None = None, sends_itself: bool = False

@@ -28,6 +28,7 @@ from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import DriveError, LimitReached, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.identity import learn_units
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.profile_position import (
     OTHER_TARGET,
     demand_of,
@@ -103,6 +104,7 @@ class Target:
             raise LocalProtocolError("end_velocity and pause of a target must not be below 0")
 
 
+@moves
 @accounted
 def move_along(axis: Axis, targets: Iterable[Target], *, timeout: Time) -> Procedure[None]:
     """Profile position: go to one target after the other, and wait for the end. Does nothing without targets.

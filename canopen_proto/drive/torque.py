@@ -24,6 +24,7 @@ from canopen_proto.drive.bounds import bounds_of
 from canopen_proto.drive.controlword import bring, command
 from canopen_proto.drive.failures import DriveError, LimitReached, accounted
 from canopen_proto.drive.halting import halt, halt_after, halt_and_forget
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.state import enable, require_mode, set_mode
 from canopen_proto.drive.synchronous import holding_torque
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch
@@ -32,6 +33,7 @@ from canopen_proto.procedures.objects import read_if_present, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 
 
+@moves
 @accounted
 def apply_torque(
     axis: Axis, torque: float, duration: Time, *, slope: float | None = None, max_speed: float | None = None
@@ -84,9 +86,9 @@ def apply_torque(
 
         yield from watch.until(judge, duration + axis.settings.state_timeout)
     except (Cancelled, Exception) as cause:
-        yield from halt_after(axis, cause, _stop)
+        yield from halt_after(axis, cause, lambda: _forget(axis))
         raise
-    yield from _stop(axis)
+    yield from halt_and_forget(axis, lambda: _forget(axis))
     return axis.settings.direction * target / 1000
 
 
@@ -101,6 +103,6 @@ def _slope_number(axis: Axis, slope: float) -> int:
     return number
 
 
-def _stop(axis: Axis) -> Procedure[None]:
-    """Halt the drive, and set its target to 0, so that no later command finds the old one."""
-    return halt_and_forget(axis, lambda: bring(axis, objects.TARGET_TORQUE, 0))
+def _forget(axis: Axis) -> Procedure[None]:
+    """Set the target to 0, so that no later command finds the old one."""
+    return bring(axis, objects.TARGET_TORQUE, 0)

@@ -34,6 +34,7 @@ from canopen_proto.drive.failures import DriveError, LimitReached, ModeUnsupport
 from canopen_proto.drive.halting import halt, halt_after, halt_and_forget, halt_ramp
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import Limit, read_limits
+from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
@@ -63,6 +64,7 @@ class Running(NamedTuple):
     is_reached: bool
 
 
+@moves
 @accounted
 def run_at(
     axis: Axis,
@@ -92,9 +94,9 @@ def run_at(
         yield from run.start()
         yield from run.watch(duration)
     except (Cancelled, Exception) as cause:
-        yield from halt_after(axis, cause, run.stop)
+        yield from halt_after(axis, cause, run.forget)
         raise
-    yield from run.stop(axis)
+    yield from halt_and_forget(axis, run.forget)
 
 
 class _Run:
@@ -274,9 +276,9 @@ class _Run:
         axis.started_at = self._began = yield from current_time()
         self._tell()
 
-    def stop(self, axis: Axis) -> Procedure[None]:
-        """Halt the drive, and see that it stands. Then make its target 0: no later word without bit 8 sends it on."""
-        return halt_and_forget(axis, lambda: bring(axis, TARGET_OF[self._mode], 0))
+    def forget(self) -> Procedure[None]:
+        """Make the target 0: no later word without bit 8 sends the drive on."""
+        return bring(self._axis, TARGET_OF[self._mode], 0)
 
     def watch(self, duration: Time | None) -> Procedure[None]:
         """Watch the drive until its time is over."""

@@ -17,10 +17,11 @@ from canopen_master import (
     JointDescription,
     open_master,
 )
+from canopen_proto import drive
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
-from canopen_proto.machine import Outbox
+from canopen_proto.machine import SECOND, Outbox
 from canopen_proto.nmt import NmtState
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
@@ -251,3 +252,69 @@ async def test_cancelled_while_waiting_for_a_cycle() -> None:
         assert arm.state is ChainState.FOLLOWING
         cycles = arm.cycles()
         assert (await cycles.__anext__()).number == 0
+
+
+# ---- a joint of it, commanded by hand ----
+
+
+@virtual_time
+async def test_a_joint_that_follows_set_points_takes_no_other_motion() -> None:
+    async with following_arm(3, 4) as (_, master, arm):
+        axis = arm.devices[0].axis
+        for command in (drive.home(axis), drive.move_to(axis, 0.1, timeout=SECOND), drive.set_mode(axis, 1), drive.enable(axis)):
+            with pytest.raises(drive.AxisBusy, match="chain arm is under way; nothing was sent"):
+                await master.run(command)
+        async for cycle in arm.cycles():
+            arm.hold()
+            if cycle.number == 5:
+                break
+        assert arm.state is ChainState.FOLLOWING
+        await arm.halt()
+        await master.run(drive.set_mode(axis, 1))
+
+
+@virtual_time
+async def test_a_joint_that_is_stopped_by_hand_halts_its_chain() -> None:
+    async with following_arm(3, 4) as (host, master, arm):
+        await master.run(drive.engage_brake(arm.devices[0].axis))
+        with pytest.raises(ChainHalted, match=r"another command took over joint1 \(node 3 .*\): engage_brake"):
+            arm.set_positions(arm.positions)
+        await arm.halt()
+        assert drives(host)[0].drive.state is State.READY_TO_SWITCH_ON
+        await assert_all_stand(host)
+        await arm.recover()
+        assert arm.state is ChainState.FOLLOWING
+
+
+@virtual_time
+async def test_a_joint_that_is_moved_by_hand_refuses_the_chains_homing_and_its_halt_ends_it() -> None:
+    async with simulated(3) as host, open_master(BUS) as master, trio.open_nursery() as nursery:
+        arm = arm_of(master, 3)
+        await arm.initialise()
+        ended = []
+
+        async def moving() -> None:
+            with pytest.raises(drive.TakenOver, match="was taken from home: halt took over"):
+                await master.run(drive.home(arm.devices[0].axis))
+            ended.append("home")
+
+        nursery.start_soon(moving)
+        await trio.sleep(0.3)
+        with pytest.raises(ChainError, match="cannot home now") as caught:
+            await arm.home()
+        assert caught.value.cause == "home is under way; nothing was sent"
+        assert not ended
+        await arm.halt()
+        assert ended
+        await assert_all_stand(host)
+
+
+@virtual_time
+async def test_a_follow_that_fails_leaves_no_joint_occupied() -> None:
+    async with simulated(3, 4) as host, open_master(BUS) as master:
+        arm = arm_of(master, 3, 4)
+        await arm.initialise()
+        drives(host)[1].values.store[0x6502_00] = 1
+        with pytest.raises(ChainError, match="does not support interpolated position"):
+            await arm.follow()
+        assert [device.axis.occupancy.occupant for device in arm.devices] == [None, None]

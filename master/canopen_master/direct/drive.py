@@ -127,7 +127,7 @@ class DirectDrive:
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
             )
         self._end_following()
-        followed = await self._run(follow(self._device, self.interval * MILLISECOND, sends_itself=True))
+        followed = await self._run(follow(self._device, "enable_ip_mode", self.interval * MILLISECOND, sends_itself=True))
         following = self._device.following
         following.begin(
             followed.limit,
@@ -236,10 +236,13 @@ class DirectDrive:
         return int(counts)
 
     def _on_sync(self, report: Event | None = None) -> None:
+        if self._device.taken_over_by:  # by a command of the master's, past this drive
+            self._end_following()
         self._taken.append((self._master.now(), self.axis.set_point))
 
     def _end_following(self) -> None:
         self._is_following = False
+        self._device.release()
         self._device.following.end()
         reading, self._reading = self._reading, None
         if reading is not None:

@@ -19,6 +19,9 @@ that took set-points along, so a late loop makes the path slower (see cycles.py)
 chain that follows set-points, and wait for a halt under way. Then the procedure itself halts each joint once more and sees that
 it stands (canopen_proto.drive.halt); a joint that does not stand is an error.
 
+**A joint that follows set-points has no other motion command** (`drive.AxisBusy`). A stop of one joint (`drive.halt` ...) takes
+over and halts the chain.
+
 **Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
 set-points, stops its whole chain: the running command is cancelled, all joints are halted, and every further command raises
 ChainFault, which says what the joint did, until `recover`.
@@ -220,9 +223,14 @@ class Chain:
         self._end_following(ChainState.READY)
         self._require_reference(what)
         cycle_time = round(self.settings.cycle_time * SECOND)
-        followed = await self._for_all(what, lambda device: follow(device, cycle_time, self._mode_of(device)))
-        if self.state is not ChainState.READY:  # a joint failed just now
-            raise self._stop_reason()
+        try:
+            name = f"chain {self.name}"
+            followed = await self._for_all(what, lambda device: follow(device, name, cycle_time, self._mode_of(device)))
+            if self.state is not ChainState.READY:  # a joint failed just now
+                raise self._stop_reason()
+        except BaseException:
+            self._release_joints()
+            raise
         self._set_points.begin()
         self._supervision.begin_following(followed, self.settings.max_silent_cycles)
         self.state, self._followed = ChainState.FOLLOWING, True
@@ -397,16 +405,25 @@ class Chain:
         self.state = state
         self._set_points.end()
         self._supervision.end_following()
+        self._release_joints()
+
+    def _release_joints(self) -> None:
+        for device in self.devices:
+            device.release()
 
     # ---- being stopped ----
 
     def _stop(self, why: str) -> None:
-        """Halt all joints and end the running command. May be called in the pump's turn; `_joints_stopped` waits for the halt."""
+        """Halt all joints and end the running command. May be called in the pump's turn; `_joints_stopped` waits for the halt.
+
+        A joint that another stop took over is left to it: a halt would undo the command that leads the joint down.
+        """
         self._why_halted = why
+        joints = [device for device in self.devices if not device.taken_over_by]
         state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
         running, self._running = self._running, None
-        _, self._stopping = self._participant.launch(all_of(*(quietly(device, stop(device)) for device in self.devices)))
+        _, self._stopping = self._participant.launch(all_of(*(quietly(device, stop(device)) for device in joints)))
         if running is not None:
             self._participant.take_back(running.request_id)
 
@@ -447,6 +464,10 @@ class Chain:
     def _on_sync(self, sync: SyncSent) -> None:
         if self.state is not ChainState.FOLLOWING:
             return
+        for device in self.devices:
+            if device.taken_over_by:
+                self._stop(f"because another command took over {device.where}: {device.taken_over_by}")
+                return
         set_points, settings = self._set_points, self.settings
         set_points.on_sync(sync.skipped)
         if set_points.missed_in_row >= settings.max_missed_cycles:

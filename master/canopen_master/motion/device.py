@@ -17,6 +17,7 @@ from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.limits import limits_of
 from canopen_proto.drive.motion_plan import MotionPlan
+from canopen_proto.drive.occupancy import Occupant
 from canopen_proto.drive.view import DriveView
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
@@ -49,6 +50,7 @@ class Device:
         self.limits = limits_of(axis)
         node.leave_pdos()  # those of a drive are its chain's business
         self.last_look: DriveView | None = None
+        self._occupant: Occupant | None = None  # while it follows set-points
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None
         self._position: tuple[Time, int] | None = None  # when the last one came, in counts
@@ -154,6 +156,20 @@ class Device:
     def where(self) -> str:
         """The joint and its place, for people: "joint1 (node 3 on can0)"."""
         return f"{self.name} ({self.node.where})"
+
+    def occupy(self, name: str) -> None:
+        """Keep other motion commands from the drive while it follows the set-points of `name`."""
+        self._occupant = self.axis.occupancy.occupy(name)
+
+    def release(self) -> None:
+        """End that."""
+        self.axis.occupancy.release(self._occupant)
+        self._occupant = None
+
+    @property
+    def taken_over_by(self) -> str:
+        """The stop that another task has commanded while the joint followed set-points; "" if there is none."""
+        return "" if self._occupant is None else self._occupant.taken_over_by
 
     def describe(self) -> str:
         """State, statusword, error code and last emergency, in one line for people."""

@@ -138,11 +138,12 @@ class Followed(NamedTuple):
 
 
 def follow(
-    device: Device, cycle_time: Time, mode: Mode = Mode.INTERPOLATED_POSITION, *, sends_itself: bool = False
+    device: Device, name: str, cycle_time: Time, mode: Mode = Mode.INTERPOLATED_POSITION, *, sends_itself: bool = False
 ) -> Procedure[Followed]:
     """Halt the joint, read its limits, and let it follow set-points from where it stands.
 
-    cycle_time: ns. mode: csp, ip, or pp, in which a joint follows slowly.
+    name: gives the set-points, and occupies the joint from then on: `Device.release` ends it. cycle_time: ns. mode: csp, ip, or
+    pp, in which a joint follows slowly.
     """
     axis = device.axis
     yield from halt(axis)
@@ -154,9 +155,11 @@ def follow(
     if mode is Mode.PROFILE_POSITION:
         lag = yield from profile_lag(axis, cycle_time)
         yield from start_slow_position(axis)
+        device.occupy(name)
         return Followed(limit, mode, catches_up, UNCERTAIN - (-lag // cycle_time))
     start = start_cyclic_position if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION else start_interpolation
     yield from start(axis, cycle_time, sends_itself=sends_itself)
+    device.occupy(name)
     return Followed(limit, mode, catches_up)
 
 

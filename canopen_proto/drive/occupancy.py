@@ -1,0 +1,48 @@
+"""`Occupancy`: the one motion command that an axis executes, and the stops that run on it. See one_motion.py."""
+
+from __future__ import annotations
+
+
+class Occupant:
+    """What moves an axis. name: for messages, as "move_to" or "chain arm". is_ending: it failed or was cancelled, and halts the
+    axis. taken_over_by: the stop that ended it; "" if none did.
+    """
+
+    __slots__ = ("is_ending", "name", "taken_over_by")
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.is_ending = False
+        self.taken_over_by = ""
+
+
+class Occupancy:
+    """See this module's text. occupant: None if nothing moves the axis. stops: how many run. is_inside: whether code of one of
+    these procedures runs at this moment, so that those it calls are parts of it.
+    """
+
+    __slots__ = ("is_inside", "occupant", "stops")
+
+    def __init__(self) -> None:
+        self.occupant: Occupant | None = None
+        self.stops = 0
+        self.is_inside = False
+
+    def occupy(self, name: str) -> Occupant:
+        """Note what moves the axis from now on, for longer than a procedure: `release` ends it. Whoever occupies the axis looks
+        at `taken_over_by`."""
+        self.occupant = Occupant(name)
+        return self.occupant
+
+    def release(self, occupant: Occupant | None) -> None:
+        """End it. Does nothing if another one occupies the axis, or None is given."""
+        if occupant is not None and self.occupant is occupant:
+            self.occupant = None
+
+    def take_over(self, name: str) -> bool:
+        """Tell the occupant that a stop ends it; return whether there is one that has not been told."""
+        occupant = self.occupant
+        if occupant is None or occupant.taken_over_by:
+            return False
+        occupant.taken_over_by, occupant.is_ending = name, True
+        return True
