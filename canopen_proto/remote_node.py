@@ -397,6 +397,10 @@ class RemoteNode(Group):
         if on_sync is not None:
             self._sync_listeners.append(on_sync)
 
+    def remove_sync_listener(self, on_sync: Callable[[Time], None]) -> None:
+        """End the calls of a function that was given to `add_listener` as `on_sync`; ValueError if it was not."""
+        self._sync_listeners.remove(on_sync)
+
     # ---- node guarding ----
 
     def start_guarding(self, guard_time: Time, life_time_factor: int, now: Time) -> None:

@@ -45,6 +45,10 @@ if TYPE_CHECKING:
     from canopen_master.motion.cycles import Cycle as Cycle
     from canopen_master.motion.cycles import Cycles as Cycles
     from canopen_master.motion.device import Device as Device
+    from canopen_master.motion.record_format import RecordError as RecordError
+    from canopen_master.motion.record_reader import Record as Record
+    from canopen_master.motion.record_reader import read_record as read_record
+    from canopen_master.motion.recording import Recorder as Recorder
     from canopen_master.node import Node as Node
     from canopen_master.node_pdos import PdoDiffers as PdoDiffers
     from canopen_master.session import MasterSession as MasterSession
@@ -77,6 +81,9 @@ else:
             "canopen_master.motion.chain_file": "ChainDescription JointDescription parse_chains read_chains",
             "canopen_master.motion.cycles": "Cycle Cycles",
             "canopen_master.motion.device": "Device",
+            "canopen_master.motion.record_format": "RecordError",
+            "canopen_master.motion.record_reader": "Record read_record",
+            "canopen_master.motion.recording": "Recorder",
             "canopen_master.node": "Node",
             "canopen_master.node_pdos": "PdoDiffers",
             "canopen_master.session": "MasterSession open_master",

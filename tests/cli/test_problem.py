@@ -26,6 +26,7 @@ from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_master import errors
 from canopen_master.hooks import ScriptError
+from canopen_master.motion.record_format import RecordError
 from canopen_master.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
@@ -78,6 +79,8 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (ModeUnsupported(AXIS, "does not support it"), ExitCode.DRIVE_FAULT, "CO405"),
         (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
         (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
+        (RecordError("CO344", "cannot read the recording x"), ExitCode.BAD_FILE, "CO344"),
+        (RecordError("CO345", "x: Parquet needs pyarrow"), ExitCode.BAD_FILE, "CO345"),
         (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),
         (StateFileError(Path("state.json"), "it is not JSON"), ExitCode.BAD_FILE, "CO333"),
         (ValueRangeError("too large"), ExitCode.USAGE, "CO304"),

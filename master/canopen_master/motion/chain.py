@@ -31,6 +31,8 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
 from typing import Final, TypeVar
 
 import trio
@@ -53,6 +55,7 @@ from canopen_master.motion.joint_procedures import (
     quietly,
     stop,
 )
+from canopen_master.motion.recording import Recorder, recording
 from canopen_master.motion.supervision import Supervision
 from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode, short_name
@@ -304,6 +307,16 @@ class Chain:
         """
         self._require("follow set-points", ChainState.FOLLOWING)
         self._set_points.hold()
+
+    def record(self, path: str | Path) -> AbstractAsyncContextManager[Recorder]:
+        """Record what the chain does while an `async with` block runs: a row for each SYNC, see record_format.py.
+
+        path: of the file, Parquet if it ends in ".parquet", else CSV; an older one is overwritten. Rows begin once the chain is
+        initialised. Raises OSError, and RecordError without pyarrow for Parquet; at the end RecordError if rows are missing. If
+        the block ends by an error or is cancelled, its end waits for nothing: `Recorder.wait` does.
+        """
+        participant, devices, set_points = self._participant, self.devices, self._set_points
+        return recording(participant, self.name, devices, set_points, lambda: self.state is not ChainState.OFF, path)
 
     # ---- procedures ----
 
