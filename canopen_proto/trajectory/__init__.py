@@ -1,13 +1,20 @@
 """Motions of several joints as mathematics: pure functions and small machines, no I/O, no bus.
 
     path.py            `Path`: positions of all joints over time, in pieces of polynomials
-    limit_check.py     `JointLimits`: what a joint may do
+    limit_check.py     `JointLimits`, and `first_violation`: the first place at which a path exceeds one
+    path_clock.py      `PathClock`: runs a path, slows it down, stops on it, goes on
+    speed_change.py    `SpeedChange`: a speed changes with limited acceleration and jerk
+    polynomial.py      value, derivative and extremes of a polynomial
 
 Units: positions in the user's unit of each joint, times in seconds.
 """
 
 from canopen_proto.trajectory.limit_check import JointLimits as JointLimits
+from canopen_proto.trajectory.limit_check import Violation as Violation
+from canopen_proto.trajectory.limit_check import first_violation as first_violation
 from canopen_proto.trajectory.path import Path as Path
 from canopen_proto.trajectory.path import PathError as PathError
 from canopen_proto.trajectory.path import PathPoint as PathPoint
 from canopen_proto.trajectory.path import Segment as Segment
+from canopen_proto.trajectory.path_clock import PathClock as PathClock
+from canopen_proto.trajectory.speed_change import SpeedChange as SpeedChange

@@ -112,6 +112,15 @@ class Path:
         """The point at `duration`."""
         return self.at(self.duration)
 
+    def stretched(self, factor: float) -> Path:
+        """Return the same positions over `factor` times the duration: the speeds are divided by the factor, the accelerations by
+        its square. factor: above 0; below 1 the path becomes faster."""
+        if not 0.0 < factor < math.inf:
+            raise PathError(f"A path cannot take {factor!r} times as long. Try: a finite number above 0.")
+        return Path(
+            [[Segment(d * factor, tuple([c / factor**k for k, c in enumerate(row)])) for d, row in own] for own in self.segments]
+        )
+
     def __repr__(self) -> str:
         return f"<Path of {self.joints} joint{'s' * (self.joints != 1)}, {self.duration:g} s>"
 

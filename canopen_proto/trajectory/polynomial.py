@@ -1,0 +1,97 @@
+"""Polynomials of one variable, as rows of coefficients in ascending powers: value, derivative, extremes on an interval."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+_HALVINGS: Final = 100
+"""More than a float has bits: a root that Newton's steps do not find is found by halving."""
+
+
+class Extremes(NamedTuple):
+    """The least and the greatest value on an interval, each with a time at which it occurs."""
+
+    low: float
+    low_time: float
+    high: float
+    high_time: float
+
+
+def value_at(coefficients: Sequence[float], time: float) -> float:
+    """Return the value at `time`."""
+    value = 0.0
+    for number in range(len(coefficients) - 1, -1, -1):
+        value = value * time + coefficients[number]
+    return value
+
+
+def derivative_of(coefficients: Sequence[float]) -> list[float]:
+    """Return the coefficients of the derivative; of a constant, none."""
+    return [number * coefficients[number] for number in range(1, len(coefficients))]
+
+
+def extremes_of(coefficients: Sequence[float], duration: float) -> Extremes:
+    """Return the extremes for times from 0 to `duration`. No coefficients: 0."""
+    low = high = value_at(coefficients, 0.0)
+    low_time = high_time = 0.0
+    for time in [*roots_of(derivative_of(coefficients), duration), duration]:
+        value = value_at(coefficients, time)
+        if value < low:
+            low, low_time = value, time
+        elif value > high:
+            high, high_time = value, time
+    return Extremes(low, low_time, high, high_time)
+
+
+def roots_of(coefficients: Sequence[float], duration: float) -> list[float]:
+    """Return the times between 0 and `duration` at which the value changes its sign, in order."""
+    degree = len(coefficients) - 1
+    while degree > 0 and coefficients[degree] == 0.0:
+        degree -= 1
+    if degree <= 0:
+        return []
+    if degree == 1:
+        found = [-coefficients[0] / coefficients[1]]
+    elif degree == 2:
+        found = _roots_of_parabola(coefficients[0], coefficients[1], coefficients[2])
+    else:
+        slope = derivative_of(coefficients[: degree + 1])
+        turns = [0.0, *roots_of(slope, duration), duration]  # between two of them it only rises, or only falls
+        found = []
+        for begin, end in itertools.pairwise(turns):
+            before, after = value_at(coefficients, begin), value_at(coefficients, end)
+            if before < 0.0 < after or after < 0.0 < before:
+                found.append(_root_between(coefficients, slope, begin, end))
+    return [each for each in found if 0.0 < each < duration]
+
+
+def _roots_of_parabola(c0: float, c1: float, c2: float) -> list[float]:
+    square = c1 * c1 - 4.0 * c0 * c2
+    if not square > 0.0:
+        return []
+    sum_of_both = -0.5 * (c1 + math.copysign(math.sqrt(square), c1))  # no difference of two near numbers
+    return sorted([sum_of_both / c2, c0 / sum_of_both])
+
+
+def _root_between(coefficients: Sequence[float], slope: Sequence[float], begin: float, end: float) -> float:
+    """Return the root between two times at which the values have different signs: Newton's steps, else halving."""
+    rises = value_at(coefficients, end) > 0.0
+    time = 0.5 * (begin + end)
+    for _ in range(_HALVINGS):
+        value = value_at(coefficients, time)
+        if value == 0.0:
+            break
+        if (value > 0.0) is rises:
+            end = time
+        else:
+            begin = time
+        steepness = value_at(slope, time)
+        step = time - value / steepness if steepness else begin
+        following = step if begin < step < end else 0.5 * (begin + end)
+        if following == time or not begin < following < end:
+            break
+        time = following
+    return time

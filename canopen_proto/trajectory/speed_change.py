@@ -1,0 +1,76 @@
+"""`SpeedChange`: a speed goes to another one as soon as its limits of acceleration and jerk allow.
+
+Three phases: the acceleration grows at the full jerk, is held at its peak, and falls to 0. Any speed and acceleration may be its
+start, so a change under way is replaced by a new one from its present state, without a jump of speed or acceleration.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, TypeAlias, final
+
+from canopen_proto.machine import LocalProtocolError
+
+_ROUNDING: Final = 1 + 1e-9
+
+_Phase: TypeAlias = tuple[float, float, float, float, float]
+"""Its start in s; distance, speed and acceleration there; its jerk."""
+
+
+@final
+class SpeedChange:
+    """The change of a speed from `speed`, with the acceleration `acceleration`, to the constant speed `wanted`. It never changes.
+
+    max_acceleration, max_jerk: magnitudes above 0; |acceleration| is at most max_acceleration. The speed overshoots `wanted` only
+    if the acceleration cannot end before.
+    """
+
+    __slots__ = ("_phases", "distance", "duration", "wanted")
+
+    def __init__(self, speed: float, acceleration: float, wanted: float, max_acceleration: float, max_jerk: float) -> None:
+        if not (
+            abs(acceleration) <= max_acceleration * _ROUNDING and 0.0 < max_jerk < math.inf and math.isfinite(speed + wanted)
+        ):
+            raise LocalProtocolError(
+                f"A speed cannot change from {speed!r} to {wanted!r} with the acceleration {acceleration!r}, "
+                f"the limits {max_acceleration!r} and {max_jerk!r} of acceleration and jerk. Try: limits above 0, a start within."
+            )
+        self.wanted: Final = wanted
+        without = speed + acceleration * abs(acceleration) / (2.0 * max_jerk)  # the speed if the acceleration just ends
+        towards = 1.0 if wanted >= without else -1.0
+        gain, given = towards * (wanted - speed), towards * acceleration
+        peak = math.sqrt(max(0.0, max_jerk * gain + 0.5 * given * given))
+        held = 0.0
+        if peak > max_acceleration:
+            peak = max_acceleration
+            held = max(0.0, gain - (2.0 * peak * peak - given * given) / (2.0 * max_jerk)) / peak
+        time = distance = 0.0
+        self._phases: list[_Phase] = []
+        for lasts, jerk in (
+            (max(0.0, peak - given) / max_jerk, towards * max_jerk),
+            (held, 0.0),
+            (peak / max_jerk, -towards * max_jerk),
+        ):
+            self._phases.append((time, distance, speed, acceleration, jerk))
+            time += lasts
+            distance += lasts * (speed + lasts * (acceleration / 2.0 + lasts * jerk / 6.0))
+            speed += lasts * (acceleration + lasts * jerk / 2.0)
+            acceleration += lasts * jerk
+        self._phases.append((time, distance, wanted, 0.0, 0.0))
+        self.duration: Final = time
+        """Seconds until the speed is the wanted one."""
+        self.distance: Final = distance
+        """The way until then."""
+
+    def at(self, time: float) -> tuple[float, float, float]:
+        """Return the distance, the speed and the acceleration `time` seconds (0 or more) after the start."""
+        number = 3
+        while number and self._phases[number][0] > time:
+            number -= 1
+        begin, distance, speed, acceleration, jerk = self._phases[number]
+        t = time - begin
+        return (
+            distance + t * (speed + t * (acceleration / 2.0 + t * jerk / 6.0)),
+            speed + t * (acceleration + t * jerk / 2.0),
+            acceleration + t * jerk,
+        )

@@ -1,0 +1,246 @@
+"""The clock of a path: whatever it is told, the joints stay on the path and within their limits, as a drive would see them.
+
+The oracle is not ours: difference quotients of the positions that come out, one a cycle.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from canopen_proto.trajectory import JointLimits, Path, PathClock, PathError, Segment, first_violation
+from tests.proto.paths import CYCLE, State, differences, limits_with_reserve, through
+
+ROUNDING = 1e-6
+"""Limits count as kept up to this part of them. Third differences of positions near 1 have an error of 8e-16 / 0.004**3 s."""
+
+REST_TO_REST = Path(
+    [
+        through([(0, 0, 0), (1.0, 0.4, 0), (0.5, 0, 0)], [1.0, 1.5]),
+        through([(2, 0, 0), (-1.0, 0, 0)], [2.5]),
+    ]
+)
+MOVING_ENDS = Path([through([(0, 0.5, 0.2), (1.0, 0.4, 0), (0.5, -1.0, 0.3)], [1.0, 1.5])])
+
+value = st.floats(-1, 1)
+state = st.tuples(value, value, value)
+
+
+@st.composite
+def paths(draw: st.DrawFn) -> Path:
+    """One to three joints, one to three segments each, at rest at the ends or not."""
+    rows = []
+    durations = draw(st.lists(st.floats(0.3, 1.5), min_size=1, max_size=3))
+    for _ in range(draw(st.integers(1, 3))):
+        states: list[State] = [draw(state) for _ in range(len(durations) + 1)]
+        if draw(st.booleans()):
+            states[0], states[-1] = (states[0][0], 0, 0), (states[-1][0], 0, 0)
+        rows.append(through(states, durations))
+    return Path(rows)
+
+
+actions = st.lists(
+    st.tuples(
+        st.integers(0, 250),
+        st.one_of(st.sampled_from(["stop", "resume"]), st.sampled_from([0.0, 0.01, 0.5, 1.0]), st.floats(0, 1)),
+    ),
+    max_size=8,
+)
+
+
+def act(clock: PathClock, action: str | float) -> None:
+    if action == "stop":
+        clock.stop()
+    elif action == "resume":
+        clock.resume()
+    else:
+        assert isinstance(action, float)
+        clock.override = action
+
+
+@given(paths(), st.floats(0.1, 0.8), st.floats(0, 1), actions)
+@settings(max_examples=40, derandomize=True, deadline=None)
+def test_no_joint_exceeds_a_limit_whatever_happens(
+    path: Path, reserve: float, override: float, script: list[tuple[int, str | float]]
+) -> None:
+    limits = limits_with_reserve(path, reserve)
+    assert first_violation(path, limits, CYCLE) is None
+    clock = PathClock(path, limits, CYCLE, override=override, longest_stop=1e4)
+    points, times = [path.start.positions] * 4, [0.0] * 4
+    for cycles, action in [*script, (150, "stop")]:
+        for _ in range(cycles):
+            point = clock.advance(CYCLE)
+            assert point.positions == path.at(clock.time).positions  # on the path, exactly
+            points.append(point.positions)
+            times.append(clock.time)
+        act(clock, action)
+    points += [clock.advance(CYCLE).positions for _ in range(50)]
+    assert all(later >= earlier for earlier, later in itertools.pairwise(times))  # never back
+    for joint, own in enumerate(limits):
+        for seen in differences([each[joint] for each in points]):
+            for each, limit, rounding in zip(seen, (own.speed, own.acceleration, own.jerk), (1e-12, 1e-9, 1e-6), strict=True):
+                assert limit is not None
+                assert each <= limit * (1 + ROUNDING) + rounding
+
+
+@given(paths(), st.floats(0.1, 0.8), st.integers(0, 600), st.sampled_from([0.0, 0.3, 1.0]))
+@settings(max_examples=40, derandomize=True, deadline=None)
+def test_a_stop_is_over_when_it_says(path: Path, reserve: float, cycles: int, then: float) -> None:
+    clock = PathClock(path, limits_with_reserve(path, reserve), CYCLE, longest_stop=1e4)
+    for number in range(cycles):
+        clock.advance(CYCLE)
+        if number == cycles // 2:
+            clock.override = then
+    named = clock.stop()
+    assert named <= clock.stop_time * (1 + 1e-9)
+    clock.advance(named * (1 + 1e-12))
+    assert (clock.is_at_rest, clock.rate) == (True, 0.0)
+    stands = clock.advance(CYCLE)
+    assert stands.velocities == stands.accelerations == [0.0] * path.joints
+    assert clock.advance(CYCLE).positions == stands.positions
+    assert clock.stop() == 0.0
+    clock.override = 1.0  # a stop outlasts an override
+    assert clock.advance(CYCLE).positions == stands.positions
+    clock.resume()
+    clock.advance(path.duration + 2 * clock.stop_time)
+    assert (clock.is_finished, clock.time) == (True, path.duration)
+    assert clock.advance(CYCLE).positions == path.end.positions
+
+
+@pytest.mark.parametrize("path", [REST_TO_REST, MOVING_ENDS])
+def test_velocities_and_accelerations_are_those_of_the_positions(path: Path) -> None:
+    clock = PathClock(path, limits_with_reserve(path, 0.4), CYCLE)
+    dt = 1e-5
+    for number in range(300):
+        if number in (50, 180):
+            clock.stop()
+        elif number == 140:
+            clock.resume()
+        point = clock.advance(CYCLE)
+        near, far = clock.advance(dt), clock.advance(dt)
+        for joint in range(path.joints):
+            p, q, r = point.positions[joint], near.positions[joint], far.positions[joint]
+            assert near.velocities[joint] == pytest.approx((r - p) / (2 * dt), abs=1e-6)
+            assert near.accelerations[joint] == pytest.approx((r - 2 * q + p) / dt**2, abs=1e-3)
+
+
+def test_a_path_from_rest_to_rest_is_followed_as_planned() -> None:
+    clock = PathClock(REST_TO_REST, limits_with_reserve(REST_TO_REST, 0.2), CYCLE)
+    for number in range(1, 625):
+        assert clock.advance(CYCLE).positions == pytest.approx(REST_TO_REST.at(number * CYCLE).positions)
+    assert not clock.is_finished
+    assert clock.advance(CYCLE).positions == REST_TO_REST.end.positions
+    assert (clock.is_finished, clock.is_at_rest, clock.rate) == (True, True, 0.0)
+
+
+def test_half_speed_from_the_start_takes_twice_the_time() -> None:
+    clock = PathClock(REST_TO_REST, limits_with_reserve(REST_TO_REST, 0.2), CYCLE, override=0.5)
+    assert clock.advance(1.0) == (
+        REST_TO_REST.at(0.5).positions,
+        [0.5 * each for each in REST_TO_REST.at(0.5).velocities],
+        [0.25 * each for each in REST_TO_REST.at(0.5).accelerations],
+    )
+    clock.advance(3.999)
+    assert not clock.is_finished
+    clock.advance(0.001)
+    assert clock.is_finished
+
+
+def test_a_path_that_starts_and_ends_in_motion_is_run_from_rest_to_rest() -> None:
+    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE)
+    assert (clock.rate, clock.advance(0.0).velocities) == (0.0, [0.0])
+    clock.advance(1.0)
+    assert clock.rate == pytest.approx(1.0)
+    while not clock.is_finished:
+        point = clock.advance(CYCLE)
+    assert (point.positions, point.velocities) == (MOVING_ENDS.end.positions, [0.0])
+
+
+def test_a_blend_goes_on_from_the_motion_that_is_there() -> None:
+    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE, moving=True)
+    assert (clock.rate, clock.advance(0.0)) == (1.0, MOVING_ENDS.start)
+    clock.override = 0.5
+    assert clock.rate == 1.0  # slows down, does not jump
+    clock.advance(1.0)
+    assert clock.rate == 0.5
+
+
+def test_a_path_that_is_too_short_to_brake_on_starts_from_rest_or_not_at_all() -> None:
+    path = Path([[Segment(0.2, (0.0, 1.0))]])  # 1 per second, on and on
+    limits = [JointLimits(acceleration=1.0)]
+    with pytest.raises(PathError, match="takes 0.2 s and ends in motion"):
+        PathClock(path, limits, CYCLE, moving=True)
+    clock = PathClock(path, limits, CYCLE)
+    positions = [0.0] * 4
+    while not clock.is_finished:
+        positions += clock.advance(CYCLE).positions
+    assert positions[-1] == path.end.positions[0]
+    assert max(acceleration for _, acceleration, _ in differences(positions)) <= 1.0 + ROUNDING
+
+
+def test_an_override_of_0_is_a_pause_on_the_path() -> None:
+    clock = PathClock(REST_TO_REST, limits_with_reserve(REST_TO_REST, 0.4), CYCLE)
+    clock.advance(0.5)
+    clock.override = 0.0
+    clock.advance(clock.stop_time)
+    assert (clock.is_at_rest, clock.is_finished, clock.is_stopping) == (True, False, False)
+    here = clock.time
+    clock.advance(60.0)
+    assert clock.time == here
+    clock.override = 1.0
+    assert not clock.is_at_rest
+    clock.advance(10.0)
+    assert clock.is_finished
+
+
+def test_without_limits_a_stop_still_takes_its_time() -> None:
+    clock = PathClock(REST_TO_REST, [JointLimits()] * 2, CYCLE)
+    clock.advance(1.0)
+    assert clock.stop() == pytest.approx(0.1)
+    assert clock.stop_time <= 0.2
+
+
+def test_a_line_with_a_corner_leaves_free_what_a_cycle_sees_of_it() -> None:
+    path = Path([[Segment(1.0, (0.0, 1.0)), Segment(1.0, (1.0, 1.01))]])  # 0.01 per second over 4 ms: 2.5 per second²
+    clock = PathClock(path, [JointLimits(acceleration=4.0)], CYCLE)
+    assert clock.stop_time == pytest.approx(1.01 / 1.5, rel=0.2)
+    with pytest.raises(
+        PathError, match=r"nothing free for a stop along it. Joint 0 needs the acceleration 2.5 at 1 s of the path"
+    ):
+        PathClock(path, [JointLimits(acceleration=2.5)], CYCLE)
+
+
+@pytest.mark.parametrize(
+    ("limits", "text"),
+    [
+        ([JointLimits()], "The path has 2 joints, but there are limits for 1"),
+        ([JointLimits(), JointLimits(jerk=1.0)], "nothing free for a stop along it. Joint 1 needs the jerk 11.52 at"),
+        ([JointLimits(), JointLimits(jerk=12.0)], "would take 21.7 s, and 5 s are allowed. Joint 1 needs the jerk 11.52"),
+    ],
+)
+def test_a_path_that_cannot_be_stopped_on_is_refused(limits: list[JointLimits], text: str) -> None:
+    with pytest.raises(PathError, match=text):
+        PathClock(REST_TO_REST, limits, CYCLE, longest_stop=5.0)
+
+
+def test_a_path_stretched_a_little_can_be_stopped_on() -> None:
+    limits = limits_with_reserve(REST_TO_REST, 0.0)
+    with pytest.raises(PathError, match="Try: the path `stretched`"):
+        PathClock(REST_TO_REST, limits, CYCLE)
+    assert PathClock(REST_TO_REST.stretched(1.2), limits, CYCLE).stop_time < 3.2
+
+
+@pytest.mark.parametrize("override", [-0.1, 1.1, math.nan])
+def test_an_override_outside_0_to_1_changes_nothing(override: float) -> None:
+    clock = PathClock(REST_TO_REST, [JointLimits()] * 2, CYCLE)
+    with pytest.raises(PathError, match="from 0 .* to 1"):
+        clock.override = override
+    assert clock.override == 1.0
+    with pytest.raises(PathError, match="cannot go on by"):
+        clock.advance(-1.0)
+    with pytest.raises(PathError, match="A cycle takes 0.0 s"):
+        PathClock(REST_TO_REST, [JointLimits()] * 2, 0.0)
