@@ -5,15 +5,18 @@ Origin of the limits
     position   0x607D of the drive, and min_position, max_position of the settings; the narrower, if both are given
     speed      max_speed of the settings; else the lower of 0x607F and 0x6080 of the drive; else DEFAULT_SPEED
                in profile position also 0x6081 of the drive: it goes no faster, and would fall behind
+    max_acceleration   of the settings; else 0x60C5 of the drive; else the speed limit within DEFAULT_RAMP
+    max_jerk           of the settings; else the limit of the acceleration within DEFAULT_ONSET
 
 The settings go before the drive's speeds: the unit of 0x607F is the maker's choice, and few drives tell it. Without either, the
 position has no limit: a turntable has none.
 
 A direction of -1 makes the drive's upper limit the user's lower one.
 
-**Acceleration** (0x60C5) is shown and refuses nothing. A path that misses a cycle stands still for that cycle and then goes on.
-From one period to the next this is an acceleration to its whole speed; to refuse it would stop the path for good. If a drive
-cannot follow for that reason, its following error shows it.
+**Acceleration and jerk** are limits of paths: these are planned, checked and stopped within them. A set-point is not refused for
+them. A path that misses a cycle stands still for that cycle and then goes on. From one period to the next this is an acceleration
+to its whole speed; to refuse it would stop the path for good. If a drive cannot follow for that reason, its following error shows
+it.
 
 Left out: 0x607D is used without the home offset 0x607C (drives differ in whether it counts).
 
@@ -23,10 +26,11 @@ Nor does 0x607D if its minimum is not below its maximum (0 and 0 are no limits),
 that is 0 or beyond INTEGER32.
 
 Units. 0x607F and 0x6081 are in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). units.py converts both, unless
-`velocity_unit` of the settings says the first. A speed is left out if its unit is not known or cannot be converted.
+`velocity_unit` of the settings says the first. 0x60C5 is in velocity units per second, unless `acceleration_unit` of the settings
+says otherwise. A limit is left out if its unit is not known or cannot be converted.
 
-Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, all
-from memory, and as the files of four makers have them.
+Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, max
+acceleration 60C5h, all from memory, and as the files of four makers have them.
 """
 
 from __future__ import annotations
@@ -44,13 +48,22 @@ from canopen_proto.machine import SECOND, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.trajectory.limit_check import JointLimits
 
 DEFAULT_SPEED: Final = 30_000
 """Counts per second, for a drive whose speed nothing limits: three times the speed of the manual's paths. On the manual's arm it
 is 30 degrees per second. Half a metre from the joint that is 250 mm/s, which ISO 10218-1 calls reduced speed."""
 
+DEFAULT_RAMP: Final = 0.5
+"""Seconds from rest to the speed limit, for a drive whose acceleration nothing limits."""
+DEFAULT_ONSET: Final = 0.1
+"""Seconds from none to the full acceleration, for a joint whose jerk nothing limits: an arm may well follow that."""
+
 BY_DEFAULT: Final = "the default, as neither the settings nor the drive say how fast it may go"
 """The source of a speed limit that nobody gave."""
+FROM_SPEED: Final = f"the default: the speed limit, reached in {DEFAULT_RAMP:g} s"
+FROM_ACCELERATION: Final = f"the default: the limit of the acceleration, reached in {DEFAULT_ONSET:g} s"
+"""The sources of limits that nobody gave."""
 EXACT: Final = 1 + 1e-6
 """A path at the limit itself is not refused for a rounding error of floating point."""
 
@@ -84,7 +97,8 @@ class Excess(NamedTuple):
 class SetPointLimits:
     """The limits of one axis, in its user's unit; see this module's text. lowest, highest: positions, None for no limit.
 
-    speed: per second; acceleration: per second², None if the drive has none; nothing is refused because of it.
+    speed: per second. acceleration: the drive's own limit, per second², None if it has none. max_acceleration, max_jerk: what a
+    path may ask for, per second² and per second³; a single set-point is not refused because of them.
     """
 
     axis: Axis
@@ -92,6 +106,14 @@ class SetPointLimits:
     highest: Limit | None
     speed: Limit
     acceleration: Limit | None
+    max_acceleration: Limit
+    max_jerk: Limit
+
+    @property
+    def of_paths(self) -> JointLimits:
+        """The limits for a path of this joint: to plan it, to check it, and to stop on it."""
+        lowest, highest = (None if limit is None else limit.value for limit in (self.lowest, self.highest))
+        return JointLimits(lowest, highest, self.speed.value, self.max_acceleration.value, self.max_jerk.value)
 
     def excess(self, start: float, target: float, time: Time) -> Excess | None:
         """Return the limit that a straight way from `start` to `target` within `time` ns exceeds; None if it is allowed."""
@@ -137,7 +159,15 @@ def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
     if profile is not None and profile.value < speed.value:
         speed = profile
     acceleration = _converted(told.acceleration, axis.amount_from_counts)
-    return SetPointLimits(axis, lowest, highest, speed, acceleration)
+    if settings.max_acceleration is not None:
+        max_acceleration = Limit(settings.max_acceleration, "the settings (max_acceleration)")
+    else:
+        max_acceleration = acceleration or Limit(speed.value / DEFAULT_RAMP, FROM_SPEED)
+    if settings.max_jerk is not None:
+        max_jerk = Limit(settings.max_jerk, "the settings (max_jerk)")
+    else:
+        max_jerk = Limit(max_acceleration.value / DEFAULT_ONSET, FROM_ACCELERATION)
+    return SetPointLimits(axis, lowest, highest, speed, acceleration, max_acceleration, max_jerk)
 
 
 def _converted(limit: Limit | None, convert: Callable[[float], float]) -> Limit | None:
@@ -160,7 +190,8 @@ def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure
     profile = yield from _read_amount(node, objects.MAX_PROFILE_VELOCITY)
     motor = yield from _read_amount(node, objects.MAX_MOTOR_SPEED)
     in_profile = (yield from _read_amount(node, objects.PROFILE_VELOCITY)) if mode == Mode.PROFILE_POSITION else None
-    asks = any(each is not None for each in (profile, motor, in_profile))
+    acceleration = yield from _read_amount(node, objects.MAX_ACCELERATION)
+    asks = any(each is not None for each in (profile, motor, in_profile, acceleration))
     units = (yield from read_units(node)) if asks else DriveUnits()
     per_velocity = units.per_velocity if axis.settings.velocity_unit is None else axis.settings.velocity_unit
     speeds = []
@@ -168,11 +199,13 @@ def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure
         speeds.append(Limit(profile * per_velocity, f"0x607F {_OF_DRIVE}"))
     if motor is not None and units.per_motor_turn is not None:
         speeds.append(Limit(motor * units.per_motor_turn / 60, f"0x6080 {_OF_DRIVE}"))
-    acceleration = yield from _read_amount(node, objects.MAX_ACCELERATION)
+    per_acceleration = per_velocity if axis.settings.acceleration_unit is None else axis.settings.acceleration_unit
     told = DriveLimits(
         *_position_limits(lowest, highest),
         min(speeds, default=None),
-        None if acceleration is None else Limit(acceleration, f"0x60C5 {_OF_DRIVE}"),
+        None
+        if acceleration is None or per_acceleration is None
+        else Limit(acceleration * per_acceleration, f"0x60C5 {_OF_DRIVE}"),
         None if in_profile is None or per_velocity is None else Limit(in_profile * per_velocity, f"0x6081 {_OF_DRIVE}"),
     )
     return limits_of(axis, told)

@@ -62,6 +62,9 @@ class AxisSettings:
     (0x607D) apply, which always apply. max_speed: in the user's unit per second; set-points that need more are refused. None: the
     drive's own limit (0x607F, 0x6080), else a cautious default; math.inf: no limit. See limits.py.
 
+    max_acceleration, max_jerk: in the user's unit per second² and per second³; paths are planned, checked, stopped within them.
+    None: the drive's own limit (0x60C5, none of the jerk), else a default that the speed limit gives; math.inf: no limit.
+
     sto_input, brake_bit: the bit that shows "safe torque off", and the one of a brake that holds; None: the drive has none, and
     errors name neither. Each maker has them elsewhere: see `DriveBit`.
 
@@ -94,6 +97,8 @@ class AxisSettings:
     min_position: float | None = None
     max_position: float | None = None
     max_speed: float | None = None
+    max_acceleration: float | None = None
+    max_jerk: float | None = None
     reaction_time: Time = 1 * SECOND
     halt_time: Time = 1 * SECOND
     sto_input: DriveBit | None = None
@@ -125,8 +130,10 @@ class AxisSettings:
             raise LocalProtocolError(
                 f"following_error_limit must be above 0, math.inf for none; it is {self.following_error_limit!r}"
             )
-        if self.max_speed is not None and not self.max_speed > 0:
-            raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {self.max_speed!r}")
+        for name in ("max_speed", "max_acceleration", "max_jerk"):
+            limit = getattr(self, name)
+            if limit is not None and not limit > 0:
+                raise LocalProtocolError(f"{name} must be above 0, math.inf for no limit; it is {limit!r}")
         for name in ("homing_speed", "homing_zero_speed", "homing_acceleration"):
             rate = getattr(self, name)
             if rate is not None and not (math.isfinite(rate) and rate > 0):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -17,6 +18,7 @@ from canopen_proto.procedures.runner import ProcedureFailed
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.trajectory import JointLimits
 from tests.proto.object_answers import run_against
 
 DICTIONARY = drive_dictionary()
@@ -101,16 +103,43 @@ def test_speed_limits_of_a_drive(case: str) -> None:
     assert limits.speed.value == pytest.approx(expected.value)
 
 
-def test_acceleration_is_told() -> None:
-    limits = read_from({(0x60C5, 0): 100_000})
+@pytest.mark.parametrize(
+    ("objects", "settings", "expected"),
+    [
+        ({(0x60C5, 0): 100_000}, DEGREES, 100),
+        ({(0x60C5, 0): 100, (0x60A9, 0): 0x03B50300}, DEGREES, 100),  # thousands of counts per second, each second
+        ({(0x60C5, 0): 100}, replace(DEGREES, velocity_unit=500), 50),
+        ({(0x60C5, 0): 100}, replace(DEGREES, velocity_unit=500, acceleration_unit=2000), 200),
+        ({(0x60C5, 0): 100, (0x60A9, 0): 0x00014700}, DEGREES, None),  # a unit that is not known
+        ({(0x60C5, 0): 0xFFFF_FFFF}, DEGREES, None),
+    ],
+)
+def test_acceleration_is_told(objects: dict[tuple[int, int], int], settings: AxisSettings, expected: float | None) -> None:
+    limits = read_from(objects, settings)
     assert isinstance(limits, SetPointLimits)
-    assert limits.acceleration == Limit(100, "0x60C5 of the drive")
+    assert limits.acceleration == (None if expected is None else Limit(expected, "0x60C5 of the drive"))
+    assert limits.max_acceleration.value == (expected or 60)
+    assert limits.max_jerk.value == 10 * (expected or 60)
+
+
+def test_a_path_has_the_limits_of_the_settings_else_of_the_drive_else_what_the_speed_gives() -> None:
+    told = DriveLimits(Limit(-90_000, "low"), None, Limit(50_000, "fast"), Limit(400_000, "0x60C5 of the drive"))
+    assert limits_of(axis_of(DEGREES), told).of_paths == JointLimits(-90, None, 50, 400, 4000)
+    own = limits_of(axis_of(replace(DEGREES, max_acceleration=500.0, max_jerk=math.inf)), told)
+    assert own.max_acceleration == Limit(500, "the settings (max_acceleration)")
+    assert own.max_jerk == Limit(math.inf, "the settings (max_jerk)")
+    assert own.acceleration == Limit(400, "0x60C5 of the drive")  # the drive keeps to it, whatever a path may ask for
+    assert limits_of(axis_of(replace(DEGREES, max_speed=math.inf))).of_paths == JointLimits(
+        None, None, math.inf, math.inf, math.inf
+    )
 
 
 def test_what_may_not_be_read_says_nothing_and_a_drive_that_does_not_answer_is_an_error() -> None:
     limits = read_from({}, abort=AbortCode.GENERAL_ERROR)
     assert isinstance(limits, SetPointLimits)
     assert (limits.lowest, limits.highest, limits.speed, limits.acceleration) == (None, None, NOBODY, None)
+    assert limits.max_acceleration == Limit(60, "the default: the speed limit, reached in 0.5 s")
+    assert limits.max_jerk == Limit(600, "the default: the limit of the acceleration, reached in 0.1 s")
     network = Network()
     node = RemoteNode(network.out, 5, DICTIONARY)
     network.attach(node)
@@ -138,7 +167,15 @@ def test_the_settings_go_before_the_speed_of_the_drive_and_narrow_its_positions(
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("max_speed", 0.0), ("max_speed", -1.0), ("max_speed", math.nan), ("min_position", math.nan), ("max_position", math.nan)],
+    [
+        ("max_acceleration", 0.0),
+        ("max_jerk", math.nan),
+        ("max_speed", 0.0),
+        ("max_speed", -1.0),
+        ("max_speed", math.nan),
+        ("min_position", math.nan),
+        ("max_position", math.nan),
+    ],
 )
 def test_limits_that_cannot_be(field: str, value: float) -> None:
     with pytest.raises(LocalProtocolError, match=field):

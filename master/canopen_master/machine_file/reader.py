@@ -289,7 +289,7 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
     "chains": ("joints", *names_of(ChainSettings, "cycle_time")),
 }
 _IN_UNITS: Final = (
-    "min_position", "max_position", "max_speed", "following_error_limit",
+    "min_position", "max_position", "max_speed", "max_acceleration", "max_jerk", "following_error_limit",
     "homing_speed", "homing_zero_speed", "homing_acceleration", "home_position",
 )  # fmt: skip
 """The keys of a joint whose values are in its unit."""
