@@ -68,7 +68,7 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _spoken(error, ExitCode.SDO_ABORT)
         case errors.ChainFileError():
             return _spoken(error, ExitCode.BAD_FILE)
-        case errors.UnknownChain() | errors.SetPointRefused():
+        case errors.UnknownChain() | errors.SetPointRefused() | errors.PlanRefused() | errors.PackageMissing():
             return _spoken(error, ExitCode.USAGE)
         case errors.NodeError():
             return _spoken(error, ExitCode.SDO_ABORT)

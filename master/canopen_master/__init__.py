@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from canopen_master.errors import MasterError as MasterError
     from canopen_master.errors import NodeError as NodeError
     from canopen_master.errors import NodeSilent as NodeSilent
+    from canopen_master.errors import PackageMissing as PackageMissing
+    from canopen_master.errors import PlanRefused as PlanRefused
     from canopen_master.errors import SdoError as SdoError
     from canopen_master.errors import SdoGivenUp as SdoGivenUp
     from canopen_master.errors import SdoNotConfirmed as SdoNotConfirmed
@@ -72,8 +74,8 @@ else:
             "canopen_master.bus": "BusChanged FramesLost FramesNotSent",
             "canopen_master.errors": (
                 "BusError ChainError ChainFault ChainFileError ChainHalted HaltNotConfirmed MasterClosed MasterError "
-                "NodeError NodeSilent SdoError SdoGivenUp SdoNotConfirmed SdoRefused SdoTimeout SetPointRefused "
-                "UnexpectedAnswer UnknownChain"
+                "NodeError NodeSilent PackageMissing PlanRefused SdoError SdoGivenUp SdoNotConfirmed SdoRefused SdoTimeout "
+                "SetPointRefused UnexpectedAnswer UnknownChain"
             ),
             "canopen_master.grip": "NodeIdTaken NotHeld",
             "canopen_master.master": "Master",

@@ -29,6 +29,7 @@ MASTER_CLOSED: Final = "CO130"
 """The master has been left, or is on its way out."""
 HALT_NOT_CONFIRMED: Final = "CO131"
 """The master has been left, and a drive did not confirm that it stands."""
+PACKAGE_MISSING: Final = "CO141"
 NO_ANSWER: Final = "CO201"
 REFUSED: Final = "CO202"
 GIVEN_UP: Final = "CO203"
@@ -38,6 +39,7 @@ NOT_HEARD: Final = "CO210"
 CHAIN_FILE: Final = "CO320"
 BAD_SET_POINT: Final = "CO321"
 UNKNOWN_CHAIN: Final = "CO322"
+PLAN_REFUSED: Final = "CO323"
 CHAIN_FAILED: Final = "CO401"
 CHAIN_FAULT: Final = "CO402"
 CHAIN_HALTED: Final = "CO403"
@@ -150,6 +152,43 @@ class SetPointRefused(MasterError, ValueError):
     def __init__(self, failed: str, joint: str, seen: str, tries: Iterable[str] = ()) -> None:
         super().__init__(BAD_SET_POINT, failed, seen=seen, tries=tries)
         self.joint = joint
+
+
+class PlanRefused(MasterError, ValueError):
+    """A motion cannot be planned, or a target cannot be taken. joint: its number, counted from 0; None for all joints.
+
+    value: the value that was asked for. limit: the limit that refuses it. None where there is no such number.
+    """
+
+    def __init__(
+        self,
+        failed: str,
+        *,
+        joint: int | None = None,
+        value: float | None = None,
+        limit: float | None = None,
+        seen: str = "",
+        cause: str = "",
+        tries: Iterable[str] = (),
+    ) -> None:
+        super().__init__(PLAN_REFUSED, failed, seen=seen, cause=cause, tries=tries)
+        self.joint = joint
+        self.value = value
+        self.limit = limit
+
+
+class PackageMissing(MasterError, ImportError):
+    """A Python package that only this task needs is not installed. package: its name. extra: ours that brings it."""
+
+    def __init__(self, package: str, extra: str, task: str, error: ImportError) -> None:
+        super().__init__(
+            PACKAGE_MISSING,
+            f"{task} needs the package {package}, which cannot be imported",
+            seen=str(error),
+            cause="it is not installed here",
+            tries=(f"pip install 'canopen-proto[{extra}]'",),
+        )
+        self.package = package
 
 
 class ChainError(MasterError):

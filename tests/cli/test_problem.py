@@ -62,6 +62,8 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (errors.UnexpectedAnswer("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
         (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
         (errors.UnknownChain("CO322", "no chain"), ExitCode.USAGE, "CO322"),
+        (errors.PlanRefused("joint 1 cannot go to 95", joint=1, value=95.0, limit=90.0), ExitCode.USAGE, "CO323"),
+        (errors.PackageMissing("ruckig", "motion", "planning", ImportError("No module")), ExitCode.USAGE, "CO141"),
         (errors.ChainError("CO401", "arm", "could not home"), ExitCode.DRIVE_FAULT, "CO401"),
         (errors.ChainError("CO404", "arm", "is not ready"), ExitCode.DRIVE_FAULT, "CO404"),
         (errors.ChainHalted("CO403", "arm", "it was halted"), ExitCode.DRIVE_FAULT, "CO403"),

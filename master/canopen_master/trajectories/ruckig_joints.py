@@ -1,0 +1,122 @@
+"""What planning and the stream share of ruckig: loading it, its units, the checks of what it is given, and its errors.
+
+ruckig compares with absolute tolerances of about 1e-8. So each joint has a unit in which its speed limit is 1, and its origin is
+where the motion starts. In the user's units it refuses one in twenty tasks with joints between micrometres and encoder counts.
+
+Only motions from state to state are asked for. ruckig's `intermediate_positions` would call a service on the internet.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+from collections.abc import Sequence
+from typing import Any, Final, NamedTuple
+
+from canopen_master.errors import PackageMissing, PlanRefused
+from canopen_proto.trajectory import JointLimits, PathPoint
+
+_DEGREE_OF_FREEDOM: Final = re.compile(r"\bdof:? (\d+)", re.IGNORECASE)
+"""How the texts of ruckig name a joint."""
+
+_TOO_LONG: Final = "-101"
+"""Its result ErrorTrajectoryDuration, which its Python module lacks."""
+MAX_DURATION: Final = 7600.0
+"""The longest path of several joints that ruckig plans, in seconds."""
+
+
+class RuckigJoint(NamedTuple):
+    """One joint as ruckig sees it: positions from `origin` in units of `unit`, which is its speed limit (user's unit per second).
+
+    acceleration, jerk: its limits in that unit. lowest, highest: its position limits in the user's unit; infinite where it has
+    none.
+    """
+
+    origin: float
+    unit: float
+    acceleration: float
+    jerk: float
+    lowest: float
+    highest: float
+
+
+def load_ruckig(task: str) -> Any:
+    """Import ruckig. task: what needs it, for the error. Raises PackageMissing."""
+    try:
+        return importlib.import_module("ruckig")
+    except ImportError as error:
+        raise PackageMissing("ruckig", "motion", task, error) from error
+
+
+def ruckig_joints(
+    start: PathPoint, limits: Sequence[JointLimits], *, reserve: float = 0.0, speed_factor: float = 1.0
+) -> list[RuckigJoint]:
+    """Check the state at the start and the limits, and return the joints for ruckig.
+
+    reserve: this part of acceleration and jerk is not used (0 to below 1). speed_factor: this part of the speed is used (above 0,
+    at most 1). A joint that starts beyond a position limit may stay there and come back, but not go further: its limit is then
+    where it starts, as it is for set-points. Raises PlanRefused.
+    """
+    if not limits:
+        raise PlanRefused("a motion needs at least one joint", seen="no limits were given")
+    _check_part("reserve", reserve, 0.0 <= reserve < 1.0, "from 0 to below 1")
+    _check_part("speed_factor", speed_factor, 0.0 < speed_factor <= 1.0, "above 0 and at most 1")
+    for values, kind in zip(start, ("position", "velocity", "acceleration"), strict=True):
+        check_values(values, len(limits), f"{kind} at the start")
+    joints = []
+    for joint, (position, each) in enumerate(zip(start.positions, limits, strict=True)):
+        speed = _bound(joint, "speed", each.speed)
+        acceleration = _bound(joint, "acceleration", each.acceleration)
+        jerk = _bound(joint, "jerk", each.jerk)
+        unit = speed * speed_factor
+        lowest = -math.inf if each.lowest is None else min(each.lowest, position)
+        highest = math.inf if each.highest is None else max(each.highest, position)
+        kept = (1.0 - reserve) / unit
+        joints.append(RuckigJoint(position, unit, acceleration * kept, jerk * kept, lowest, highest))
+    return joints
+
+
+def check_values(values: Sequence[float], joints: int, kind: str) -> None:
+    """Raise PlanRefused unless there is one finite value for each joint. kind: in the singular, such as "target"."""
+    if len(values) != joints:
+        raise PlanRefused(
+            f"there must be one {kind} for each joint", seen=f"{len(values)} for {joints} joints", tries=(f"{joints} values",)
+        )
+    for joint, value in enumerate(values):
+        if not math.isfinite(value):
+            raise PlanRefused(f"the {kind} of joint {joint} is no finite number", joint=joint, value=value, seen=repr(value))
+
+
+def ruckig_refused(error: Exception, task: str) -> PlanRefused:
+    """Return the error for what ruckig raised."""
+    text = str(error).strip().removeprefix("[ruckig]").partition("input:")[0].strip().rstrip(".")
+    if _TOO_LONG in text:
+        return PlanRefused(
+            f"ruckig found no {task}",
+            cause=f"it would take longer than {MAX_DURATION:g} s",
+            tries=("more speed, or several plans",),
+        )
+    found = _DEGREE_OF_FREEDOM.search(text)
+    joint = int(found[1]) if found else None
+    return PlanRefused(
+        f"ruckig found no {task}" + ("" if joint is None else f" for joint {joint}"),
+        joint=joint,
+        seen=text,
+        cause="limits or a state of motion that are many orders of magnitude apart",
+        tries=("limits that belong to each other: full acceleration within 10 s, full speed within minutes",),
+    )
+
+
+def _check_part(name: str, value: float, is_valid: bool, needed: str) -> None:
+    if not is_valid:
+        raise PlanRefused(f"{name} must be {needed}", value=value, seen=repr(value))
+
+
+def _bound(joint: int, name: str, limit: float | None) -> float:
+    if limit is None or not math.isfinite(limit):
+        raise PlanRefused(
+            f"joint {joint} has no limit of its {name}", joint=joint, cause="a plan keeps limits, so it needs them all",
+            tries=(f"JointLimits(..., {name}=...)",),
+        )  # fmt: skip
+    return limit
