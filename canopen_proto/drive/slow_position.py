@@ -32,6 +32,7 @@ from canopen_proto.drive.failures import accounted, require_reference
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.one_motion import moves
+from canopen_proto.drive.profile_position import make_room
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
@@ -122,8 +123,11 @@ def _amount(axis: Axis, key: Mux) -> Procedure[int]:
 
 def _give(axis: Axis, counts: int, mode: Mode | None = None) -> Procedure[None]:
     """Give a target. A halt that is in force ends with the same controlword that gives it; see `profile_position`."""
-    yield from command(axis, _TAKES_AT_ONCE | axis.controlword & ControlBit.HALT)
-    yield from _acknowledged(axis, False, mode)
+    if mode is None:
+        yield from command(axis, _TAKES_AT_ONCE | axis.controlword & ControlBit.HALT)
+        yield from _acknowledged(axis, False, mode)
+    else:
+        yield from make_room(axis, int(_TAKES_AT_ONCE))
     yield from _bring(axis, counts)
     yield from command(axis, _TAKES_AT_ONCE | ModeControl.NEW_SET_POINT)
     yield from _acknowledged(axis, True, mode)
