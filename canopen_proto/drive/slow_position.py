@@ -72,9 +72,8 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
         position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
         axis.set_position_counts(position)
         now = yield from current_time()
-        for number, rpdo in axis.node.rpdos.items():
-            if {objects.CONTROLWORD, objects.TARGET_POSITION} & set(rpdo.mapping.muxes):
-                axis.node.enable_rpdo(number, now)
+        for number in axis.rpdos_with((objects.CONTROLWORD, objects.TARGET_POSITION)):
+            axis.node.enable_rpdo(number, now)
         yield from _give(axis, position, mode=Mode.PROFILE_POSITION)
     except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
@@ -155,4 +154,4 @@ def _bring(axis: Axis, counts: int) -> Procedure[None]:
         yield from act(producer.trigger)
     elif producer is None or not (yield from syncs_passed(axis, max(1, producer.transmission_type))):
         data = node.dictionary.variable(objects.TARGET_POSITION).encode(counts)
-        yield from download(node.sdo, *split_mux(objects.TARGET_POSITION), data)
+        yield from download(node.sdo, *split_mux(node.on_device(objects.TARGET_POSITION)), data)
