@@ -48,15 +48,13 @@ class Input(IntFlag):
 
 
 class DigitalInputsChanged(Event):
-    """The inputs of a drive have changed. inputs: as they are now, `Input` and the maker's bits; changed: those that differ.
-    axis: of the node."""
+    """The inputs of a drive have changed. inputs: as they are now, `Input` and the maker's bits; changed: those that differ."""
 
-    __slots__ = ("axis", "changed", "inputs")
-    __match_args__ = ("node_id", "inputs", "changed", "axis")
+    __slots__ = ("changed", "inputs")
+    __match_args__ = ("node_id", "inputs", "changed")
 
-    def __init__(self, node_id: int, inputs: Input, changed: Input, axis: int = 0) -> None:
+    def __init__(self, node_id: int, inputs: Input, changed: Input) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.inputs = inputs
         self.changed = changed
 
@@ -78,7 +76,7 @@ def watch_inputs(axis: Axis, interval: Time = POLL_INTERVAL) -> Procedure[NoRetu
         yield from sleep(interval)
         inputs = yield from read_inputs(axis, interval)
         if inputs != before:
-            node.out.events.append(DigitalInputsChanged(node.node_id, inputs, inputs ^ before, axis.number))
+            node.out.events.append(DigitalInputsChanged(node.node_id, inputs, inputs ^ before))
             before = inputs
 
 

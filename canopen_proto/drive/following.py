@@ -48,7 +48,7 @@ from canopen_proto.drive.bounds import MAX_MISSED, Bounds
 from canopen_proto.drive.failures import accounted
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
-from canopen_proto.multiplexer import Mux, index_of, split_mux
+from canopen_proto.multiplexer import Mux, index_of, subindex_of
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import ABSENT, read_if_present, value_of
 from canopen_proto.procedures.steps import (
@@ -88,28 +88,24 @@ _WATCHED: Final = (objects.STATUSWORD, objects.MODES_OF_OPERATION_DISPLAY, objec
 class FollowingLost(Event):
     """A drive no longer follows its set-points; reported once for each `Following.begin`.
 
-    cause: in words, as "no longer follows ...". is_silent: its PDOs stopped coming. axis: of the node.
+    cause: in words, as "no longer follows ...". is_silent: its PDOs stopped coming. still_follows: the drive goes on to follow
+    its set-points, though not as it should.
     """
 
-    __slots__ = ("axis", "cause", "is_silent")
-    __match_args__ = ("node_id", "cause", "is_silent", "axis")
+    __slots__ = ("cause", "is_silent", "still_follows")
+    __match_args__ = ("node_id", "cause", "is_silent", "still_follows")
 
-    def __init__(self, node_id: int, cause: str, is_silent: bool = False, axis: int = 0) -> None:
+    def __init__(self, node_id: int, cause: str, is_silent: bool = False, still_follows: bool = False) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.cause = cause
         self.is_silent = is_silent
+        self.still_follows = still_follows
 
 
 class TurnToRead(Event):
-    """It is this drive's turn to have an object read: see `Following.await_turn`. axis: of the node."""
+    """It is this drive's turn to have an object read: see `Following.await_turn`."""
 
-    __slots__ = ("axis",)
-    __match_args__ = ("node_id", "axis")
-
-    def __init__(self, node_id: int, axis: int = 0) -> None:
-        self.node_id = node_id
-        self.axis = axis
+    __slots__ = ()
 
 
 class Following:
@@ -256,12 +252,12 @@ class Following:
         self._is_on = False
         self.error = 0.0
 
-    def lose(self, cause: str, *, is_silent: bool = False) -> None:
+    def lose(self, cause: str, *, is_silent: bool = False, still_follows: bool = False) -> None:
         """End the watch with FollowingLost, if it is on: for a cause that only the caller can see."""
         if self._is_on:
             self._is_on = False
             node = self._axis.node
-            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, self._axis.number))
+            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows))
 
     def await_turn(self, syncs: int, not_before: Time) -> None:
         """Report TurnToRead once: at the SYNC after `syncs` - 1 others, or at the first later one that comes `not_before` (ns).
@@ -306,9 +302,10 @@ class Following:
         elif not word & _FOLLOWS and self._has_bit_12:
             self.lose("no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)")
         elif news & ModeStatus.FOLLOWING_ERROR:
-            self.lose("reports a following error: bit 13 of its statusword is 1")
+            self.lose("reports a following error: bit 13 of its statusword is 1", still_follows=True)
         elif is_limited and self._limited >= self._catches_up:
-            self.lose("is held by a limit of its own: bit 11 of its statusword is 1 (position 0x607D, speed, torque or current)")
+            limit = "(position 0x607D, speed, torque or current)"
+            self.lose(f"is held by a limit of its own: bit 11 of its statusword is 1 {limit}", still_follows=True)
         self._limited = self._limited + 1 if is_limited else 0
         self._flawless = None if is_limited else word
 
@@ -331,7 +328,8 @@ class Following:
             position, wanted = axis.from_counts(counts), axis.from_counts(points[-1 - self._lag])
             self.lose(
                 f"is {off:.4g} off its path: it is at {position:.4g} and should be at {wanted:.4g}; "
-                f"the limit is {limit:.4g}, by {self._limit.source}"
+                f"the limit is {limit:.4g}, by {self._limit.source}",
+                still_follows=True,
             )
 
     def _on_boot(self) -> None:
@@ -355,7 +353,7 @@ class Following:
             self._syncs_to_turn -= 1
         elif self._syncs_to_turn and now >= self._turn_not_before:
             self._syncs_to_turn = 0
-            self._axis.node.out.events.append(TurnToRead(self._axis.node.node_id, self._axis.number))
+            self._axis.node.out.events.append(TurnToRead(self._axis.node.node_id))
 
     def _judge_silence(self, now: Time) -> None:
         """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
@@ -426,7 +424,7 @@ def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
     while drive.unsent:
         for mux in sorted(drive.unsent):
             drive.await_turn(turn, not_before)
-            yield Wait(None, node, drive.axis.is_told_by, _TURN)
+            yield Wait(None, node, lambda report: report.node_id == node.node_id, _TURN)
             turn, not_before = turns, (yield from current_time()) + turns * READ_INTERVAL
             if mux in drive.unsent:  # else its first PDO has come meanwhile
                 yield from _read(drive, mux)
@@ -457,8 +455,7 @@ def _read(drive: Following, mux: Mux) -> Procedure[None]:
 
 def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
-    node = drive.axis.node
-    index, subindex = split_mux(node.on_device(mux))
+    node, index, subindex = drive.axis.node, index_of(mux), subindex_of(mux)
     client = next((each for each in (node.sdo, *node.sdo_channels) if not each.busy), node.sdo)
     request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
     try:
@@ -472,5 +469,5 @@ def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     if outcome is None:
         yield from act(lambda now: node.cancel(request_id, now))
         return False
-    value_of(node, node.dictionary.variable(mux), outcome)
+    value_of(node, node.dictionary.variable((index, subindex)), outcome)
     return True

@@ -1,4 +1,4 @@
-"""The events of the simulated drive. axis: of the node, 0 for the first one."""
+"""The events of the simulated drive."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from canopen_proto.multiplexer import Mux
 class DriveStateChanged(Event):
     """The drive went to another state. transition: its number in the standard, 0 to 16."""
 
-    __slots__ = ("axis", "previous", "state", "transition")
-    __match_args__ = ("node_id", "previous", "state", "transition", "axis")
+    __slots__ = ("previous", "state", "transition")
+    __match_args__ = ("node_id", "previous", "state", "transition")
 
-    def __init__(self, node_id: int, previous: State, state: State, transition: int, axis: int = 0) -> None:
+    def __init__(self, node_id: int, previous: State, state: State, transition: int) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.previous = previous
         self.state = state
         self.transition = transition
@@ -24,24 +23,22 @@ class DriveStateChanged(Event):
 class StatuswordChanged(Event):
     """6041h now holds another value; the node sends the event-driven TPDOs that map it."""
 
-    __slots__ = ("axis", "statusword")
-    __match_args__ = ("node_id", "statusword", "axis")
+    __slots__ = ("statusword",)
+    __match_args__ = ("node_id", "statusword")
 
-    def __init__(self, node_id: int, statusword: int, axis: int = 0) -> None:
+    def __init__(self, node_id: int, statusword: int) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.statusword = statusword
 
 
 class ModeChanged(Event):
     """The drive shows another mode of operation in 6061h than before."""
 
-    __slots__ = ("axis", "mode")
-    __match_args__ = ("node_id", "mode", "axis")
+    __slots__ = ("mode",)
+    __match_args__ = ("node_id", "mode")
 
-    def __init__(self, node_id: int, mode: int, axis: int = 0) -> None:
+    def __init__(self, node_id: int, mode: int) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.mode = mode
 
 
@@ -49,24 +46,22 @@ class InputsChanged(Event):
     """The digital inputs (60FDh) or the status of the touch probes (60B9h) have changed. mux: of the object; the node sends the
     event-driven TPDOs that map it."""
 
-    __slots__ = ("axis", "mux")
-    __match_args__ = ("node_id", "mux", "axis")
+    __slots__ = ("mux",)
+    __match_args__ = ("node_id", "mux")
 
-    def __init__(self, node_id: int, mux: Mux, axis: int = 0) -> None:
+    def __init__(self, node_id: int, mux: Mux) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.mux = mux
 
 
 class DriveFault(Event):
     """A fault has occurred. error_code: of 603Fh and the EMCY; error_register: bits for 1001h."""
 
-    __slots__ = ("axis", "error_code", "error_register")
-    __match_args__ = ("node_id", "error_code", "error_register", "axis")
+    __slots__ = ("error_code", "error_register")
+    __match_args__ = ("node_id", "error_code", "error_register")
 
-    def __init__(self, node_id: int, error_code: int, error_register: int, axis: int = 0) -> None:
+    def __init__(self, node_id: int, error_code: int, error_register: int) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.error_code = error_code
         self.error_register = error_register
 
@@ -74,10 +69,9 @@ class DriveFault(Event):
 class DriveFaultCleared(Event):
     """A fault that DriveFault reported was reset."""
 
-    __slots__ = ("axis", "error_code")
-    __match_args__ = ("node_id", "error_code", "axis")
+    __slots__ = ("error_code",)
+    __match_args__ = ("node_id", "error_code")
 
-    def __init__(self, node_id: int, error_code: int, axis: int = 0) -> None:
+    def __init__(self, node_id: int, error_code: int) -> None:
         self.node_id = node_id
-        self.axis = axis
         self.error_code = error_code

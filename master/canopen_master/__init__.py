@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from canopen_master.errors import HaltNotConfirmed as HaltNotConfirmed
     from canopen_master.errors import MasterClosed as MasterClosed
     from canopen_master.errors import MasterError as MasterError
+    from canopen_master.errors import MotionReplaced as MotionReplaced
     from canopen_master.errors import NodeError as NodeError
     from canopen_master.errors import NodeSilent as NodeSilent
     from canopen_master.errors import PackageMissing as PackageMissing
+    from canopen_master.errors import PathRefused as PathRefused
     from canopen_master.errors import PlanRefused as PlanRefused
     from canopen_master.errors import SdoError as SdoError
     from canopen_master.errors import SdoGivenUp as SdoGivenUp
@@ -47,6 +49,9 @@ if TYPE_CHECKING:
     from canopen_master.motion.cycles import Cycle as Cycle
     from canopen_master.motion.cycles import Cycles as Cycles
     from canopen_master.motion.device import Device as Device
+    from canopen_master.motion.moving import Progress as Progress
+    from canopen_master.motion.moving import Together as Together
+    from canopen_master.motion.moving import together as together
     from canopen_master.motion.record_format import RecordError as RecordError
     from canopen_master.motion.record_reader import Record as Record
     from canopen_master.motion.record_reader import read_record as read_record
@@ -74,7 +79,8 @@ else:
             "canopen_master.bus": "BusChanged FramesLost FramesNotSent",
             "canopen_master.errors": (
                 "BusError ChainError ChainFault ChainFileError ChainHalted HaltNotConfirmed MasterClosed MasterError "
-                "NodeError NodeSilent PackageMissing PlanRefused SdoError SdoGivenUp SdoNotConfirmed SdoRefused SdoTimeout "
+                "MotionReplaced NodeError NodeSilent PackageMissing PathRefused PlanRefused SdoError SdoGivenUp "
+                "SdoNotConfirmed SdoRefused SdoTimeout "
                 "SetPointRefused UnexpectedAnswer UnknownChain"
             ),
             "canopen_master.grip": "NodeIdTaken NotHeld",
@@ -83,6 +89,7 @@ else:
             "canopen_master.motion.chain_file": "ChainDescription JointDescription parse_chains read_chains",
             "canopen_master.motion.cycles": "Cycle Cycles",
             "canopen_master.motion.device": "Device",
+            "canopen_master.motion.moving": "Progress Together together",
             "canopen_master.motion.record_format": "RecordError",
             "canopen_master.motion.record_reader": "Record read_record",
             "canopen_master.motion.recording": "Recorder",

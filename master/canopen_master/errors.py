@@ -154,6 +154,32 @@ class SetPointRefused(MasterError, ValueError):
         self.joint = joint
 
 
+class PathRefused(SetPointRefused):
+    """A path was refused as a whole: nothing of it is followed. joint: by its name, "" for all.
+
+    time: of the path, in s. kind: "position", "speed", "acceleration" or "jerk". value: the path's; limit: the one it exceeds.
+    None where there is no such number.
+    """
+
+    def __init__(
+        self,
+        failed: str,
+        joint: str = "",
+        *,
+        time: float | None = None,
+        kind: str = "",
+        value: float | None = None,
+        limit: float | None = None,
+        seen: str = "",
+        tries: Iterable[str] = (),
+    ) -> None:
+        super().__init__(failed, joint, seen, tries)
+        self.time = time
+        self.kind = kind
+        self.value = value
+        self.limit = limit
+
+
 class PlanRefused(MasterError, ValueError):
     """A motion cannot be planned, or a target cannot be taken. joint: its number, counted from 0; None for all joints.
 
@@ -212,6 +238,10 @@ class ChainError(MasterError):
 
 class ChainHalted(ChainError):
     """The chain was halted (by `halt`, or because no set-points came), and follows no set-points until it is started again."""
+
+
+class MotionReplaced(ChainError):
+    """The motion did not come to its end: another one took over from where it was."""
 
 
 class ChainFault(ChainError):

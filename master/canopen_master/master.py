@@ -20,6 +20,7 @@ from canopen_master.motion.chain import Chain, ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
+from canopen_master.motion.path_motion import LONGEST_STOP
 from canopen_master.node import Node
 from canopen_master.participant import Participant, nanoseconds
 from canopen_master.subscription import Subscription
@@ -35,6 +36,9 @@ E = TypeVar("E", bound=Event)
 
 SDO_TIMEOUT = 0.5
 """Seconds that a device may take for each answer."""
+
+_LOOK = 0.01
+"""Seconds between two looks, on the way out, whether chains still brake along their paths."""
 
 
 class Master(Participant):
@@ -196,6 +200,7 @@ class Master(Participant):
         scope, longest, in_a_hurry: see `finish`. Afterwards `halts` tells which drives did not confirm that they stand. May be
         cancelled: what was sent stays sent.
         """
+        await self._brake_along_paths(scope, in_a_hurry)
         self.end_all()
         self.halts.extend(self._halts_needed())
         halted = {halt.node for halt in self.halts}
@@ -203,6 +208,31 @@ class Master(Participant):
         halts = (halt.run_and_let_go(self.grips) for halt in self.halts if not halt.node.bus_has_failed)
         self.launch(all_of(*halts, *map(self.grips.let_go, disabled)))
         await self.finish(scope, longest, in_a_hurry)
+
+    async def _brake_along_paths(self, scope: trio.CancelScope, in_a_hurry: Callable[[], bool]) -> None:
+        """Let chains that move along a path come to rest on it first, unless somebody is in a hurry. No command comes between."""
+        self.is_closed = True
+        left, end = scope.deadline - trio.current_time(), trio.current_time() + LONGEST_STOP
+        scope.deadline += LONGEST_STOP
+        while self.failure is None and self._brakes_along_paths():
+            if in_a_hurry() or trio.current_time() > end:
+                break
+            await trio.sleep(_LOOK)
+        scope.deadline = trio.current_time() + left
+        self._abandon_motions()
+
+    def _brakes_along_paths(self) -> bool:
+        """Let all chains brake along their paths; return whether one of them does."""
+        return True in [chain.brake_along_path() for chain in self.chains.values()]
+
+    def on_failure(self, bus: Bus | None, error: Exception) -> None:
+        """See Participant. Motions end at once: what moves on that bus cannot be told to brake."""
+        super().on_failure(bus, error)
+        self._abandon_motions()
+
+    def _abandon_motions(self) -> None:
+        for chain in self.chains.values():
+            chain.abandon()
 
     def _halts_needed(self) -> Iterator[Halt]:
         """Return the halts of all drives that move, or that a command under way may enable, even if enabled by hand."""

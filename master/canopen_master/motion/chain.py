@@ -29,8 +29,7 @@ ChainFault, which says what the joint did, until `recover`.
 
 from __future__ import annotations
 
-import enum
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import Final, TypeVar
@@ -39,10 +38,12 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.dispatch import ProcedureTakenBack, Waiter
-from canopen_master.errors import CHAIN_NOT_READY, ChainError
+from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
 from canopen_master.motion.chain_errors import chain_halted, joint_failed, joint_fault, reference_lost
 from canopen_master.motion.chain_settings import ChainSettings as ChainSettings
-from canopen_master.motion.cycles import Cycles, SetPoints
+from canopen_master.motion.chain_view import ChainState as ChainState
+from canopen_master.motion.chain_view import ChainView
+from canopen_master.motion.cycles import Cycles, Source
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import (
     JointFailed,
@@ -53,34 +54,22 @@ from canopen_master.motion.joint_procedures import (
     power_down,
     prepare,
     quietly,
+    reset_and_enable,
     stop,
 )
+from canopen_master.motion.moving import Moving
+from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.recording import Recorder, recording
 from canopen_master.motion.supervision import Supervision
 from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode, short_name
-from canopen_proto.drive import enable, halt, home, home_if_needed, reset_fault, select_standing_mode
+from canopen_proto.drive import home, home_if_needed
 from canopen_proto.machine import SECOND, RequestId, Time
 from canopen_proto.pdo.settings import place_of
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 
 T = TypeVar("T")
-
-
-class ChainState(enum.Enum):
-    """The state of a chain: which commands it can take."""
-
-    OFF = "off"
-    """Not initialised, or shut down."""
-    READY = "ready"
-    """All joints are in Operation enabled."""
-    FOLLOWING = "following"
-    """Set-points are sent behind each SYNC; a slow joint is given the newest one as its target."""
-    HALTED = "halted"
-    """Halted; it follows no set-points."""
-    FAULT = "fault"
-    """Stopped because a joint failed."""
 
 
 _CAN_MOVE: Final = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
@@ -97,8 +86,11 @@ class _Operation:
         self.request_id = request_id
 
 
-class Chain:
-    """See this module's text. devices: the joints in the order of the file. state: a ChainState."""
+class Chain(ChainView, Moving):
+    """See this module's text; `ChainView` says what is known of it, `Moving` how it moves along paths.
+
+    motion: that along a path, or by a stream of targets, at present; None: it stands, or a loop gives the set-points.
+    """
 
     def __init__(
         self,
@@ -110,14 +102,12 @@ class Chain:
         chains: Collection[Chain] = (),
     ) -> None:
         """heartbeat_timeout: ns, as given to `open_master`. chains: all chains of the one SYNC; this one may be among them."""
+        ChainView.__init__(self, name, devices, settings)
+        Moving.__init__(self, (self,))
         self._participant = participant
         self._heartbeat_timeout = heartbeat_timeout
         self._chains = chains
-        self.name = name
-        self.devices = tuple(devices)
-        self.settings = settings
-        self.state = ChainState.OFF
-        self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
+        self.motion: Motion | None = None
         self._supervision = Supervision(participant, self.devices, self._joint_failed)
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
@@ -126,51 +116,6 @@ class Chain:
         self._why_halted = ""
         buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
         participant.watch((SyncSent,), self._on_sync, buses[0])
-
-    def __repr__(self) -> str:
-        return f"<Chain {self.name}: {', '.join(device.name for device in self.devices)}; {self.state.value}>"
-
-    # ---- what is known ----
-
-    @property
-    def joints(self) -> Mapping[str, Device]:
-        """The joints by their names."""
-        return {device.name: device for device in self.devices}
-
-    @property
-    def positions(self) -> list[float]:
-        """The actual positions, as last heard. Raises ChainError for a joint that was not heard since its last boot."""
-        return self._known("position", [device.position for device in self.devices])
-
-    @property
-    def desired_positions(self) -> list[float]:
-        """The positions that the next PDOs command."""
-        return [device.desired_position for device in self.devices]
-
-    @property
-    def velocities(self) -> list[float]:
-        """The actual velocities, per second. Raises ChainError for a joint of which none is known yet."""
-        return self._known("velocity", [device.velocity for device in self.devices])
-
-    @property
-    def is_homed(self) -> bool:
-        """Whether all joints are homed."""
-        return all(device.is_homed for device in self.devices)
-
-    @property
-    def sync_cycles(self) -> int:
-        """SYNCs sent while it followed set-points."""
-        return self._set_points.sync_cycles
-
-    @property
-    def missed_cycles(self) -> int:
-        """How many of these cycles brought no new set-point, though a loop over `cycles` was running."""
-        return self._set_points.missed_cycles
-
-    @property
-    def skipped_cycles(self) -> int:
-        """Periods in which no SYNC was sent while it followed set-points, because this process was late."""
-        return self._set_points.skipped_cycles
 
     # ---- what it does ----
 
@@ -192,7 +137,7 @@ class Chain:
             await participant.nmt_start(device.node.node_id, bus=device.node.bus)
         if participant.sync_period != round(settings.cycle_time * SECOND):
             participant.sync_start(settings.cycle_time)
-        await self._for_all("initialise", lambda device: _reset_and_enable(device))
+        await self._for_all("initialise", reset_and_enable)
         self.state, self._supervision.is_on = ChainState.READY, True
 
     async def home(self, *, if_needed: bool = False) -> None:
@@ -211,17 +156,10 @@ class Chain:
             modes = ", ".join(f"{device.name} in {short_name(self._mode_of(device))}" for device in self.devices)
             failed, seen = f"chain {self.name} cannot enable interpolated position", f"its joints follow set-points: {modes}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("await chain.follow()",))
-        await self._follow("enable interpolated position")
+        await self.follow_set_points("enable interpolated position")
 
-    async def follow(self) -> None:
-        """Let all joints follow set-points from where they stand, each in its mode. They need not be homed before.
-
-        A chain that already follows set-points is halted first. Raises ChainError if a drive does not stand, lacks the mode, or
-        has lost its reference (see `recover`).
-        """
-        await self._follow("follow set-points")
-
-    async def _follow(self, what: str) -> None:
+    async def follow_set_points(self, what: str) -> None:
+        """See `Moving.follow`. what: for error texts."""
         await self._require_standing(what)
         self._end_following(ChainState.READY)
         self._require_reference(what)
@@ -241,6 +179,7 @@ class Chain:
     async def halt(self) -> None:
         """Stop all joints and wait until they stand. A running command ends with ChainHalted.
 
+        A chain that moves along a path brakes along it first, for LONGEST_STOP at most, and chains that move with it do so, too.
         The joints stay enabled. Raises ChainError, which names a joint that did not confirm that it stands.
         """
         self._participant.check_open()
@@ -268,7 +207,7 @@ class Chain:
         """
         self._participant.check_open()
         self._supervision.is_on = self._followed = False
-        if self._running is not None:
+        if self._running is not None or self.motion is not None:
             self._stop("by shut_down()")
         await self._joints_stopped()
         self._end_following(ChainState.OFF)
@@ -285,7 +224,7 @@ class Chain:
         Raises ChainFault if a joint fails, ChainHalted if the chain is halted; both once the other joints stand.
         """
         self._require("give cycles", ChainState.FOLLOWING)
-        return Cycles(self._set_points, self._why_stopped)
+        return Cycles(self._set_points, self.why_stopped)
 
     @enable_ki_protection
     def set_positions(self, positions: Sequence[float], *, cycles: int = 1) -> None:
@@ -296,7 +235,7 @@ class Chain:
         speed beyond the `limits` of the joint, a joint without a scale, or a step beyond `max_step` per cycle. Raises ChainFault,
         ChainHalted or ChainError if the chain follows no set-points.
         """
-        self._require("follow set-points", ChainState.FOLLOWING)
+        self.require_free("follow set-points")
         self._set_points.give(positions, cycles)
 
     @enable_ki_protection
@@ -305,7 +244,7 @@ class Chain:
 
         The cycle does not count as missed. `Cycle.time` stands still.
         """
-        self._require("follow set-points", ChainState.FOLLOWING)
+        self.require_free("follow set-points")
         self._set_points.hold()
 
     def record(self, path: str | Path) -> AbstractAsyncContextManager[Recorder]:
@@ -315,8 +254,68 @@ class Chain:
         initialised. Raises OSError, and RecordError without pyarrow for Parquet; at the end RecordError if rows are missing. If
         the block ends by an error or is cancelled, its end waits for nothing: `Recorder.wait` does.
         """
-        followed = self._participant, self.name, self.devices, self._set_points
-        return recording(lambda: Recorder(*followed, lambda: self.state is not ChainState.OFF, path))
+        participant, devices, set_points = self._participant, self.devices, self._set_points
+        return recording(participant, self.name, devices, set_points, lambda: self.state is not ChainState.OFF, path)
+
+    # ---- along a path: see path_motion.py and moving.py ----
+
+    @property
+    def desired(self) -> list[float]:
+        """The set-points that the next SYNC takes along; empty while it follows none."""
+        return self._set_points.desired
+
+    @property
+    def without_torque(self) -> list[Device]:
+        """The joints that take no torque beside their set-points."""
+        return self._set_points.without_torque
+
+    def check_open(self) -> None:
+        """Raise BusError if a bus has failed, MasterClosed if the master has been left."""
+        self._participant.check_open()
+
+    def require_following(self, what: str) -> None:
+        """Raise unless it follows set-points, whether a loop or a motion gives them."""
+        self._require(what, ChainState.FOLLOWING)
+
+    def require_free(self, what: str) -> None:
+        """Raise unless it follows set-points that no motion gives."""
+        self.require_following(what)
+        if self.motion is not None:
+            failed, seen = f"chain {self.name} cannot {what} now", "it moves along a path, or by a stream of targets"
+            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or cancel it",))
+
+    def begin_source(self, source: Source, motion: Motion) -> None:
+        """Take the set-points of a motion from now on."""
+        self.motion = motion
+        self._set_points.begin_source(source)
+
+    def source_over(self, source: Source, problem: str) -> None:
+        """See `Follower`."""
+        if self._set_points.source is not source:
+            return
+        self.motion = None
+        self._set_points.end_source()
+        if self.state is ChainState.STOPPING:
+            self._stop_now(self._why_halted)
+        elif problem:
+            self._stop_now(problem)
+
+    def stopping(self, why: str) -> None:
+        """See `Follower`."""
+        if self.state is ChainState.FOLLOWING:
+            self.state, self._why_halted = ChainState.STOPPING, why
+
+    def brake_along_path(self) -> bool:
+        """Brake along the path, if it moves along one; return whether it does."""
+        if self.motion is not None:
+            self.motion.brake()
+        return self.motion is not None
+
+    def abandon(self) -> None:
+        """End a motion without a halt: the master ends, and halts all drives."""
+        motion, self.motion = self.motion, None
+        if motion is not None:
+            motion.abandon()
 
     # ---- procedures ----
 
@@ -342,7 +341,7 @@ class Chain:
         except JointFailed as failed:
             raise joint_failed(self.name, operation, failed) from failed.error
         except ProcedureTakenBack:
-            error = await self._why_stopped()
+            error = await self.why_stopped()
             raise error or chain_halted(self.name, "while it was stopped") from None
         finally:
             if self._running is running:  # else halt() or shut_down() took over
@@ -363,17 +362,6 @@ class Chain:
 
     # ---- state ----
 
-    def _known(self, what: str, values: Sequence[float | None]) -> list[float]:
-        """The values, one for each joint. Raises ChainError if one is not known."""
-        known = []
-        for device, value in zip(self.devices, values, strict=True):
-            if value is None:
-                failed = f"chain {self.name} has no {what} of {device.where}"
-                seen = f"{device.name} was not heard since its last boot" if device.position is None else "it was heard once"
-                raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("await chain.initialise()",))
-            known.append(value)
-        return known
-
     def _require_idle(self, what: str) -> None:
         self._participant.check_open()
         if self._running is not None:
@@ -381,17 +369,20 @@ class Chain:
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or halt() it",))
 
     def _require(self, what: str, *states: ChainState) -> None:
-        if self.state is ChainState.FAULT:
+        state = self.state
+        if state is ChainState.STOPPING:
+            state = ChainState.HALTED if self._culprit is None else ChainState.FAULT
+        if state is ChainState.FAULT:
             self._participant.check_open()
             raise self._stop_reason()
-        if self.state is ChainState.HALTED and ChainState.HALTED not in states:
+        if state is ChainState.HALTED and ChainState.HALTED not in states:
             raise self._stop_reason()
         self._require_idle(what)
-        if self.state not in states:
-            if self.state is ChainState.READY:
+        if state not in states:
+            if state is ChainState.READY:
                 self._require_reference(what)
-            step = "await chain.initialise()" if self.state is ChainState.OFF else "await chain.follow()"
-            failed, seen = f"chain {self.name} cannot {what} now", f"it is {self.state.value}"
+            step = "await chain.initialise()" if state is ChainState.OFF else "await chain.follow()"
+            failed, seen = f"chain {self.name} cannot {what} now", f"it is {state.value}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
 
     def _require_reference(self, what: str) -> None:
@@ -427,7 +418,14 @@ class Chain:
     # ---- being stopped ----
 
     def _stop(self, why: str) -> None:
-        """Halt all joints and end the running command. May be called in the pump's turn; `_joints_stopped` waits for the halt.
+        """Halt all joints, behind a stop along their path if they move along one, and end the running command."""
+        if self.motion is None:
+            self._stop_now(why)
+        elif self.state is ChainState.FOLLOWING:
+            self.motion.halt(why)
+
+    def _stop_now(self, why: str) -> None:
+        """Halt all joints, each by its own ramp. May be called in the pump's turn; `_joints_stopped` waits for the halt.
 
         A joint that another stop took over is left to it: a halt would undo the command that leads the joint down.
         """
@@ -436,13 +434,18 @@ class Chain:
         state = ChainState.FAULT if self._culprit is not None else ChainState.HALTED
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
         running, self._running = self._running, None
+        motion, self.motion = self.motion, None
         _, self._stopping = self._participant.launch(all_of(*(quietly(device, stop(device)) for device in joints)))
         if running is not None:
             self._participant.take_back(running.request_id)
+        if motion is not None:  # other chains move with this one
+            motion.end(f"because chain {self.name} was stopped {why}")
 
     async def _joints_stopped(self) -> list[JointFailed | None]:
         """Wait until the joints that were told to stop stand. Returns the failures of those that did not confirm it."""
         await trio.lowlevel.checkpoint()
+        if self.state is ChainState.STOPPING and self.motion is not None:
+            await self.motion.braked()
         if self._stopping is None:
             return []
         await self._stopping.wait()
@@ -455,7 +458,7 @@ class Chain:
             self._stop(f"to {what}")
         await self._joints_stopped()
 
-    async def _why_stopped(self) -> ChainError | None:
+    async def why_stopped(self) -> ChainError | None:
         """Why the chain follows no set-points, once the joints stand; None while it follows them."""
         if self.state is ChainState.FOLLOWING:
             return None
@@ -469,26 +472,28 @@ class Chain:
 
     # ---- in the pump's turn ----
 
-    def _joint_failed(self, device: Device, reason: str, cause: str) -> None:
-        if self.state is not ChainState.FAULT and not self._participant.is_closed:
+    def _joint_failed(self, device: Device, reason: str, cause: str, follows: bool) -> None:
+        if self.state is ChainState.FAULT or self._participant.is_closed:
+            return
+        if self._culprit is None:
             self._culprit = device, reason, cause
+        if follows:
             self._stop(reason)
+        else:  # the others cannot wait for it on the path
+            self._stop_now(reason)
 
     def _on_sync(self, sync: SyncSent) -> None:
-        if self.state is not ChainState.FOLLOWING:
+        if self.state not in (ChainState.FOLLOWING, ChainState.STOPPING):
             return
         for device in self.devices:
             if device.taken_over_by:
-                self._stop(f"because another command took over {device.where}: {device.taken_over_by}")
+                self._stop_now(f"because another command took over {device.where}: {device.taken_over_by}")
                 return
         set_points, settings = self._set_points, self.settings
-        set_points.on_sync(sync.skipped)
+        try:
+            set_points.on_sync(sync.skipped)
+        except SetPointRefused as error:
+            assert self.motion is not None  # a loop gets this error itself
+            self.motion.fail(error)
         if set_points.missed_in_row >= settings.max_missed_cycles:
             self._stop(f"because {set_points.missed_in_row} cycles in a row brought no set-points")
-
-
-def _reset_and_enable(device: Device) -> Procedure[None]:
-    yield from halt(device.axis)  # another program may have left it running
-    yield from reset_fault(device.axis)
-    yield from select_standing_mode(device.axis)
-    yield from enable(device.axis)

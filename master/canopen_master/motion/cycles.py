@@ -3,6 +3,9 @@
 The core builds the PDOs behind each SYNC from images, which hold the set-points; this module keeps track of them over time. A
 path of several cycles is put into the images step by step, each step right after the SYNC that took the one before.
 
+**A source** (path_motion.py) gives the set-points by itself: it is asked for the next ones right behind each SYNC, in the pump's
+turn. No task is woken for that, so a program that is busy with something else does not disturb the motion.
+
 **The time of a path is not a clock.** It advances by one period for each SYNC that took new set-points along, and stands still
 otherwise. So a path that is read at `Cycle.time` is never commanded faster than it is: if the loop or SYNC is late, it takes
 longer. A path that is read at a clock would catch up instead, at many times its speed for one cycle.
@@ -12,13 +15,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import trio
 
 from canopen_master.errors import SetPointRefused
 from canopen_master.motion.device import Device
+from canopen_master.motion.feed_forward import FeedForward
 from canopen_master.motion.set_point_check import check_set_point, refused
+from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.machine import SECOND, LocalProtocolError
 
 
@@ -37,6 +42,27 @@ class Cycle(NamedTuple):
     late: float
 
 
+class SourcePoint(NamedTuple):
+    """The set-points of one cycle, with a value for each joint, in the user's unit.
+
+    velocities: at these positions, per second. torques: to feed forward, as shares of the rated torques; empty for none.
+    """
+
+    positions: Sequence[float]
+    velocities: Sequence[float]
+    torques: Sequence[float] = ()
+
+
+class Source(Protocol):
+    """Gives a chain its set-points, cycle by cycle."""
+
+    def next(self, skipped: int) -> SourcePoint | None:
+        """Return the set-points to send behind the next SYNC; None: there are no more, and the last ones stay.
+
+        skipped: periods without a SYNC before the present one, because this process was late.
+        """
+
+
 class SetPoints:
     """The set-points that a chain follows.
 
@@ -44,7 +70,7 @@ class SetPoints:
     brought no new set-point. missed_in_row: how many of the last ones in a row. skipped_cycles: periods without a SYNC, because
     this process was late. late_cycles: missed and skipped ones. number: of the current period. taken: SYNCs that took new
     set-points along. given_in: the period in which set-points were last given, or held. sent: the set-points sent last, in the
-    user's unit; empty while none are followed.
+    user's unit; empty while none are followed. source: gives the set-points at present; None: a loop does.
     """
 
     def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
@@ -67,6 +93,13 @@ class SetPoints:
         self._is_new = self._is_held = False  # what the next SYNC takes along
         self._next: list[float] = []
         self._path: deque[list[float]] = deque()
+        self.source: Source | None = None
+        self._feeds: list[FeedForward] = []
+
+    @property
+    def desired(self) -> list[float]:
+        """The set-points that the next SYNC takes along, in the user's unit; empty while none are followed."""
+        return list(self._next) if self.is_followed else []
 
     @property
     def late_cycles(self) -> int:
@@ -77,17 +110,39 @@ class SetPoints:
         """Begin: from now on each SYNC takes the images along."""
         self.end()
         self.is_followed = True
+        self._feeds = [FeedForward(axis) for axis in self._axes]
         self._next = self.sent = [device.desired_position for device in self.devices]
 
     def end(self) -> None:
         """End: no set-points are followed from now on."""
         self.is_followed = False
+        self.source = None
+        for feed in self._feeds:
+            feed.clear()
+        self._feeds = []
         self.sent = []
         self._path.clear()
         self._is_new = self._is_held = self.is_awaited = False
         self.missed_in_row = 0
         self.given_in = -1
         self.tick.unpark_all()
+
+    def begin_source(self, source: Source) -> None:
+        """Let a source give the set-points from now on, in place of a loop, or of another source."""
+        self._path.clear()
+        self._is_held = self.is_awaited = False
+        self.missed_in_row = 0
+        self.source = source
+
+    def end_source(self) -> None:
+        """Stay at the last set-points of the source."""
+        self.source = None
+        self.tick.unpark_all()
+
+    @property
+    def without_torque(self) -> list[Device]:
+        """The joints that take no torque beside their set-points: no RPDO carries 0x60B2."""
+        return [device for device, feed in zip(self.devices, self._feeds, strict=True) if not feed.takes_torque]
 
     def give(self, positions: Sequence[float], cycles: int) -> None:
         """See Chain.set_positions."""
@@ -126,7 +181,22 @@ class SetPoints:
         self._is_new = self._is_held = False
         if self._path:
             self._put_next()
+        elif self.source is not None and (point := self.source.next(skipped)) is not None:
+            self._take(point)
         self.tick.unpark_all()
+
+    def _take(self, point: SourcePoint) -> None:
+        """Put the set-points of the source into the images. Raises SetPointRefused; some images may have changed then."""
+        self._check(point.positions, 1)
+        torques = point.torques or [0.0] * len(self.devices)
+        values = zip(self.devices, self._feeds, point.positions, point.velocities, torques, strict=True)
+        for device, feed, position, velocity, torque in values:
+            try:
+                feed.put(position, velocity, torque)
+            except (LocalProtocolError, ValueRangeError) as error:
+                raise refused(device, position, str(error)) from error
+        self._next = list(point.positions)
+        self._is_new = True
 
     def _put_next(self) -> None:
         positions = self._path.popleft()

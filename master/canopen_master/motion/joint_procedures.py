@@ -11,7 +11,16 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary import Direction, Key, PdoDescription
-from canopen_proto.drive import engage_brake, halt, shut_down, start_cyclic_position, start_interpolation
+from canopen_proto.drive import (
+    enable,
+    engage_brake,
+    halt,
+    reset_fault,
+    select_standing_mode,
+    shut_down,
+    start_cyclic_position,
+    start_interpolation,
+)
 from canopen_proto.drive.following import UNCERTAIN, following_limit
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import Limit, read_limits
@@ -126,6 +135,14 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
         except SdoFailed as failed:
             if failed.abort_code not in (*ABSENT, AbortCode.READ_ONLY):
                 raise
+
+
+def reset_and_enable(device: Device) -> Procedure[None]:
+    """Halt the joint, which another program may have left running, and bring it into Operation enabled."""
+    yield from halt(device.axis)
+    yield from reset_fault(device.axis)
+    yield from select_standing_mode(device.axis)
+    yield from enable(device.axis)
 
 
 class Followed(NamedTuple):

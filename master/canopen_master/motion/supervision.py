@@ -45,10 +45,11 @@ SILENT: Final = (
 class Supervision:
     """See this module's text. is_on: whether failures are reported."""
 
-    def __init__(self, participant: Participant, devices: Sequence[Device], failed: Callable[[Device, str, str], None]) -> None:
-        """failed: called in the pump's turn with the joint, what it did, such as "fell into fault", and the likely cause, or "".
-
-        It may be called several times for one failure.
+    def __init__(
+        self, participant: Participant, devices: Sequence[Device], failed: Callable[[Device, str, str, bool], None]
+    ) -> None:
+        """failed: called in the pump's turn with the joint, what it did, such as "fell into fault", the likely cause, or "", and
+        whether the joint still follows its set-points, if badly. It may be called several times for one failure.
         """
         self._participant = participant
         self._devices = devices
@@ -84,16 +85,16 @@ class Supervision:
             return
         cause = foreign_commands(device, self._participant.bus(device.node.bus))
         match report:
-            case FollowingLost(cause=reason, is_silent=is_silent):
-                self._failed(device, reason, cause or (SILENT if is_silent else ""))
+            case FollowingLost(cause=reason, is_silent=is_silent, still_follows=still_follows):
+                self._failed(device, reason, cause or (SILENT if is_silent else ""), still_follows)
             case AxisStateChanged() if device.has_fault:
-                self._failed(device, "fell into fault", cause)
+                self._failed(device, "fell into fault", cause, False)
             case HeartbeatLost(timeout=timeout):
-                self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s", cause)
+                self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s", cause, False)
             case NodeGuardingLost(life_time=life_time):
-                self._failed(device, f"was lost: no answer to node guarding for {life_time / SECOND:g} s", cause)
+                self._failed(device, f"was lost: no answer to node guarding for {life_time / SECOND:g} s", cause, False)
             case NodeBooted():
-                self._failed(device, "was reset, or lost its power: it has booted again", cause)
+                self._failed(device, "was reset, or lost its power: it has booted again", cause, False)
 
 
 def foreign_commands(device: Device, bus: Bus) -> str:

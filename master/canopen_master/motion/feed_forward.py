@@ -1,0 +1,44 @@
+"""`FeedForward`: what one joint is told beside its position set-points, so that its controller need not wait for an error.
+
+    csp    0x60B1, velocity offset, and 0x60B2, torque offset, if an RPDO that is exchanged with the joint maps them
+    ip     the velocity of the data record, in sub-modes that have one (canopen_proto.drive.sub_modes)
+
+The velocity goes along by itself. A torque goes along only if the caller gives one: only he knows the masses. At rest, the
+velocity is 0; a torque against gravity stays.
+
+Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position mode, interpolated position mode.
+"""
+
+from __future__ import annotations
+
+from canopen_proto.cia402 import objects
+from canopen_proto.drive.axis import Axis
+from canopen_proto.multiplexer import Mux
+
+
+class FeedForward:
+    """The set-points of one joint with what goes along; see this module's text. takes_torque: whether an RPDO carries 0x60B2."""
+
+    __slots__ = ("_axis", "_has_offsets", "_takes_velocity", "takes_torque")
+
+    def __init__(self, axis: Axis) -> None:
+        """axis: its PDOs are defined already."""
+        self._axis = axis
+        self.takes_torque = _is_carried(axis, objects.TORQUE_OFFSET)
+        self._takes_velocity = _is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is not None
+        self._has_offsets = self._takes_velocity or self.takes_torque
+
+    def put(self, position: float, velocity: float, torque: float = 0.0) -> None:
+        """Set what the next RPDO takes along. Raises LocalProtocolError, ValueRangeError for values that do not fit."""
+        self._axis.set_position(position, velocity)
+        if self._has_offsets:
+            self._axis.set_offsets(velocity=velocity if self._takes_velocity else 0.0, torque=torque)
+
+    def clear(self) -> None:
+        """Feed nothing forward from now on."""
+        if self._has_offsets:
+            self._axis.set_offsets()
+
+
+def _is_carried(axis: Axis, mux: Mux) -> bool:
+    return any(mux in rpdo.mapping.muxes for rpdo in axis.node.rpdos.values())

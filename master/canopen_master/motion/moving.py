@@ -1,0 +1,340 @@
+"""`Moving`: how a chain, or several chains as one, move along paths and by targets. `together` makes one of several.
+
+    await arm.move([0.5, -1.0, 0.3])            plan from where it stands, or from how it moves at present (a blend)
+    await arm.follow(path)                      a path of your own, checked as a whole before anything moves
+    arm.override = 0.3                          at any time; 0 is a pause on the path
+    async with arm.jog() as jog: jog.velocity([0.1, 0.0, 0.0])
+
+    both = together(arm, leg)                   one clock, one stop
+    await both.move([...])                      the joints of `arm`, then those of `leg`
+
+**Any end is a stop on the path.** If the task that waits is cancelled, or Ctrl-C comes, the joints brake together along the
+path, and the call ends when they stand. They go on to follow set-points then. `halt`, the end of the master, and a joint in
+trouble that still follows its set-points brake along the path, too, and then halt. Only a joint in fault, or one that is lost,
+stops each joint by its own ramp: the others cannot wait for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused
+from canopen_master.motion.chain_settings import ChainSettings
+from canopen_master.motion.device import Device
+from canopen_master.motion.path_check import check_path
+from canopen_master.motion.path_motion import LONGEST_STOP, Course, Follower, Motion, Torques
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
+from canopen_proto.trajectory.path_clock import check_override
+
+
+class Member(Follower, Protocol):
+    """A chain, as one of those that move together."""
+
+    name: str
+    settings: ChainSettings
+    motion: Motion | None
+
+    @property
+    def desired(self) -> list[float]:
+        """The set-points that the next SYNC takes along; empty while it follows none."""
+
+    @property
+    def positions(self) -> list[float]:
+        """The actual positions."""
+
+    @property
+    def without_torque(self) -> list[Device]:
+        """The joints that take no torque beside their set-points."""
+
+    def check_open(self) -> None:
+        """Raise if the master takes no commands."""
+
+    def require_following(self, what: str) -> None:
+        """Raise unless it follows set-points."""
+
+    def require_free(self, what: str) -> None:
+        """Raise unless it follows set-points that no motion gives."""
+
+    async def follow_set_points(self, what: str) -> None:
+        """Begin to follow set-points."""
+
+    async def why_stopped(self) -> ChainError | None:
+        """Why it follows no set-points."""
+
+    async def halt(self) -> None:
+        """Halt it."""
+
+
+class Progress(NamedTuple):
+    """How far a motion is; each list has a value for each joint, in the user's unit.
+
+    time: seconds since it began. set_points: those that the next SYNC takes along. positions: the actual ones, as last heard.
+    following_errors: set-point minus actual position of the same instant. override: the rate of the path at present, 0 to 1; 1
+    for targets and jogging.
+    """
+
+    time: float
+    set_points: list[float]
+    positions: list[float]
+    following_errors: list[float]
+    override: float
+
+
+class Moving:
+    """See this module's text. Positions and velocities are in the user's units of the joints."""
+
+    def __init__(self, members: tuple[Member, ...]) -> None:
+        """members: the chains, in the order of the joints."""
+        self._members = members
+        self._override = 1.0
+        self._moved = trio.lowlevel.ParkingLot()  # woken when a motion begins
+
+    # ---- along a path ----
+
+    async def follow(self, path: Path | None = None, *, torques: Torques | None = None) -> None:
+        """Follow a path, from its start, where the joints have to stand, to its end; return when they are there.
+
+        path: with the joints in the order of the chain. It is checked as a whole before anything moves. It runs at the rate of
+        `override`, slower if SYNCs are late, and never faster to catch up. torques: called with each point, in every cycle and in
+        the middle of the master's work; the torques that it returns go along (0x60B2). Velocities go along by themselves if the
+        PDOs of a joint have room for them (0x60B1; see feed_forward.py).
+
+        Without a path: let all joints follow set-points from where they stand, each in its mode; then give them, see `cycles`. A
+        chain that already follows set-points is halted first. They need not be homed before.
+
+        Raises PathRefused for a path that begins elsewhere, exceeds a limit, or leaves too little free for a stop on it. Raises
+        ChainError if the chain moves already, if a drive does not stand, lacks the mode, or has lost its reference (see
+        `recover`); ChainHalted, ChainFault if it is stopped on its way.
+        """
+        if path is None:
+            for member in self._members:
+                await member.follow_set_points("follow set-points")
+            return
+        await self._begin_following("follow a path")
+        self._require_free("follow a path")
+        start = self._present()
+        limits = self.path_limits
+        check_path(self._devices, path, start, limits, self._period)
+        await self._run(self._clock(path, limits, is_moving=False), start, torques)
+
+    async def move(self, targets: Sequence[float], *, speed: float = 1.0, torques: Torques | None = None) -> None:
+        """Move all joints to their targets, as fast as their limits allow, and to arrive together; return when they are there.
+
+        It is planned from where the joints stand; or, if another call moves them at present, from how they move, without a stop:
+        the other call then raises MotionReplaced. speed: the share of each speed limit that is used, above 0, at most 1. Needs
+        the extra `motion` (ruckig). torques, and the errors: as for `follow`; and PlanRefused, for a target beyond a limit.
+        """
+        from canopen_master.trajectories.point_to_point import plan
+
+        await self._begin_following("move")
+        self._require_movable("move")
+        limits = self.path_limits
+        start = self._present()
+        is_moving = any(start.velocities) or any(start.accelerations)
+        path = plan(start, targets, limits, speed_factor=speed)
+        await self._run(self._clock(path, limits, is_moving=is_moving), start, torques)
+
+    @property
+    def path_limits(self) -> list[JointLimits]:
+        """The limits of each joint on paths. Those of its drive are known once it follows set-points."""
+        return [device.limits.of_paths for device in self._devices]
+
+    # ---- while it runs ----
+
+    @property
+    def override(self) -> float:
+        """The rate at which paths run: 0 (a pause on the path) to 1. It may be set at any time, also for the next motion.
+
+        A motion under way goes to that rate within its limits, and stays on its path. Raises PathError for any other value.
+        """
+        return self._override
+
+    @override.setter
+    def override(self, override: float) -> None:
+        check_override(override)
+        self._override = override
+        self._set_rate(override)
+
+    def pause(self) -> None:
+        """Stop on the path until `resume`. Does nothing if it follows no path."""
+        self._set_rate(0.0)
+
+    def resume(self) -> None:
+        """Go on along the path, at the rate of `override`."""
+        self._set_rate(self._override)
+
+    def progress(self) -> Progresses:
+        """How far the motion is, cycle by cycle, as an async iterator: the present motion, else the next one, until its end.
+
+        A late loop gets the newest cycle. It goes on if another motion takes over.
+        """
+        return Progresses(self)
+
+    # ---- for this folder ----
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """The chains."""
+        return self._members
+
+    @property
+    def present_motion(self) -> Motion | None:
+        """The motion that moves all of it at present."""
+        return self._members[0].motion
+
+    @property
+    def _devices(self) -> list[Device]:
+        return [device for member in self._members for device in member.devices]
+
+    @property
+    def _period(self) -> float:
+        return self._members[0].settings.cycle_time
+
+    def _set_rate(self, rate: float) -> None:
+        motion = self.present_motion
+        if motion is not None and isinstance(motion.course, PathClock):
+            motion.course.override = rate
+
+    async def _begin_following(self, what: str) -> None:
+        """Let those chains follow set-points that follow none yet."""
+        for member in self._members:
+            if not member.desired:
+                await member.follow_set_points(what)
+
+    def _require_free(self, what: str) -> None:
+        for member in self._members:
+            member.require_free(what)
+
+    def _require_movable(self, what: str) -> None:
+        """Raise unless all chains follow set-points, and nothing else moves any of them than one motion of just these."""
+        motion = self.present_motion
+        for member in self._members:
+            member.require_following(what)
+            if member.motion is not motion or (motion is not None and motion.followers != self._members):
+                member.require_free(what)
+
+    def _present(self) -> PathPoint:
+        """Return the set-points that the next SYNC takes along, and how they move."""
+        motion = self.present_motion
+        if motion is not None:
+            return motion.point
+        positions = [position for member in self._members for position in member.desired]
+        return PathPoint(positions, [0.0] * len(positions), [0.0] * len(positions))
+
+    def _clock(self, path: Path, limits: Sequence[JointLimits], *, is_moving: bool) -> PathClock:
+        try:
+            return PathClock(path, limits, self._period, override=self._override, moving=is_moving, longest_stop=LONGEST_STOP)
+        except PathError as error:
+            raise PathRefused("the path cannot be followed", seen=str(error)) from error
+
+    async def _run(self, course: Course, start: PathPoint, torques: Torques | None) -> None:
+        motion = self._begin(course, start, torques)
+        await motion.wait()
+        await self.check_end(motion)
+
+    def begin_course(self, course: Course) -> Motion:
+        """Let a course move the joints from now on, in place of what moves them at present."""
+        return self._begin(course, self._present(), None)
+
+    @enable_ki_protection
+    def _begin(self, course: Course, start: PathPoint, torques: Torques | None) -> Motion:
+        for device in self._members[0].without_torque if torques is not None else ():
+            raise PathRefused(
+                f"{device.name} takes no torque beside its set-points", device.name, seen="none of its RPDOs carries 0x60B2",
+                tries=("an RPDO with 0x60B2 in its mapping, in the joint's dictionary", "no torques"),
+            )  # fmt: skip
+        motion = Motion(course, self._members, self._period, start, torques)
+        present = self.present_motion
+        if present is None:
+            motion.begin()
+        else:
+            present.hand_over(motion)
+        self._moved.unpark_all()
+        return motion
+
+    async def check_end(self, motion: Motion) -> None:
+        """Raise if the end of a motion was not its course's own: an error, another motion, a halt, a fault."""
+        if motion.error is not None:
+            raise motion.error
+        self._members[0].check_open()
+        if motion.was_replaced:
+            names = ", ".join(member.name for member in self._members)
+            failed, seen = f"chain {names} did not end its motion", "another motion took over, from where it was"
+            raise MotionReplaced(CHAIN_FAILED, names, failed, seen=seen)
+        errors = [error for member in self._members if (error := await member.why_stopped()) is not None]
+        if errors:
+            raise next((error for error in errors if isinstance(error, ChainFault)), errors[0])
+
+    async def next_news(self) -> None:
+        """Wait until a motion begins, or goes on by a cycle, or ends."""
+        self._members[0].check_open()
+        motion = self.present_motion
+        await (self._moved if motion is None else motion.news).park()
+
+
+class Progresses:
+    """The iterator that `Moving.progress` returns."""
+
+    def __init__(self, moving: Moving) -> None:
+        self._moving = moving
+        self._has_begun = False
+        self._last: tuple[Motion, int] | None = None
+
+    def __aiter__(self) -> Progresses:
+        return self
+
+    async def __anext__(self) -> Progress:
+        await trio.lowlevel.checkpoint()
+        while True:
+            motion = self._moving.present_motion
+            if motion is None and self._has_begun:
+                raise StopAsyncIteration
+            if motion is not None:
+                self._has_begun = True
+                if motion.cycles and (motion, motion.cycles) != self._last:
+                    self._last = motion, motion.cycles
+                    return self._of(motion)
+            await self._moving.next_news()
+
+    def _of(self, motion: Motion) -> Progress:
+        members, course = self._moving.members, motion.course
+        return Progress(
+            motion.time,
+            [position for member in members for position in member.desired],
+            [position for member in members for position in member.positions],
+            [device.following_error for member in members for device in member.devices],
+            course.rate if isinstance(course, PathClock) else 1.0,
+        )
+
+
+class Together(Moving):
+    """Several chains that move as one; made by `together`. Their joints stand one after another."""
+
+    def __init__(self, chains: tuple[Member, ...]) -> None:
+        super().__init__(chains)
+        periods = {chain.settings.cycle_time for chain in chains}
+        joints = [device for chain in chains for device in chain.devices]
+        if not chains or len(periods) > 1 or len(set(joints)) < len(joints):
+            seen = "no chain" if not chains else f"cycles of {periods}" if len(periods) > 1 else "a joint that is in two of them"
+            raise LocalProtocolError(f"chains move together if they have one cycle_time and joints of their own; there is {seen}")
+
+    def __repr__(self) -> str:
+        return f"<{' and '.join(member.name for member in self._members)}, together>"
+
+    async def halt(self) -> None:
+        """Stop all joints, along their path if they move along one, and wait until they stand. See `Chain.halt`."""
+        for member in self._members:
+            await member.halt()
+
+
+def together(*chains: Member) -> Together:
+    """Return several chains of one master as one, for motions: one path, one clock, one stop. They may be on several buses.
+
+    Raises LocalProtocolError for chains that have another cycle_time or a joint in common.
+    """
+    return Together(chains)

@@ -1,0 +1,68 @@
+"""The check of a whole path before any joint moves: where it begins, its limits, and whether the chain can stop on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from canopen_master.errors import PathRefused
+from canopen_master.motion.device import Device
+from canopen_proto.trajectory import JointLimits, Path, PathPoint, Violation, first_violation
+
+START_COUNTS: Final = 2
+"""Counts that a joint may be off the start of a path, at least: conversions of units round."""
+_UNITS: Final = {"position": "", "speed": " per second", "acceleration": " per second²", "jerk": " per second³"}
+
+
+def check_path(devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float) -> None:
+    """Check a path before the joints follow it. Raises PathRefused.
+
+    start: where the joints stand. limits: of each joint. cycle_time: in s. The step to the start of the path, in one cycle, must
+    be within the acceleration of the joint, and may be START_COUNTS in any case.
+    """
+    if path.joints != len(devices):
+        names = ", ".join(device.name for device in devices)
+        raise PathRefused(f"the path has {path.joints} joints, not {len(devices)}", seen=f"the joints are {names}")
+    wanted = path.start.positions
+    for device, each, here, there in zip(devices, limits, start.positions, wanted, strict=True):
+        rounding = device.axis.amount_from_counts(START_COUNTS)
+        tolerance = max(rounding, (each.acceleration or 0.0) * cycle_time * cycle_time)
+        if abs(there - here) > tolerance:
+            raise PathRefused(
+                f"the path does not begin where {device.name} stands",
+                device.name,
+                value=there,
+                seen=f"it begins at {there:.6g}, {device.name} stands at {here:.6g}: {abs(there - here):.3g} away, "
+                f"{tolerance:.3g} are allowed",
+                tries=("await chain.move(path.start.positions) first", "a path that begins at chain.desired_positions"),
+            )
+    violation = first_violation(path, limits, cycle_time)
+    if violation is not None:
+        raise beyond_limit(devices[violation.joint], violation)
+
+
+def beyond_limit(device: Device, violation: Violation) -> PathRefused:
+    """Return the error for a path beyond a limit of this joint."""
+    kind, unit = violation.kind, _UNITS[violation.kind]
+    source = _source_of(device, kind, violation.limit)
+    return PathRefused(
+        f"the path takes {device.name} beyond its limit of {kind} at {violation.time:.6g} s",
+        device.name,
+        time=violation.time,
+        kind=kind,
+        value=violation.value,
+        limit=violation.limit,
+        seen=f"{kind} {violation.value:.6g}{unit}, its limit is {violation.limit:.6g}{unit}: {source}",
+        tries=(
+            "a path that takes longer, or a smoother one",
+            "larger limits, if the joint may do more: AxisSettings(max_...)",
+        ),
+    )
+
+
+def _source_of(device: Device, kind: str, value: float) -> str:
+    """Return where a limit comes from, in words. value: the limit."""
+    own = device.limits
+    if kind == "position":
+        return next((each.source for each in (own.lowest, own.highest) if each is not None and each.value == value), "")
+    return {"speed": own.speed, "acceleration": own.max_acceleration, "jerk": own.max_jerk}[kind].source

@@ -1,0 +1,215 @@
+"""`Motion`: one motion of the joints of one or several chains: one course, one clock, one stop.
+
+A *course* (`Course`) gives the points of the motion, a period after a period: a path with its clock
+(`canopen_proto.trajectory.PathClock`), or a stream of targets. A motion asks it behind each SYNC, in the pump's turn. Each chain
+takes its joints' part of the point (`Lane`). SYNC is one for all buses, so all chains are at the same point.
+
+**The end of a motion** comes when its course is finished, or is at rest after `brake`, and the joints had the time to get there.
+The joints then stand at the last set-points, and their chains go on to follow these. A course that is not at rest LONGEST_STOP
+after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.motion.cycles import Source, SourcePoint
+from canopen_master.motion.device import Device
+from canopen_proto.drive.following import LAG
+from canopen_proto.trajectory import PathPoint
+
+LONGEST_STOP: Final = 5.0
+"""Seconds that joints may take to brake along their path. A path that needs longer is refused."""
+
+TOO_LONG: Final = f"because it did not come to rest along its path within {LONGEST_STOP:g} s"
+
+Torques = Callable[[PathPoint], Sequence[float]]
+"""Gives the torques to feed forward at a point of a path, one for each joint, as shares of the rated torques."""
+
+
+class Course(Protocol):
+    """The points of a motion, one after another. The joints are at rest before the first and after the last one."""
+
+    def advance(self, dt: float) -> PathPoint:
+        """Go on by `dt` seconds; return the point that is reached then."""
+
+    def stop(self) -> object:
+        """Begin to brake to rest, within the limits of the joints, and along the path if there is one."""
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the end is reached."""
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the joints stand, as at the end, or after `stop`."""
+
+
+class Follower(Protocol):
+    """What a motion needs of a chain."""
+
+    @property
+    def devices(self) -> tuple[Device, ...]:
+        """Its joints."""
+
+    def begin_source(self, source: Source, motion: Motion) -> None:
+        """Follow the set-points of this source, for this motion, from now on. The chain follows set-points already."""
+
+    def source_over(self, source: Source, problem: str) -> None:
+        """The source gives no more set-points. problem: why the joints may still move; "" if they stand at the last ones."""
+
+    def stopping(self, why: str) -> None:
+        """The motion brakes along its path, and the chain is to be halted behind that."""
+
+
+class Lane:
+    """The part of one chain in a motion; it is the source of the chain's set-points. cycles: how many it has given."""
+
+    __slots__ = ("_begin", "_end", "_motion", "cycles", "follower")
+
+    def __init__(self, motion: Motion, follower: Follower, begin: int) -> None:
+        """begin: the place of its first joint among those of the motion."""
+        self._motion = motion
+        self.follower = follower
+        self._begin, self._end = begin, begin + len(follower.devices)
+        self.cycles = 0
+
+    def next(self, skipped: int) -> SourcePoint | None:
+        """See `Source`."""
+        self.cycles += 1
+        motion = self._motion
+        if self.cycles > motion.cycles:  # the first chain that this SYNC is reported to
+            motion.advance(skipped)
+        if motion.is_over:
+            return None
+        positions, velocities, torques = motion.point.positions, motion.point.velocities, motion.torques
+        return SourcePoint(*(values[self._begin : self._end] for values in (positions, velocities, torques)))
+
+
+class Motion:
+    """See this module's text. Made at rest, or at `point`; `begin` begins it.
+
+    point: the one given last. torques: fed forward there. cycles: how many points were given. is_braking: it was told to.
+    is_over: it gives no more points. was_replaced: another motion took over. error: it ended because of that, and the chains were
+    halted. news: woken each cycle, and at the end.
+    """
+
+    def __init__(
+        self, course: Course, followers: Sequence[Follower], period: float, point: PathPoint, torques: Torques | None = None
+    ) -> None:
+        """period: of SYNC, in seconds. torques: what is fed forward; None for no torques."""
+        self.course = course
+        self.followers = tuple(followers)
+        self.lanes: list[Lane] = []
+        begin = 0
+        for follower in followers:
+            self.lanes.append(Lane(self, follower, begin))
+            begin += len(follower.devices)
+        self._period = period
+        self._torques = torques
+        self.point = point
+        self.torques: Sequence[float] = ()
+        self.cycles = 0
+        self.is_braking = False
+        self.is_over = False
+        self.was_replaced = False
+        self.error: Exception | None = None
+        self._at_rest = 0  # cycles since the course is at its end, or at rest
+        self._braked = 0  # cycles
+        self.news = trio.lowlevel.ParkingLot()
+
+    @property
+    def time(self) -> float:
+        """Seconds since it began, in cycles."""
+        return self.cycles * self._period
+
+    def begin(self) -> None:
+        """Give the set-points of the chains from the next SYNC on."""
+        for lane in self.lanes:
+            lane.follower.begin_source(lane, self)
+
+    def brake(self) -> None:
+        """Brake along the path; the motion is over once the joints stand. Does nothing if it brakes already."""
+        if not self.is_braking:
+            self.is_braking = True
+            self.course.stop()
+
+    def halt(self, why: str) -> None:
+        """Brake along the path, and then halt the chains."""
+        for lane in self.lanes:
+            lane.follower.stopping(why)
+        self.brake()
+
+    def end(self, problem: str = "") -> None:
+        """Give no more points. problem: why the joints may still move; the chains are halted then."""
+        if not self.is_over:
+            self.is_over = True
+            for lane in self.lanes:
+                lane.follower.source_over(lane, problem)
+            self.news.unpark_all()
+
+    def fail(self, error: Exception) -> None:
+        """End because of an error, which is then the caller's."""
+        if not self.is_over:
+            self.error = error
+            self.end(f"because of an error: {str(error).partition(chr(10))[0]}")
+
+    def abandon(self) -> None:
+        """End without a word to the chains: the master ends, and halts all drives by itself."""
+        self.is_over = True
+        self.news.unpark_all()
+
+    def hand_over(self, motion: Motion) -> None:
+        """Let another motion of the same joints go on from the present point."""
+        self.is_over = self.was_replaced = True
+        motion.begin()
+        self.news.unpark_all()
+
+    def advance(self, skipped: int) -> None:
+        """Go on to the next point, behind a SYNC. skipped: periods without a SYNC before it."""
+        self.cycles += 1
+        if self._at_rest:
+            if self._at_rest > LAG:
+                self.end()
+            self._at_rest += 1
+            return
+        course = self.course
+        try:
+            self.point = course.advance(self._period)
+            if self._torques is not None:
+                self.torques = self._torques(self.point)
+        except Exception as error:  # noqa: BLE001 - of a course or a torque function that is the user's
+            self.fail(error)
+            return
+        self._braked += self.is_braking
+        if course.is_finished or (self.is_braking and course.is_at_rest):
+            self._at_rest = 1
+        elif self._braked * self._period > LONGEST_STOP:
+            self.end(TOO_LONG)
+        self.news.unpark_all()
+
+    @enable_ki_protection
+    async def wait(self) -> None:
+        """Wait until it is over. If the task is cancelled, or a Ctrl-C comes, brake along the path first."""
+        try:
+            await self._over()
+        except BaseException:
+            self.brake()
+            with trio.CancelScope(shield=True):
+                await self.braked()
+            raise
+
+    async def braked(self) -> None:
+        """Wait until it is over, after `brake`. Without SYNCs, it ends without them."""
+        with trio.move_on_after(LONGEST_STOP + self._period):
+            await self._over()
+        self.end(TOO_LONG)
+
+    async def _over(self) -> None:
+        await trio.lowlevel.checkpoint()
+        while not self.is_over:
+            await self.news.park()
