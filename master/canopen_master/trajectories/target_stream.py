@@ -1,0 +1,274 @@
+"""`TargetStream`: targets or velocities that come at any time become a motion that keeps every limit in every cycle.
+
+For a joystick, a camera that follows a part, a jog key. Each cycle is one step of ruckig from the state that the last one ended
+in; the joints are independent of each other. A goal may be replaced before it is reached, and a stream that nobody feeds ends at
+rest by itself: a target is a place to rest at, and velocities have a dead man's switch.
+
+Position limits. A joint is only ever brought into a state from which it can stop before its limits. A velocity that would end
+this is replaced by a motion to the limit, no faster than that velocity: so a joint that is jogged into its limit brakes in time
+and rests there, without a jolt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence, Set
+from enum import Enum, auto
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from canopen_master.errors import PlanRefused
+from canopen_master.trajectories.ruckig_joints import RuckigJoint, check_values, load_ruckig, ruckig_joints, ruckig_refused
+from canopen_proto.trajectory import JointLimits, PathPoint
+from canopen_proto.trajectory.speed_change import SpeedChange
+
+_TOLERANCE: Final = 1e-9
+"""Rounding errors of positions, in seconds at full speed."""
+_REST: Final = 1e-9
+"""A speed below is standstill, as a part of the full speed."""
+
+
+class _Goal(Enum):
+    POSITIONS = auto()
+    VELOCITIES = auto()
+    STANDSTILL = auto()
+
+
+_State: TypeAlias = tuple[float, float, float]
+"""Position, velocity and acceleration of one joint, in the units of ruckig."""
+
+
+class _Reach(NamedTuple):
+    """The range of positions that a joint covers if it brakes now, and the highest speed that it has until then."""
+
+    low: float
+    high: float
+    speed: float
+
+
+class TargetStream:
+    """Filter targets or velocities of several joints to their limits, one cycle after the other.
+
+    start: where the joints are and how they move, at rest or not. limits: each joint needs speed, acceleration and jerk;
+    positions are optional. They are used in full: a stream stops each joint by itself, so it needs no reserve. cycle_time: in
+    seconds; each `step` is one cycle, late or not. speed_factor: this part of the speed limits is used (above 0, at most 1).
+
+    renew_cycles: the dead man's switch. So many steps may follow a call of `aim_at`, `move_at` or `renew`; the next one stops the
+    stream. None: no such switch.
+
+    Until the first goal the stream brakes to rest. Raises PlanRefused for a wrong argument; PackageMissing without ruckig.
+    """
+
+    def __init__(
+        self,
+        start: PathPoint,
+        limits: Sequence[JointLimits],
+        cycle_time: float,
+        *,
+        speed_factor: float = 1.0,
+        renew_cycles: int | None = None,
+    ) -> None:
+        self._joints = ruckig_joints(start, limits, speed_factor=speed_factor)
+        if not (math.isfinite(cycle_time) and cycle_time > 0.0):
+            raise PlanRefused("cycle_time must be above 0 s", value=cycle_time, seen=repr(cycle_time))
+        if renew_cycles is not None and renew_cycles < 1:
+            raise PlanRefused("renew_cycles must be 1 or more", value=renew_cycles, seen=repr(renew_cycles))
+        self._ruckig: Any = load_ruckig("a stream of targets")
+        self._renew_cycles = renew_cycles
+        self._unrenewed = 0
+        self._goal = _Goal.STANDSTILL
+        self._wanted = [0.0] * len(self._joints)
+        self._is_stopping = False
+        self._point = start
+        states = self._states(start)
+        self._reaches = [_reach(state, joint) for state, joint in zip(states, self._joints, strict=True)]
+        self.failure: PlanRefused | None = None
+        """Why ruckig failed; the stream has then stopped. None as long as all is well."""
+        count = len(self._joints)
+        self._generator = self._ruckig.Ruckig(count, cycle_time)
+        self._output = self._ruckig.OutputParameter(count)
+        self._request = self._ruckig.InputParameter(count)
+        self._request.synchronization = self._ruckig.Synchronization.No
+        self._request.current_position = [position for position, _, _ in states]
+        self._request.current_velocity = [velocity for _, velocity, _ in states]
+        self._request.current_acceleration = [acceleration for _, _, acceleration in states]
+        self._request.max_acceleration = [joint.acceleration for joint in self._joints]
+        self._request.max_jerk = [joint.jerk for joint in self._joints]
+
+    @property
+    def point(self) -> PathPoint:
+        """Where the joints are to be after the last step."""
+        return self._point
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether the stream has ended: by `stop`, by its dead man's switch, or by a failure. It takes no new goal."""
+        return self._is_stopping
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether all joints stand still."""
+        return all(
+            abs(velocity) <= _REST * joint.unit and abs(acceleration) <= _REST * joint.unit * joint.acceleration
+            for velocity, acceleration, joint in zip(self._point.velocities, self._point.accelerations, self._joints, strict=True)
+        )
+
+    def aim_at(self, targets: Sequence[float]) -> None:
+        """Go to these positions, one for each joint, and rest there. A target beyond a position limit counts as that limit.
+
+        Raises PlanRefused for values that are not finite or not one for each joint (the goal before stays), and if the stream has
+        ended.
+        """
+        self._check("target", targets)
+        self._goal = _Goal.POSITIONS
+        self._wanted = [
+            (min(max(target, joint.lowest), joint.highest) - joint.origin) / joint.unit
+            for target, joint in zip(targets, self._joints, strict=True)
+        ]
+        self._unrenewed = 0
+
+    def move_at(self, velocities: Sequence[float]) -> None:
+        """Move at these velocities, one for each joint, in its unit per second. One beyond the speed limit counts as that limit.
+
+        A joint that comes to a position limit rests there. Raises as `aim_at` does.
+        """
+        self._check("velocity", velocities)
+        self._goal = _Goal.VELOCITIES
+        self._wanted = [
+            min(max(velocity / joint.unit, -1.0), 1.0) for velocity, joint in zip(velocities, self._joints, strict=True)
+        ]
+        self._unrenewed = 0
+
+    def renew(self) -> None:
+        """Hold the dead man's switch: the caller is still there and wants its goal. Does nothing after the end."""
+        self._unrenewed = 0
+
+    def stop(self) -> None:
+        """Brake each joint to rest as fast as its limits allow. This ends the stream."""
+        self._is_stopping = True
+        self._goal = _Goal.STANDSTILL
+        self._wanted = [0.0] * len(self._joints)
+
+    def step(self) -> PathPoint:
+        """Go on by one cycle, and return where the joints are to be at its end, how fast, and how they accelerate.
+
+        If ruckig fails, the stream stops and `failure` says why. Raises PlanRefused if it fails even then.
+        """
+        if self._renew_cycles is not None and not self._is_stopping:
+            self._unrenewed += 1
+            if self._unrenewed > self._renew_cycles:
+                self.stop()
+        if self._goal is _Goal.STANDSTILL and self.is_at_rest:
+            return self._point
+        try:
+            states = self._moved()
+        except PlanRefused as failure:
+            self.failure = failure
+            self.stop()
+            states = self._stepped({*range(len(self._joints))}, set())
+        self._output.pass_to_input(self._request)
+        self._reaches = [_reach(state, joint) for state, joint in zip(states, self._joints, strict=True)]
+        self._point = PathPoint(
+            [joint.origin + position * joint.unit for (position, _, _), joint in zip(states, self._joints, strict=True)],
+            [velocity * joint.unit for (_, velocity, _), joint in zip(states, self._joints, strict=True)],
+            [acceleration * joint.unit for (_, _, acceleration), joint in zip(states, self._joints, strict=True)],
+        )
+        return self._point
+
+    def _check(self, kind: str, values: Sequence[float]) -> None:
+        if self._is_stopping:
+            raise PlanRefused(
+                "the stream has ended", cause="it was stopped, or was not renewed in time", tries=("start another one",)
+            ) from self.failure
+        check_values(values, len(self._joints), kind)
+
+    def _states(self, point: PathPoint) -> list[_State]:
+        """Return the state of each joint in the units of ruckig."""
+        return [
+            ((position - joint.origin) / joint.unit, velocity / joint.unit, acceleration / joint.unit)
+            for position, velocity, acceleration, joint in zip(*point, self._joints, strict=True)
+        ]
+
+    def _moved(self) -> list[_State]:
+        """Let ruckig move to the goal. Joints that could not stop before a limit then go to that limit, or brake."""
+        stopped: set[int] = set()
+        to_limits: set[int] = set()
+        states = self._stepped(stopped, to_limits)
+        if self._goal is _Goal.STANDSTILL:
+            return states
+        while unsafe := self._unsafe(states) - stopped:
+            if self._goal is _Goal.VELOCITIES and not to_limits:
+                to_limits = {number for number in unsafe if self._can_stop_in_time(number)}
+                stopped = unsafe - to_limits
+            else:
+                stopped |= unsafe
+            states = self._stepped(stopped, to_limits)
+        return states
+
+    def _stepped(self, stopped: Set[int], to_limits: Set[int]) -> list[_State]:
+        """Return the states one cycle on. stopped, to_limits: joints that brake, or go to their limit, instead of to the goal."""
+        interfaces = self._ruckig.ControlInterface
+        positions, velocities, fastest, used = [], [], [], []
+        for number, (wanted, joint) in enumerate(zip(self._wanted, self._joints, strict=True)):
+            position, velocity, speed, interface = 0.0, 0.0, 1.0, interfaces.Velocity
+            if number in stopped:
+                pass
+            elif number in to_limits:
+                limit = joint.highest if wanted > 0.0 else joint.lowest
+                position = (limit - joint.origin) / joint.unit
+                speed = max(abs(wanted), self._reaches[number].speed)
+                interface = interfaces.Position
+            elif self._goal is _Goal.POSITIONS:
+                position, interface = wanted, interfaces.Position
+            else:
+                velocity = wanted
+            positions.append(position)
+            velocities.append(velocity)
+            fastest.append(speed)
+            used.append(interface)
+        request, output = self._request, self._output
+        request.target_position, request.target_velocity, request.max_velocity = positions, velocities, fastest
+        request.per_dof_control_interface = used
+        try:
+            self._generator.update(request, output)
+        except (self._ruckig.RuckigError, ValueError) as error:
+            raise ruckig_refused(error, "motion") from error
+        return list(zip(output.new_position, output.new_velocity, output.new_acceleration, strict=True))
+
+    def _unsafe(self, states: Sequence[_State]) -> set[int]:
+        """Return the joints that could no longer stop before a limit after this step, or would stop further beyond it."""
+        found = set()
+        for number, (state, before, joint) in enumerate(zip(states, self._reaches, self._joints, strict=True)):
+            after = _reach(state, joint)
+            lowest, highest = _range(joint)
+            if after.low < min(lowest, before.low) - _TOLERANCE or after.high > max(highest, before.high) + _TOLERANCE:
+                found.add(number)
+        return found
+
+    def _can_stop_in_time(self, number: int) -> bool:
+        """Return whether a joint that brakes now stays within its position limits."""
+        lowest, highest = _range(self._joints[number])
+        return lowest - _TOLERANCE <= self._reaches[number].low and self._reaches[number].high <= highest + _TOLERANCE
+
+
+def _range(joint: RuckigJoint) -> tuple[float, float]:
+    """Return the position limits in the units of ruckig."""
+    return (joint.lowest - joint.origin) / joint.unit, (joint.highest - joint.origin) / joint.unit
+
+
+def _reach(state: _State, joint: RuckigJoint) -> _Reach:
+    """Return the range that a joint cannot help to cover: its stop from this state, as fast as the limits allow."""
+    position, velocity, acceleration = state
+    jerk, greatest = joint.jerk, max(joint.acceleration, abs(acceleration))
+    speed = abs(velocity) + acceleration * acceleration / (2.0 * jerk)
+    distance = speed * (abs(acceleration) / jerk + (greatest / jerk + speed / greatest) / 2.0)
+    lowest, highest = _range(joint)
+    if lowest <= position - distance and position + distance <= highest:
+        return _Reach(position - distance, position + distance, speed)  # more than it needs, and quickly found: as nearly always
+    end = position + SpeedChange(velocity, acceleration, 0.0, greatest, jerk).distance
+    turn = position
+    if velocity * acceleration < 0.0 and acceleration * acceleration > 2.0 * jerk * abs(velocity):
+        # It brakes so hard that it turns back before its acceleration ends.
+        time = (abs(acceleration) - math.sqrt(acceleration * acceleration - 2.0 * jerk * abs(velocity))) / jerk
+        way = time * (abs(velocity) + time * (-abs(acceleration) / 2.0 + time * jerk / 6.0))
+        turn += math.copysign(way, velocity)
+    return _Reach(min(position, end, turn), max(position, end, turn), speed)
