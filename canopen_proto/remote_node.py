@@ -150,6 +150,10 @@ class RemoteNode(Group):
         """Whether the node is in NMT state Operational, as far as we know."""
         return self.nmt_state is NmtState.OPERATIONAL
 
+    def on_device(self, mux: Mux) -> Mux:
+        """Return the number that an object has on the device: its own. The view of a further axis shifts it (FurtherAxis)."""
+        return mux
+
     # ---- objects by SDO ----
 
     def read(self, key: Key, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:

@@ -1,4 +1,4 @@
-"""The Python examples of the README and of three pages run as they stand, each as a script of its own."""
+"""The Python examples of the README and of some pages run as they stand, each as a script of its own."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("devices.md", "machine.md", "first-move.md"))
+NAMES = ("devices.md", "machine.md", "first-move.md", "recording.md")
+PAGES = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in NAMES)
 EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT + PAGES, re.DOTALL)
 LIMIT = 60  # seconds, for a machine that is busy with other things
 

@@ -154,7 +154,8 @@ class ObjectDictionary:
         fillers: Iterable[Filler] = (),
         source: str = "",
     ) -> None:
-        """constants: by mux. If two objects share an index, or two variables a name, the later one gets it."""
+        """constants: by mux. If two objects share an index, or two variables a name, the later one gets it; but a name that
+        an object of a further logical device (0x6800 and on) shares with another one means the other."""
         by_index = {each.index: each for each in objects}
         self._pseudo = by_index.pop(PSEUDO_INDEX, None)
         self.objects: Mapping[int, Object] = MappingProxyType(dict(sorted(by_index.items())))
@@ -365,8 +366,12 @@ class _Names:
         whole: dict[str, Variable] = {}
         for each in objects:
             alone = len(each.variables) == 1 and each.object_type not in _WITH_FIELDS
+            is_further = each.index in FURTHER_DEVICES
             for variable in each.variables.values():
                 for name in variable.names:
+                    if is_further:  # a name that the first logical device has too means that one
+                        self.exact.setdefault(name if alone or ":" in name else f"{each.name}:{name}", variable)
+                        continue
                     if alone or ":" in name:
                         self.exact[name] = variable
                         continue
@@ -385,6 +390,8 @@ class _Names:
         return next(name for name in self.exact if name.endswith(f":{field}"))
 
 
+FURTHER_DEVICES: Final = range(0x6800, 0xA000)
+"""The objects of the second to eighth logical device of a node: axes, if it is a drive. CiA 301 v4.2.0, 7.4.1 (from memory)."""
 _WITH_FIELDS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 
 

@@ -38,6 +38,7 @@ from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.dictionary.standard import standard_variable
+from canopen_proto.drive.axis_node import node_of_axis
 from canopen_proto.drive.foreign import COMMANDS, foreign_command
 from canopen_proto.drive.occupancy import Occupancy
 from canopen_proto.drive.set_points import SET_POINT_OF, RecordSetPoint, SetPoint
@@ -63,13 +64,15 @@ OBEYED: Final = -NEVER
 
 
 class AxisStateChanged(Event):
-    """The drive's statusword shows another state than before (UNKNOWN: its node booted). statusword: as last heard."""
+    """The drive's statusword shows another state than before (UNKNOWN: its node booted). statusword: as last heard. axis: of the
+    node, 0 for the first one."""
 
-    __slots__ = ("previous", "state", "statusword")
-    __match_args__ = ("node_id", "previous", "state", "statusword")
+    __slots__ = ("axis", "previous", "state", "statusword")
+    __match_args__ = ("node_id", "previous", "state", "statusword", "axis")
 
-    def __init__(self, node_id: int, previous: State, state: State, statusword: int) -> None:
+    def __init__(self, node_id: int, previous: State, state: State, statusword: int, axis: int = 0) -> None:
         self.node_id = node_id
+        self.axis = axis
         self.previous = previous
         self.state = state
         self.statusword = statusword
@@ -88,28 +91,30 @@ class AxisGrip(Protocol):
 class Axis:
     """One drive as its master sees it; see this module's text. Properties show what was heard; they send nothing.
 
-    settings: the settings in force; open ones are filled in once `is_identified`; may be set. has_scale: whether the user's unit
-    is known; else it is the count. units: as the drive told them when they were last read. grip: takes hold before the drive
-    is enabled, and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword, which
-    starts a motion; OBEYED once the drive has shown that it took it. selected_mode: the mode of operation that this master
-    selected last; None: none since the drive's last boot. commanded_at, selected_at: when this master last sent
-    a controlword, and a mode; None: not since then.
-    has_opened_brake: whether this master holds the brake open by an output, see digital_io.py. occupancy: the motion under way,
-    see one_motion.py.
+    number: of the axis, 0 for the first one of a node. node: as this axis sees it, with the numbers of the first axis
+    (axis_node.py); remote: the node itself. settings: those in force; open ones are filled in once `is_identified`; may be
+    set. has_scale: whether the user's unit is known; else it is the count. units: as the drive told them when they were last
+    read. grip: takes hold before the drive is enabled, and lets go once it is shut down. started_at: when the drive last got
+    a rising bit 4 of the controlword, which starts a motion; OBEYED once the drive has shown that it took it. selected_mode:
+    the mode of operation that this master selected last; None: none since the drive's last boot. commanded_at, selected_at:
+    when this master last sent a controlword, and a mode; None: not since then. has_opened_brake: whether this master holds
+    the brake open by an output, see digital_io.py. occupancy: the motion under way, see one_motion.py.
     """
 
     __slots__ = (
         "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
-        "_store", "_was_homed", "commanded_at", "grip", "has_opened_brake", "has_scale", "is_identified", "node", "occupancy",
-        "selected_at", "selected_mode", "set_points_given", "started_at", "state", "units",
+        "_store", "_was_homed", "commanded_at", "grip", "has_opened_brake", "has_scale", "is_identified", "node", "number",
+        "occupancy", "remote", "selected_at", "selected_mode", "set_points_given", "started_at", "state", "units",
     )  # fmt: skip
 
-    def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN) -> None:
-        """Make the axis of a node. Raises LocalProtocolError if its dictionary lacks controlword, statusword or a mode object."""
+    def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN, number: int = 0) -> None:
+        """Make axis `number` (0..7) of a node. Raises LocalProtocolError if its dictionary lacks an object that it needs."""
+        self.number = number
+        self.remote = node
+        self.node = node_of_axis(node, number)
         for key in (objects.CONTROLWORD, objects.STATUSWORD, objects.MODES_OF_OPERATION, objects.MODES_OF_OPERATION_DISPLAY):
-            node.dictionary.variable(key)
-        self.node = node
-        self._store, self._heard_at = node.values.store, node.heard_at  # as near as can be: looked at for each PDO
+            self.node.dictionary.variable(key)
+        self._store, self._heard_at = self.node.values.store, self.node.heard_at  # as near as can be: looked at for each PDO
         self.settings = self._given = settings
         self.is_identified = False
         self.state = State.UNKNOWN
@@ -127,11 +132,16 @@ class Axis:
         self.set_points_given = 0
         self._position = SetPoint(standard_variable(0x607A), self._store)  # of a drive without position set-points
         for mode in (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION):
-            if SET_POINT_OF[mode] in node.dictionary:
+            if SET_POINT_OF[mode] in self.node.dictionary:
                 self.select_set_point(mode)
-        node.commanded |= {objects.CONTROLWORD, *SET_POINT_OF.values()}
-        node.overhearing.listen(COMMANDS)
-        node.add_listener(self._on_values, self._on_boot)
+        self._command(objects.CONTROLWORD, *SET_POINT_OF.values())
+        self.node.overhearing.listen(COMMANDS)
+        self.node.add_listener(self._on_values, self._on_boot)
+
+    @property
+    def title(self) -> str:
+        """The drive for messages: "drive 5", and "drive 5, axis 1" for a further axis of a node."""
+        return f"drive {self.node.node_id}" + (f", axis {self.number}" if self.number else "")
 
     @property
     def settings(self) -> AxisSettings:
@@ -216,6 +226,10 @@ class Axis:
         """Whether this master homed the drive, and the reference is lost: a reset, or a later homing that failed."""
         return self._was_homed and not self._is_homed and not self.settings.keeps_reference
 
+    def is_told_by(self, report: Event) -> bool:
+        """Return whether an event with a field `axis`, such as AxisStateChanged, is about this axis."""
+        return report.node_id == self.node.node_id and getattr(report, "axis", None) == self.number
+
     def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
         """Return 0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""
         heard = self.node.heard_at.get(objects.STATUSWORD)
@@ -244,7 +258,7 @@ class Axis:
             has_lost_reference=self.has_lost_reference,
             safe_torque_off=self._if_shown(self._settings.sto_input),
             brake=self._if_shown(self._settings.brake_bit),
-            foreign=foreign_command(self.node, commanded, self.commanded_at, self.selected_mode, self.selected_at),
+            foreign=foreign_command(self.node, self.remote, commanded, self.commanded_at, self.selected_mode, self.selected_at),
             is_heard=objects.STATUSWORD in self._heard_at,
         )
 
@@ -261,7 +275,7 @@ class Axis:
         """Raise LocalProtocolError, naming the differences, unless these settings are those in force or those first given."""
         if wanted not in (self.settings, self._given):
             difference = self.settings.difference(wanted)
-            raise LocalProtocolError(f"drive {self.node.node_id} is in use with other settings: {difference}")
+            raise LocalProtocolError(f"{self.title} is in use with other settings: {difference}")
 
     def to_counts(self, position: float) -> int:
         """Convert a position in the user's unit to counts on the wire. Raises LocalProtocolError unless they are a number."""
@@ -299,7 +313,7 @@ class Axis:
         unit = self.velocity_unit
         if unit is None:
             raise LocalProtocolError(
-                f"the velocity unit of drive {self.node.node_id} is not known, so it gets no velocity. "
+                f"the velocity unit of {self.title} is not known, so it gets no velocity. "
                 "Try: AxisSettings(velocity_unit=...), in counts per second, by its manual"
             )
         return round(self._direction * velocity * self._scale / unit)
@@ -348,7 +362,7 @@ class Axis:
             self.select_set_point(Mode.INTERPOLATED_POSITION)
         else:
             self._position = RecordSetPoint(self.node.dictionary, self._store, sub_mode, period)
-            self.node.commanded.update(sub_mode.objects)
+            self._command(*sub_mode.objects)
 
     def _set_point_at(self, mux: Mux) -> SetPoint:
         found = self._set_points.get(mux)
@@ -423,11 +437,11 @@ class Axis:
             objects.VELOCITY_OFFSET: self.velocity_to_wire(velocity) if velocity else 0,
             objects.TORQUE_OFFSET: self.torque_to_wire(torque),
         }
-        carried = [mux for mux in numbers if any(mux in rpdo.mapping.muxes for rpdo in self.node.rpdos.values())]
+        carried = [mux for mux in numbers if self.rpdos_with((mux,))]
         for mux, number in numbers.items():
             if number and mux not in carried:
                 raise LocalProtocolError(
-                    f"no RPDO that is exchanged with drive {self.node.node_id} carries the offset {mux_text(mux)}. "
+                    f"no RPDO that is exchanged with {self.title} carries the offset {mux_text(mux)}. "
                     "Try: procedures.configure_pdo, with this object in the mapping"
                 )
             if mux in carried:
@@ -448,6 +462,16 @@ class Axis:
         producer = self.node.rpdo_of(mux)
         if producer is not None:
             producer.trigger(now)
+
+    def rpdos_with(self, muxes: Collection[Mux]) -> list[int]:
+        """Return the numbers of the RPDOs, live or not, that are exchanged with the node and carry one of these objects."""
+        places = [self.node.on_device(mux) for mux in muxes]
+        return [number for number, rpdo in self.node.rpdos.items() if any(mux in rpdo.mapping.muxes for mux in places)]
+
+    def _command(self, *muxes: Mux) -> None:
+        """Count objects as commanded by us: see `RemoteNode.commanded`."""
+        for mux in muxes:
+            self.node.commanded.add(mux)
 
     def _if_shown(self, bit: DriveBit | None) -> DriveBit | None:
         """Return the bit if the drive shows it, as last heard, else None."""
@@ -479,4 +503,4 @@ class Axis:
     def _enter(self, state: State) -> None:
         if state is not self.state:
             previous, self.state = self.state, state
-            self.node.out.events.append(AxisStateChanged(self.node.node_id, previous, state, self.statusword))
+            self.node.out.events.append(AxisStateChanged(self.node.node_id, previous, state, self.statusword, self.number))

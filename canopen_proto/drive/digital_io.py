@@ -48,13 +48,15 @@ class Input(IntFlag):
 
 
 class DigitalInputsChanged(Event):
-    """The inputs of a drive have changed. inputs: as they are now, `Input` and the maker's bits; changed: those that differ."""
+    """The inputs of a drive have changed. inputs: as they are now, `Input` and the maker's bits; changed: those that differ.
+    axis: of the node."""
 
-    __slots__ = ("changed", "inputs")
-    __match_args__ = ("node_id", "inputs", "changed")
+    __slots__ = ("axis", "changed", "inputs")
+    __match_args__ = ("node_id", "inputs", "changed", "axis")
 
-    def __init__(self, node_id: int, inputs: Input, changed: Input) -> None:
+    def __init__(self, node_id: int, inputs: Input, changed: Input, axis: int = 0) -> None:
         self.node_id = node_id
+        self.axis = axis
         self.inputs = inputs
         self.changed = changed
 
@@ -76,7 +78,7 @@ def watch_inputs(axis: Axis, interval: Time = POLL_INTERVAL) -> Procedure[NoRetu
         yield from sleep(interval)
         inputs = yield from read_inputs(axis, interval)
         if inputs != before:
-            node.out.events.append(DigitalInputsChanged(node.node_id, inputs, inputs ^ before))
+            node.out.events.append(DigitalInputsChanged(node.node_id, inputs, inputs ^ before, axis.number))
             before = inputs
 
 

@@ -17,6 +17,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.reasons import Reason, look_closer, outer_reason
 from canopen_proto.drive.view import DriveView
 from canopen_proto.error_codes import error_text
@@ -27,7 +28,6 @@ from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
-from canopen_proto.remote_node import RemoteNode
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -36,8 +36,9 @@ P = ParamSpec("P")
 class DriveError(ProcedureError):
     """A drive did not do what it was told.
 
-    node_id: of the drive. failed: what failed. view: what the drive showed and was commanded (state, statusword, modes, error
-    code, last emergency). reason: the obstacle that was found, in words; "" if there is none. remedy: what to try, or "".
+    node_id: of the drive; axis: of the node, 0 for the first one. failed: what failed. view: what the drive showed and was
+    commanded (state, statusword, modes, error code, last emergency). reason: the obstacle that was found, in words; "" if
+    there is none. remedy: what to try, or "".
     """
 
     def __init__(
@@ -50,7 +51,7 @@ class DriveError(ProcedureError):
         self._tell(axis, f"{name_of(axis)} {failed}", found or Reason(reason, remedy))
 
     def _tell(self, axis: Axis, failed: str, found: Reason) -> None:
-        self.node_id = axis.node.node_id
+        self.node_id, self.axis = axis.node.node_id, axis.number
         self.failed = failed
         self.reason, self.remedy, _ = found
         reason = f"{self.reason}; " if self.reason else ""
@@ -72,7 +73,7 @@ class AccessFailed(DriveError, SdoFailed):
         if found is None and failed.origin is AbortOrigin.TIMEOUT:
             found = Reason("it is silent", "look at its power, its cable and its node-ID")
         elif found is None:
-            found = Reason("", _REMEDIES.get(mux(failed.index, failed.subindex), ""))
+            found = Reason("", _REMEDIES.get(axis.node.on_device(mux(failed.index, failed.subindex)), ""))
         self._tell(axis, str(failed), found)
 
 
@@ -143,7 +144,7 @@ class ReferenceLost(DriveError):
 
 def name_of(axis: Axis) -> str:
     """Return the drive's name for messages."""
-    return f"drive {axis.node.node_id}"
+    return axis.title
 
 
 def accounted(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[Concatenate[Axis, P], Procedure[T]]:
@@ -198,7 +199,7 @@ def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:
     return ModeLost(axis, f"left {mode_name(mode)} while waiting for {goal}", reason=reason, remedy=remedy, view=view)
 
 
-def is_loss_of(node: RemoteNode, report: Event) -> bool:
+def is_loss_of(node: AxisNode, report: Event) -> bool:
     """Return whether an event says that the node booted, fell silent or was stopped."""
     if report.node_id != node.node_id:
         return False

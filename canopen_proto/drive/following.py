@@ -48,7 +48,7 @@ from canopen_proto.drive.bounds import MAX_MISSED, Bounds
 from canopen_proto.drive.failures import accounted
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
-from canopen_proto.multiplexer import Mux, index_of, subindex_of
+from canopen_proto.multiplexer import Mux, index_of, split_mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import ABSENT, read_if_present, value_of
 from canopen_proto.procedures.steps import (
@@ -89,23 +89,29 @@ class FollowingLost(Event):
     """A drive no longer follows its set-points; reported once for each `Following.begin`.
 
     cause: in words, as "no longer follows ...". is_silent: its PDOs stopped coming. still_follows: the drive goes on to follow
-    its set-points, though not as it should.
+    its set-points, though not as it should. axis: of the node.
     """
 
-    __slots__ = ("cause", "is_silent", "still_follows")
-    __match_args__ = ("node_id", "cause", "is_silent", "still_follows")
+    __slots__ = ("axis", "cause", "is_silent", "still_follows")
+    __match_args__ = ("node_id", "cause", "is_silent", "still_follows", "axis")
 
-    def __init__(self, node_id: int, cause: str, is_silent: bool = False, still_follows: bool = False) -> None:
+    def __init__(self, node_id: int, cause: str, is_silent: bool = False, still_follows: bool = False, axis: int = 0) -> None:
         self.node_id = node_id
+        self.axis = axis
         self.cause = cause
         self.is_silent = is_silent
         self.still_follows = still_follows
 
 
 class TurnToRead(Event):
-    """It is this drive's turn to have an object read: see `Following.await_turn`."""
+    """It is this drive's turn to have an object read: see `Following.await_turn`. axis: of the node."""
 
-    __slots__ = ()
+    __slots__ = ("axis",)
+    __match_args__ = ("node_id", "axis")
+
+    def __init__(self, node_id: int, axis: int = 0) -> None:
+        self.node_id = node_id
+        self.axis = axis
 
 
 class Following:
@@ -257,7 +263,7 @@ class Following:
         if self._is_on:
             self._is_on = False
             node = self._axis.node
-            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows))
+            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows, self._axis.number))
 
     def await_turn(self, syncs: int, not_before: Time) -> None:
         """Report TurnToRead once: at the SYNC after `syncs` - 1 others, or at the first later one that comes `not_before` (ns).
@@ -353,7 +359,7 @@ class Following:
             self._syncs_to_turn -= 1
         elif self._syncs_to_turn and now >= self._turn_not_before:
             self._syncs_to_turn = 0
-            self._axis.node.out.events.append(TurnToRead(self._axis.node.node_id))
+            self._axis.node.out.events.append(TurnToRead(self._axis.node.node_id, self._axis.number))
 
     def _judge_silence(self, now: Time) -> None:
         """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
@@ -424,7 +430,7 @@ def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
     while drive.unsent:
         for mux in sorted(drive.unsent):
             drive.await_turn(turn, not_before)
-            yield Wait(None, node, lambda report: report.node_id == node.node_id, _TURN)
+            yield Wait(None, node, drive.axis.is_told_by, _TURN)
             turn, not_before = turns, (yield from current_time()) + turns * READ_INTERVAL
             if mux in drive.unsent:  # else its first PDO has come meanwhile
                 yield from _read(drive, mux)
@@ -455,7 +461,8 @@ def _read(drive: Following, mux: Mux) -> Procedure[None]:
 
 def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
-    node, index, subindex = drive.axis.node, index_of(mux), subindex_of(mux)
+    node = drive.axis.node
+    index, subindex = split_mux(node.on_device(mux))
     client = next((each for each in (node.sdo, *node.sdo_channels) if not each.busy), node.sdo)
     request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
     try:
@@ -469,5 +476,5 @@ def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     if outcome is None:
         yield from act(lambda now: node.cancel(request_id, now))
         return False
-    value_of(node, node.dictionary.variable((index, subindex)), outcome)
+    value_of(node, node.dictionary.variable(mux), outcome)
     return True

@@ -8,6 +8,7 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import mode_name
 from canopen_proto.cia402.states import COMMAND_BITS, ControlBit
 from canopen_proto.dictionary import Direction
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.view import RECENT, ForeignCommand, command_text
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, key_of_cob_id, routing_key
 from canopen_proto.machine import NEVER, Time
@@ -38,14 +39,20 @@ def _described(node: RemoteNode) -> dict[RoutingKey, Mapping]:
 
 
 def foreign_command(
-    node: RemoteNode, controlword: int | None, commanded_at: Time | None, mode: int | None, selected_at: Time | None
+    node: AxisNode,
+    remote: RemoteNode,
+    controlword: int | None,
+    commanded_at: Time | None,
+    mode: int | None,
+    selected_at: Time | None,
 ) -> ForeignCommand | None:
     """Return the last command of another master that came after ours, contradicts it, and is not older than RECENT; else None.
 
+    remote: the node itself, whose file describes its PDOs.
     controlword, mode: as we sent them last, and when; None: we sent none, and nothing can contradict it.
     """
     now = max(node.heard_at.values(), default=-NEVER)
-    others = _described(node) if node.overhearing.unknown else {}
+    others = _described(remote) if node.overhearing.unknown else {}
     found: list[tuple[Overheard, str]] = []
     word = node.overhearing.last(objects.CONTROLWORD, others)
     if word is not None and controlword is not None and commanded_at is not None and word.time >= commanded_at:

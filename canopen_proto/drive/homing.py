@@ -40,13 +40,15 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 
 
 class HomingProgressed(Event):
-    """A drive that homes as CiA 402 says shows another status of its homing. position: in the user's unit, as last heard."""
+    """A drive that homes as CiA 402 says shows another status of its homing. position: in the user's unit, as last heard.
+    axis: of the node."""
 
-    __slots__ = ("position", "status")
-    __match_args__ = ("node_id", "status", "position")
+    __slots__ = ("axis", "position", "status")
+    __match_args__ = ("node_id", "status", "position", "axis")
 
-    def __init__(self, node_id: int, status: HomingStatus, position: float | None) -> None:
+    def __init__(self, node_id: int, status: HomingStatus, position: float | None, axis: int = 0) -> None:
         self.node_id = node_id
+        self.axis = axis
         self.status = status
         self.position = position
 
@@ -171,7 +173,7 @@ class _EndOfHoming:
         if status is not None and status is not self._told:
             self._told = status
             node = self._axis.node
-            node.out.events.append(HomingProgressed(node.node_id, status, self._axis.position))
+            node.out.events.append(HomingProgressed(node.node_id, status, self._axis.position, self._axis.number))
 
     def _ending_of(self, statusword: int) -> _Ending:
         if not self._is_schunk:

@@ -26,6 +26,7 @@ from typing import Final
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.homing_methods import HOMING_METHODS, describe_homing, homing_method_name
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.failures import HomingFailed, ModeUnsupported
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.settings import HomingStyle
@@ -34,12 +35,11 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.remote_node import RemoteNode
 
 _LIST: Final = "canopen home --list NODE shows those that it has"
 
 
-def read_homing_methods(node: RemoteNode) -> Procedure[tuple[int, ...] | None]:
+def read_homing_methods(node: AxisNode) -> Procedure[tuple[int, ...] | None]:
     """Read the homing methods that a drive lists (0x60E3), by SDO, by number; None if it has no list."""
     count = yield from read_number(node, objects.SUPPORTED_HOMING_METHODS)
     if not count:

@@ -61,7 +61,7 @@ def _until_lost(following: Following) -> Procedure[None]:
     axis = following.axis
 
     def concerns(report: Event) -> bool:
-        return isinstance(report, FollowingLost) and report.node_id == axis.node.node_id
+        return isinstance(report, FollowingLost) and axis.is_told_by(report)
 
     lost = yield Wait(None, axis.node, concerns, (FollowingLost,))
     assert isinstance(lost, FollowingLost)

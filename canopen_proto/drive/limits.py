@@ -42,12 +42,12 @@ from typing import Final, NamedTuple
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.failures import accounted
 from canopen_proto.drive.units import DriveUnits, read_number, read_units
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.remote_node import RemoteNode
 from canopen_proto.trajectory.limit_check import JointLimits
 
 DEFAULT_SPEED: Final = 30_000
@@ -220,7 +220,7 @@ def _position_limits(lowest: int | None, highest: int | None) -> tuple[Limit | N
     )
 
 
-def _read_amount(node: RemoteNode, key: Mux) -> Procedure[int | None]:
+def _read_amount(node: AxisNode, key: Mux) -> Procedure[int | None]:
     """Read a limit of a speed or an acceleration; return None if the value is no limit."""
     amount = yield from read_number(node, key)
     return amount if amount is not None and 0 < amount < _INTEGER32 - 1 else None

@@ -17,20 +17,25 @@ room. The modes of operation (0x6060) stay out of it: a mode changes only betwee
     print(plan.describe())
     yield from exchange_planned(node, plan)
 
+**Several axes on one node** (`axis`): a PDO belongs to the axes whose objects it carries; an empty one to the axis that its
+number says (64 to an axis). Each axis uses any PDO that carries its objects, and remaps only those that are its own alone.
+
 Source: IEC 61800-7-201 (CiA 402-2): supported drive modes, cyclic synchronous position, interpolated position, profile position;
 CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.axes import axes_of, axis_of, dictionary_of_axis, swapped, swapped_entry, usual_axis_of_pdo
 from canopen_proto.cia402.modes import Mode, mode_name, short_name, supported, supported_modes
 from canopen_proto.datatypes import range_of
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import MILLISECOND, Time
@@ -97,12 +102,14 @@ class NoMotionPlan(ProcedureError):
 
 @dataclass(frozen=True, slots=True)
 class MotionPlan:
-    """See this module's text. reason: why this mode. pdos: to be exchanged. written: those of them whose settings differ from the
-    file's. destroyed: PDOs with another node's CAN-ID, as they shall be. rejected: the modes that come before this one, and
-    why not. notes: problems that stay."""
+    """See this module's text. axis: of the node. reason: why this mode. pdos: to be exchanged. written: those of them whose
+    settings differ from the file's. destroyed: PDOs with another node's CAN-ID, as they shall be. rejected: the modes that
+    come before this one, and why not. notes: problems that stay.
+    """
 
     dictionary: ObjectDictionary
     node_id: int
+    axis: int
     mode: Mode
     reason: str
     pdos: tuple[PdoSettings, ...]
@@ -123,26 +130,27 @@ class MotionPlan:
 
     @property
     def cyclic(self) -> dict[Mux, int]:
-        """The objects that the drive sends at SYNCs: mux -> n for "at every n-th SYNC"."""
-        return cyclic_objects(self.pdos)
+        """The objects that the drive sends at SYNCs, as its axis sees them (axis_node.py): mux -> n for "at every n-th SYNC"."""
+        return {swapped(key, self.axis): every for key, every in cyclic_objects(self.pdos).items()}
 
     @property
     def commands_by_sdo(self) -> tuple[Mux, ...]:
         """The commands that no RPDO carries."""
         carried = self._carried(Direction.RPDO)
-        return tuple(key for key in (objects.CONTROLWORD, self.set_point, objects.MODES_OF_OPERATION) if key not in carried)
+        commands = self._places((objects.CONTROLWORD, self.set_point, objects.MODES_OF_OPERATION))
+        return tuple(key for key in commands if key not in carried)
 
     @property
     def extras(self) -> tuple[Mux, ...]:
         """Other objects that its RPDOs carry: they are read first, and sent back as the drive shows them."""
-        ours = {objects.CONTROLWORD, *SET_POINT_OF.values()}
-        return tuple(sorted(self._carried(Direction.RPDO) - ours))
+        ours = self._places((objects.CONTROLWORD, *SET_POINT_OF.values()))
+        return tuple(sorted(self._carried(Direction.RPDO).difference(ours)))
 
     @property
     def watched_by_sdo(self) -> tuple[Mux, ...]:
         """The watched values that no TPDO brings at SYNCs: they are read beside the cycle."""
-        cyclic = self.cyclic
-        return tuple(key for key in WATCHED if key not in cyclic and split_mux(key) in self.dictionary)
+        cyclic = cyclic_objects(self.pdos)
+        return tuple(key for key in self._places(WATCHED) if key not in cyclic and split_mux(key) in self.dictionary)
 
     @property
     def steps(self) -> list[RemapStep]:
@@ -156,6 +164,10 @@ class MotionPlan:
 
     def _carried(self, direction: Direction) -> set[Mux]:
         return {key for pdo in self.pdos if pdo.direction is direction for key in muxes_of(pdo.entries)}
+
+    def _places(self, keys: Iterable[Mux]) -> list[Mux]:
+        """Return where the device has objects of the axis."""
+        return [swapped(key, self.axis) for key in keys]
 
     @property
     def facts(self) -> list[tuple[str, str]]:
@@ -175,7 +187,7 @@ class MotionPlan:
 
     def describe(self) -> str:
         """Return the plan for people, a line for each fact."""
-        lines = [f"node {self.node_id}: {mode_name(self.mode)}: {self.reason}"]
+        lines = [f"{_title(self.node_id, self.axis)}: {mode_name(self.mode)}: {self.reason}"]
         lines += [f"  not {short_name(each.mode)}: {each.reason}" for each in self.rejected]
         return "\n".join([*lines, *(f"  {name}: {text}" for name, text in self.facts)])
 
@@ -185,29 +197,38 @@ class MotionPlan:
 
 
 def plan_motion(
-    dictionary: ObjectDictionary, node_id: int, cycle_time: Time, *, modes: int | None = None, wish: Mode | None = None
+    dictionary: ObjectDictionary,
+    node_id: int,
+    cycle_time: Time,
+    *,
+    modes: int | None = None,
+    wish: Mode | None = None,
+    axis: int = 0,
 ) -> MotionPlan:
     """Return how a drive with this dictionary follows set-points; see this module's text.
 
     cycle_time: ns between two SYNCs. modes: 0x6502 as the drive shows it; None: not read. wish: the only mode to be considered.
-    Raises NoMotionPlan, which names each mode and its obstacle.
+    axis: of the node, 0 for the first one. Raises NoMotionPlan, which names each mode and its obstacle.
     """
     wish = wish if wish is None else Mode(wish)  # a plain number is as good
+    whole, several = dictionary, len(axes_of(dictionary)) > 1
+    dictionary = dictionary_of_axis(dictionary, axis)  # everything down to `_plan` has the numbers of the first axis
     told = _told_modes(dictionary, modes)
     slots = slots_of(dictionary, node_id)
     rejected: list[Obstacle] = []
     for mode in MODES if wish is None else (wish,):
         obstacle = _mode_obstacle(dictionary, mode, told, cycle_time, is_wished=wish is not None)
         if not obstacle:
-            chosen = _pdos_for(dictionary, node_id, mode, slots)
+            chosen = _pdos_for(dictionary, node_id, mode, slots, [slot for slot in slots if not several or _belongs(slot, axis)])
             if isinstance(chosen, list):
-                return _plan(dictionary, node_id, mode, chosen, slots, rejected, _reason(mode, wish, told))
+                reason = _reason(mode, wish, told)
+                return _plan(whole, node_id, axis, mode, chosen, slots, rejected, reason)
             obstacle = chosen
         rejected.append(Obstacle(mode, obstacle))
     source = dictionary.source or "its dictionary"
     told_obstacles = "; ".join(f"{short_name(each.mode)}: {each.reason}" for each in rejected)
     raise NoMotionPlan(
-        f"node {node_id} cannot follow set-points by {source}: {told_obstacles}. "
+        f"{_title(node_id, axis)} cannot follow set-points by {source}: {told_obstacles}. "
         "Try: the file of this very drive and firmware; its manual on modes (0x6502) and PDO mapping",
         rejected,
     )
@@ -252,7 +273,7 @@ def _destroying(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapStep]
     return steps
 
 
-def read_modes(node: RemoteNode) -> Procedure[int | None]:
+def read_modes(node: AxisNode) -> Procedure[int | None]:
     """Return the supported modes that the drive shows (0x6502), for `plan_motion`; None if it shows none. Raises SdoFailed."""
     modes = yield from read_if_present(node, objects.SUPPORTED_DRIVE_MODES)
     return modes if isinstance(modes, int) and modes else None
@@ -333,13 +354,23 @@ def _may_be(variable: Variable, value: int) -> bool:
     return (low is None or low <= value) and (high is None or value <= high)
 
 
-def _pdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot]) -> list[PdoSettings] | str:
-    """Return the PDOs for a mode, or why no RPDO can carry its set-points."""
-    rpdos = _rpdos_for(dictionary, node_id, mode, slots)
-    return rpdos if isinstance(rpdos, str) else rpdos + _tpdos_for(dictionary, node_id, slots, rpdos)
+def _belongs(slot: Slot, axis: int) -> bool:
+    """Return whether a PDO of a device with several axes is this axis's alone; see this module's text."""
+    carried = {place for key in slot.muxes if (place := axis_of(key)) is not None}
+    return carried == {0} or (not carried and usual_axis_of_pdo(slot.number) == axis)
 
 
-def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot]) -> list[PdoSettings] | str:
+def _pdos_for(
+    dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot], own: list[Slot]
+) -> list[PdoSettings] | str:
+    """Return the PDOs for a mode, or why no RPDO can carry its set-points. own: those that may be remapped."""
+    rpdos = _rpdos_for(dictionary, node_id, mode, slots, own)
+    return rpdos if isinstance(rpdos, str) else rpdos + _tpdos_for(dictionary, node_id, slots, own, rpdos)
+
+
+def _rpdos_for(
+    dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot], own: list[Slot]
+) -> list[PdoSettings] | str:
     commands = (objects.CONTROLWORD, SET_POINT_OF[mode])
     is_cyclic = mode is not Mode.PROFILE_POSITION
     present = existing(slots, Direction.RPDO, has_sync=has_sync(dictionary))
@@ -353,7 +384,7 @@ def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: li
     wanted = as_fit(entry for entry, _ in entries.values() if entry is not None)
     carries_set_point = SET_POINT_OF[mode] in muxes_of(wanted)
     if carries_set_point or (wanted and not is_cyclic and objects.CONTROLWORD in missing):
-        settings, obstacles = remapped(slots, Direction.RPDO, node_id, wanted, is_synchronous=is_cyclic)
+        settings, obstacles = remapped(slots, Direction.RPDO, node_id, wanted, is_synchronous=is_cyclic, among=own)
         if settings is not None:
             return [settings]
     else:
@@ -363,7 +394,9 @@ def _rpdos_for(dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: li
     return chosen
 
 
-def _tpdos_for(dictionary: ObjectDictionary, node_id: int, slots: list[Slot], rpdos: list[PdoSettings]) -> list[PdoSettings]:
+def _tpdos_for(
+    dictionary: ObjectDictionary, node_id: int, slots: list[Slot], own: list[Slot], rpdos: list[PdoSettings]
+) -> list[PdoSettings]:
     """Return the TPDOs that tell something; one gets another mapping if statusword and position are not among them at SYNCs."""
     listens = has_sync(dictionary)
     present, _ = choose_pdos(existing(slots, Direction.TPDO, has_sync=listens), (), FEEDBACK)
@@ -373,7 +406,7 @@ def _tpdos_for(dictionary: ObjectDictionary, node_id: int, slots: list[Slot], rp
     missing = set(NEEDED) - told
     if not missing & muxes_of(wanted):
         return present
-    settings, _ = remapped(slots, Direction.TPDO, node_id, wanted, is_synchronous=listens, beside=rpdos)
+    settings, _ = remapped(slots, Direction.TPDO, node_id, wanted, is_synchronous=listens, beside=rpdos, among=own)
     if settings is None:
         return present
     return [settings, *(pdo for pdo in present if pdo.number != settings.number)]
@@ -382,6 +415,7 @@ def _tpdos_for(dictionary: ObjectDictionary, node_id: int, slots: list[Slot], rp
 def _plan(
     dictionary: ObjectDictionary,
     node_id: int,
+    axis: int,
     mode: Mode,
     pdos: list[PdoSettings],
     slots: list[Slot],
@@ -396,14 +430,24 @@ def _plan(
     return MotionPlan(
         dictionary,
         node_id,
+        axis,
         mode,
         reason,
-        tuple(pdos),
-        tuple(pdo for pdo in pdos if pdo not in described),
-        tuple(destroying(slot) for slot in unwanted if slot.can_move),
+        tuple(_of_device(pdo, axis) for pdo in pdos),
+        tuple(_of_device(pdo, axis) for pdo in pdos if pdo not in described),
+        tuple(_of_device(destroying(slot), axis) for slot in unwanted if slot.can_move),
         tuple(rejected),
         tuple(notes),
     )
+
+
+def _of_device(pdo: PdoSettings, axis: int) -> PdoSettings:
+    """Return settings that an axis sees as the device has them."""
+    return replace(pdo, entries=tuple(swapped_entry(entry, axis) for entry in pdo.entries)) if axis else pdo
+
+
+def _title(node_id: int, axis: int) -> str:
+    return f"node {node_id}" + (f", axis {axis}" if axis else "")
 
 
 def _name(pdo: PdoSettings) -> str:

@@ -16,6 +16,7 @@ from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import EXACT, limits_of
 from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.reasons import LIMIT_SWITCHES
+from canopen_proto.drive.standing import takes
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
 from canopen_proto.machine import Time
@@ -98,10 +99,32 @@ def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:
     A halt keeps the drive's target, and a word without bit 8 lets the drive go on to it. So the halt ends with the same word that
     gives the new set-point. A halted drive need not accept a set-point, then: the standard does not say whether it does.
     """
-    yield from command(axis, _AT_ONCE | relation | axis.controlword & ControlBit.HALT)
-    yield from wait_for_acknowledge(axis, False)
+    yield from make_room(axis, _AT_ONCE | relation)
     yield from write(axis.node, objects.TARGET_POSITION, counts)
     yield from command(axis, _AT_ONCE | relation | ModeControl.NEW_SET_POINT)
+
+
+def make_room(axis: Axis, word: int) -> Procedure[None]:
+    """Command `word`, which ends no halt, and wait until the drive has room for a set-point (bit 12 = 0).
+
+    A halted drive keeps its queue of set-points. If that is full, the drive is led to another mode and back, as its settings
+    allow: CiA 402 empties the queue with the mode. Raises StepTimeout if it has no other mode in which it stands.
+    """
+    halted = axis.controlword & ControlBit.HALT
+    yield from command(axis, word | halted)
+    try:
+        yield from wait_for_acknowledge(axis, False, axis.settings.reaction_time if halted else None)
+        return
+    except StepTimeout:
+        if not halted or not axis.statusword & ModeStatus.SET_POINT_ACKNOWLEDGE:
+            raise
+        has_left = (yield from takes(axis, Mode.HOMING)) or (yield from takes(axis, Mode.INTERPOLATED_POSITION))
+        if not has_left:
+            raise
+    yield from set_mode(axis, Mode.PROFILE_POSITION)
+    yield from enable(axis)
+    yield from command(axis, word | axis.controlword & ControlBit.HALT)
+    yield from wait_for_acknowledge(axis, False)
 
 
 def require_within_limits(axis: Axis, start: int, target: int) -> None:

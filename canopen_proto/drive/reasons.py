@@ -21,6 +21,7 @@ from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus, mode_name, supported
 from canopen_proto.cia402.states import FAULT_STATES, Command, ControlBit, State, StatusBit, enables_operation
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.foreign import COMPARED
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import read_number
@@ -28,7 +29,6 @@ from canopen_proto.drive.view import DriveView, command_text
 from canopen_proto.error_codes import error_text
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, ProcedureError, current_time
-from canopen_proto.remote_node import RemoteNode
 
 _SHOWN: Final = {
     "controlword": objects.CONTROLWORD,
@@ -73,7 +73,7 @@ def outer_reason(view: DriveView) -> Reason | None:
     return next((each for each in reasons(view) if not each.is_command), None)
 
 
-def look_at(node: RemoteNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView | None]:
+def look_at(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView | None]:
     """Read what a drive shows, by SDO, by number, whatever the dictionary has. Returns None for a node without a statusword.
 
     settings: name the maker's bits (`sto_input`, `brake_bit`). Raises SdoFailed if the node does not answer.
@@ -102,7 +102,7 @@ def look_closer(axis: Axis) -> Procedure[DriveView]:
         return view  # the error that is being explained is raised all the same
 
 
-def _with_bits(view: DriveView, node: RemoteNode, settings: AxisSettings) -> Procedure[DriveView]:
+def _with_bits(view: DriveView, node: AxisNode, settings: AxisSettings) -> Procedure[DriveView]:
     """Read the maker's bits that the settings name."""
     for name, bit in (("safe_torque_off", settings.sto_input), ("brake", settings.brake_bit)):
         if bit is not None:
@@ -115,7 +115,7 @@ def _with(view: DriveView, name: str, value: int | DriveBit | None) -> DriveView
     return replace(view, **change)
 
 
-def _if_shown(node: RemoteNode, bit: DriveBit) -> Procedure[DriveBit | None]:
+def _if_shown(node: AxisNode, bit: DriveBit) -> Procedure[DriveBit | None]:
     """Return the bit if the drive shows it, else None."""
     value = yield from read_number(node, bit.mux)
     return bit if value is not None and bit.is_shown_by(value) else None

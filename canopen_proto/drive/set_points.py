@@ -15,7 +15,7 @@ Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position, velocity and t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from typing import Final
 
 from canopen_proto.cia402 import objects
@@ -52,7 +52,7 @@ class SetPoint:
 
     __slots__ = ("_greatest", "_least", "_store", "_variable", "mux")
 
-    def __init__(self, variable: Variable, store: dict[Mux, Value]) -> None:
+    def __init__(self, variable: Variable, store: MutableMapping[Mux, Value]) -> None:
         """variable: the object, as the drive's dictionary has it. store: the node's images."""
         self.mux = variable.mux
         self._variable = variable
@@ -90,7 +90,7 @@ class RecordSetPoint(SetPoint):
 
     __slots__ = ("_period", "_position", "_sub_mode", "_variables")
 
-    def __init__(self, dictionary: ObjectDictionary, store: dict[Mux, Value], sub_mode: SubMode, period: Time) -> None:
+    def __init__(self, dictionary: ObjectDictionary, store: MutableMapping[Mux, Value], sub_mode: SubMode, period: Time) -> None:
         """period: ns between two records. Raises ObjectNotFound if the dictionary lacks an object of the record."""
         self._variables = [dictionary.variable(mux) for mux in sub_mode.objects]
         super().__init__(self._variables[0], store)

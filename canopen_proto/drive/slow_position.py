@@ -32,6 +32,7 @@ from canopen_proto.drive.failures import accounted, require_reference
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.one_motion import moves
+from canopen_proto.drive.profile_position import make_room
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
@@ -71,9 +72,8 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
         position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
         axis.set_position_counts(position)
         now = yield from current_time()
-        for number, rpdo in axis.node.rpdos.items():
-            if {objects.CONTROLWORD, objects.TARGET_POSITION} & set(rpdo.mapping.muxes):
-                axis.node.enable_rpdo(number, now)
+        for number in axis.rpdos_with((objects.CONTROLWORD, objects.TARGET_POSITION)):
+            axis.node.enable_rpdo(number, now)
         yield from _give(axis, position, mode=Mode.PROFILE_POSITION)
     except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
@@ -122,8 +122,11 @@ def _amount(axis: Axis, key: Mux) -> Procedure[int]:
 
 def _give(axis: Axis, counts: int, mode: Mode | None = None) -> Procedure[None]:
     """Give a target. A halt that is in force ends with the same controlword that gives it; see `profile_position`."""
-    yield from command(axis, _TAKES_AT_ONCE | axis.controlword & ControlBit.HALT)
-    yield from _acknowledged(axis, False, mode)
+    if mode is None:
+        yield from command(axis, _TAKES_AT_ONCE | axis.controlword & ControlBit.HALT)
+        yield from _acknowledged(axis, False, mode)
+    else:
+        yield from make_room(axis, int(_TAKES_AT_ONCE))
     yield from _bring(axis, counts)
     yield from command(axis, _TAKES_AT_ONCE | ModeControl.NEW_SET_POINT)
     yield from _acknowledged(axis, True, mode)
@@ -151,4 +154,4 @@ def _bring(axis: Axis, counts: int) -> Procedure[None]:
         yield from act(producer.trigger)
     elif producer is None or not (yield from syncs_passed(axis, max(1, producer.transmission_type))):
         data = node.dictionary.variable(objects.TARGET_POSITION).encode(counts)
-        yield from download(node.sdo, *split_mux(objects.TARGET_POSITION), data)
+        yield from download(node.sdo, *split_mux(node.on_device(objects.TARGET_POSITION)), data)

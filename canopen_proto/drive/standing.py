@@ -29,14 +29,14 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
     """
     shown = yield from read_int(axis.node, objects.MODES_OF_OPERATION_DISPLAY)
     for mode in sorted(_STANDING, key=lambda each: each != shown):
-        if (yield from _takes(axis, mode)):
+        if (yield from takes(axis, mode)):
             return
     csp = Mode.CYCLIC_SYNCHRONOUS_POSITION
     if objects.TARGET_POSITION in axis.node.dictionary:
         axis.select_set_point(csp)
         yield from align_position(axis)
         yield from clear_offsets(axis, csp)
-        if (yield from _takes(axis, csp)):
+        if (yield from takes(axis, csp)):
             yield from align_position(axis)
             return
     raise ModeUnsupported(
@@ -47,7 +47,8 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
     )
 
 
-def _takes(axis: Axis, mode: Mode) -> Procedure[bool]:
+def takes(axis: Axis, mode: Mode) -> Procedure[bool]:
+    """Select a mode; return whether the drive took it."""
     try:
         yield from set_mode(axis, mode)
     except ModeUnsupported:

@@ -132,15 +132,10 @@ def _require_velocity_unit(axis: Axis) -> None:
         )
 
 
-def _carriers(axis: Axis, carried: Collection[Mux]) -> list[int]:
-    """Return the numbers of the RPDOs that carry one of these objects."""
-    return [number for number, rpdo in axis.node.rpdos.items() if any(mux in rpdo.mapping.muxes for mux in carried)]
-
-
 def require_carried(axis: Axis, carried: Collection[Mux], sends_itself: bool) -> None:
     """Raise DriveError if an object of the set-point is in no RPDO that is exchanged, unless the caller sends it itself."""
     for mux in carried:
-        if not sends_itself and not _carriers(axis, (mux,)):
+        if not sends_itself and not axis.rpdos_with((mux,)):
             raise DriveError(
                 axis,
                 "would get no set-points",
@@ -170,7 +165,7 @@ def write_record(axis: Axis) -> Procedure[None]:
     """Write the images of the position set-point by SDO, in the order of the record."""
     for mux in axis.set_point_objects:
         if mux in axis.node.dictionary:
-            yield from write(axis.node, mux, axis.node.values[mux])
+            yield from write(axis.node, mux, axis.node.values.store[mux])
 
 
 def clear_offsets(axis: Axis, mode: Mode) -> Procedure[None]:
@@ -226,7 +221,7 @@ def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Pr
         yield from enable(axis)  # in cst power alone may let a load move
         start = yield from align(axis)
         now = yield from current_time()
-        carriers = _carriers(axis, carried)
+        carriers = axis.rpdos_with(carried)
         for number in carriers:
             node.enable_rpdo(number, now)
         if carriers and not any(node.rpdos[number].is_live for number in carriers):

@@ -22,7 +22,7 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl
-from canopen_proto.cia402.states import Command, ControlBit, State
+from canopen_proto.cia402.states import Command, State
 from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import DriveError, LimitReached, accounted, require_reference
@@ -33,6 +33,7 @@ from canopen_proto.drive.profile_position import (
     OTHER_TARGET,
     demand_of,
     limit_before,
+    make_room,
     require_profile_speed,
     require_within_limits,
     wait_for_acknowledge,
@@ -230,8 +231,11 @@ class _Feeder:
             start, 0
         )
         # A halt ends with the word that gives the first target, as in `move_to`: it would send the drive on to an old one.
-        yield from command(axis, word | (axis.controlword & ControlBit.HALT if number == 0 else 0))
-        yield from wait_for_acknowledge(axis, False, None if number == 0 else (yield from self._left()))
+        if number == 0:
+            yield from make_room(axis, word)
+        else:
+            yield from command(axis, word)
+            yield from wait_for_acknowledge(axis, False, (yield from self._left()))
         for key, wanted in self._profiles[number].items():
             yield from self._write(key, wanted)
         yield from write(axis.node, objects.TARGET_POSITION, value)

@@ -50,13 +50,14 @@ class ProbeSource(IntEnum):
 
 class ProbeLatched(Event):
     """A probe has latched a position, in the user's unit. probe: 1 or 2. missed: edges since the last event that were passed
-    over; None: the drive does not count them."""
+    over; None: the drive does not count them. axis: of the node."""
 
-    __slots__ = ("is_positive", "missed", "position", "probe")
+    __slots__ = ("axis", "is_positive", "missed", "position", "probe")
     __match_args__ = ("node_id", "probe", "is_positive", "position")
 
-    def __init__(self, node_id: int, probe: int, is_positive: bool, position: float, missed: int | None) -> None:
+    def __init__(self, node_id: int, probe: int, is_positive: bool, position: float, missed: int | None, axis: int = 0) -> None:
         self.node_id = node_id
+        self.axis = axis
         self.probe = probe
         self.is_positive = is_positive
         self.position = position
@@ -164,7 +165,7 @@ def watch_probe(axis: Axis, probe: int = 1, *, interval: Time = POLL_INTERVAL) -
             if new.counts is not None and new != old:
                 missed = _between(old.counter, new.counter)
                 position = axis.from_counts(new.counts)
-                node.out.events.append(ProbeLatched(node.node_id, probe, is_positive, position, missed))
+                node.out.events.append(ProbeLatched(node.node_id, probe, is_positive, position, missed, axis.number))
         before = now
 
 

@@ -28,9 +28,9 @@ from typing import Final
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
 from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
-from canopen_proto.remote_node import RemoteNode
 
 _METRE, _RADIAN, _DEGREE, _TURN = 0x01, 0x10, 0x41, 0xB4
 _ANGLES: Final = {_RADIAN: ("radian", 2 * math.pi), _DEGREE: ("degree", 360.0), _TURN: ("turn", 1.0)}
@@ -97,7 +97,7 @@ class DriveUnits:
         return None if self.rated_torque is None else torque / self.rated_torque * 1000
 
 
-def read_units(node: RemoteNode) -> Procedure[DriveUnits]:
+def read_units(node: AxisNode) -> Procedure[DriveUnits]:
     """Read the factor group by SDO, by number, whatever the dictionary has. Raises SdoFailed if the drive does not answer."""
     values: dict[Mux, int] = {}
     for key in FACTOR_GROUP:
@@ -107,10 +107,10 @@ def read_units(node: RemoteNode) -> Procedure[DriveUnits]:
     return units_of(values)
 
 
-def read_number(node: RemoteNode, key: Mux, *, signed: bool = False) -> Procedure[int | None]:
+def read_number(node: AxisNode, key: Mux, *, signed: bool = False) -> Procedure[int | None]:
     """Read an integer of 1 to 4 bytes by its number alone; return None if the drive refuses, or sends another length."""
     try:
-        data = yield from upload(node.sdo, *split_mux(key))
+        data = yield from upload(node.sdo, *split_mux(node.on_device(key)))
     except SdoFailed as failed:
         if failed.origin is AbortOrigin.PEER:
             return None

@@ -196,10 +196,11 @@ class Watch(Generic[T]):
     def _take(self, report: Event, now: Time) -> None:
         match report:
             case PdoReceived(mapping=mapping):
-                for mux in self._due.keys() & set(mapping.muxes):
-                    if self._due[mux] != NEVER:
+                on_device = self.axis.node.on_device
+                for mux, due in self._due.items():
+                    if due != NEVER and on_device(mux) in mapping.muxes:
                         self._due[mux] = now + FRESH
-                if _MODE in mapping.muxes:
+                if on_device(_MODE) in mapping.muxes:
                     self._mode_seen = now
             case SdoUploaded() | SdoAborted():
                 mux, asked_at = self._open.pop(report.request_id)

@@ -2,25 +2,44 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, Protocol
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import Key, Variable
-from canopen_proto.machine import Outcome
+from canopen_proto.dictionary import Key, ObjectDictionary, Variable
+from canopen_proto.machine import Outbox, Outcome, RequestId, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoFailed
-from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
 ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
 """The abort codes of a device that does not have an object."""
+
+
+class ObjectAccess(Protocol):
+    """A node whose objects can be read and written: a RemoteNode, or a view of one."""
+
+    out: Outbox
+    node_id: int
+
+    @property
+    def dictionary(self) -> ObjectDictionary:
+        """See RemoteNode."""
+
+    def read(self, key: Key, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
+        """See RemoteNode."""
+
+    def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
+        """See RemoteNode."""
+
+    def cancel(self, request_id: RequestId, now: Time) -> bool:
+        """See RemoteNode."""
 
 
 class UnexpectedLength(ProcedureError):
     """A node sent an object whose length does not fit its type."""
 
 
-def read(node: RemoteNode, key: Key) -> Procedure[Value]:
+def read(node: ObjectAccess, key: Key) -> Procedure[Value]:
     """Read an object by SDO; return its value, and keep it in `node.values`. Raises SdoFailed, UnexpectedLength."""
     variable = node.dictionary.variable(key)
     outcome: Outcome = yield Request(node, lambda now, urgent: node.read(variable, now, urgent=urgent))
@@ -30,7 +49,7 @@ def read(node: RemoteNode, key: Key) -> Procedure[Value]:
     raise SdoFailed(outcome, "reading")
 
 
-def value_of(node: RemoteNode, variable: Variable, uploaded: SdoUploaded) -> Value:
+def value_of(node: ObjectAccess, variable: Variable, uploaded: SdoUploaded) -> Value:
     """Return the value that an upload of this object brought. Raises UnexpectedLength."""
     try:
         return variable.decode(uploaded.data)
@@ -38,14 +57,14 @@ def value_of(node: RemoteNode, variable: Variable, uploaded: SdoUploaded) -> Val
         raise UnexpectedLength(f"node {node.node_id}: {error}; is it described by another device's dictionary?") from error
 
 
-def read_int(node: RemoteNode, key: Key) -> Procedure[int]:
+def read_int(node: ObjectAccess, key: Key) -> Procedure[int]:
     """Read an object that holds an integer, and return it."""
     value = yield from read(node, key)
     assert isinstance(value, int)
     return value
 
 
-def read_if_present(node: RemoteNode, key: Key) -> Procedure[Value | None]:
+def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
     """Read an object; return None if the dictionary or the device does not have it. Raises SdoFailed for any other abort."""
     if key not in node.dictionary:
         return None
@@ -57,7 +76,7 @@ def read_if_present(node: RemoteNode, key: Key) -> Procedure[Value | None]:
         raise
 
 
-def write(node: RemoteNode, key: Key, value: Value) -> Procedure[None]:
+def write(node: ObjectAccess, key: Key, value: Value) -> Procedure[None]:
     """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoFailed.
 
     Raises LocalProtocolError or ValueRangeError, with nothing sent, if the dictionary forbids the write.

@@ -130,17 +130,19 @@ def remapped(
     *,
     is_synchronous: bool,
     beside: Collection[PdoSettings] = (),
+    among: Collection[Slot] | None = None,
 ) -> tuple[PdoSettings | None, list[str]]:
     """Return the settings of the PDO that can best be given these entries (None: there is none), and why others cannot.
 
     slots: all PDOs of the device. beside: PDOs that are going to be used too, whose CAN-IDs are taken.
+    among: the PDOs that may be remapped; None: all.
 
     The best one loses nothing: all that it carries by the file is wanted, as much as possible. Else a PDO that the file does not
     use is taken, else one with another node's CAN-ID, else the first one.
     """
     objects, obstacles = muxes_of(wanted), []
     candidates: list[tuple[tuple[int, int, int], PdoSettings]] = []
-    for slot in slots:
+    for slot in slots if among is None else among:
         if slot.direction is not direction:
             continue
         if slot.capacity < len(wanted):

@@ -80,6 +80,12 @@ class Requester(Protocol):
         """Cancel a command."""
 
 
+class Source(Protocol):
+    """A part of a network: a machine, or a view of one."""
+
+    out: Outbox
+
+
 class Step:
     """A step, as a procedure yields it. There are only the five subclasses."""
 
@@ -125,7 +131,7 @@ class Wait(Step):
     def __init__(
         self,
         timeout: Time | None,
-        source: Machine | None = None,
+        source: Source | None = None,
         match: Callable[[Event], bool] | None = None,
         kinds: Collection[type[Event]] | None = None,
     ) -> None:

@@ -18,6 +18,11 @@ heartbeat consumers, event times of RPDOs, 6007. Powerball: three heartbeat cons
 
 The defaults of speeds and ramps are those of fallbacks.FALLBACKS: an arm's joint in millidegrees.
 
+**Several axes** (`axes`): each has the objects of the first one, and 0x67FF, 0x800 higher than the axis before it, and four PDOs
+of each kind, from 64 * k + 1 on. The predefined connection set gives a node four CAN-IDs of each kind, so only the first PDOs of
+the first four axes are valid: RPDO 64 * k + 1 (controlword and target position, type 1) is at 0x200 + 0x100 * k + node-ID, TPDO
+64 * k + 1 (statusword, mode, position, type 1) at 0x180 + 0x100 * k + node-ID. All others are off, and empty.
+
 Sources: CiA 301 v4.2.0, 7.5.2; CiA 402-4 (PDO mapping); the manual's files.
 """
 
@@ -30,6 +35,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.axes import PDOS_PER_AXIS, moved, with_names_of_axes
 from canopen_proto.cia402.option_codes import OPTION_CODES
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Access, Object, ObjectDictionary
@@ -48,6 +54,7 @@ _EACH_SYNC: Final = 1
 _MAPPED_OBJECTS: Final = 8  # entries of a mapping record: as many as there are bytes in a frame
 _CHANNEL: Final = 0x100  # from one PDO's CAN-IDs to the next one's
 _DEVICE_TYPE: Final = 0x0002_0192  # servo drive by CiA 402
+_SEVERAL_DEVICES: Final = 0xFFFF_0192  # several logical devices, the first one by CiA 402
 
 
 class _Pdo(NamedTuple):
@@ -138,15 +145,24 @@ ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
 
 
 @cache
-def drive_dictionary(shape: Shape = Shape.STANDARD) -> ObjectDictionary:
-    """Return the dictionary of a simulated drive. All share one: the node-ID is added to COB-IDs in each drive's `Values`."""
-    return ObjectDictionary([*_communication(shape), *_profile(shape)], source=f"the simulated drive {shape.value!r}")
+def drive_dictionary(shape: Shape = Shape.STANDARD, axes: int = 1) -> ObjectDictionary:
+    """Return the dictionary of a simulated drive with 1 to 8 axes. All share one: the node-ID is added to COB-IDs in each drive's
+    `Values`.
+    """
+    profile, source = _profile(shape), f"the simulated drive {shape.value!r}"
+    if axes == 1:
+        return ObjectDictionary([*_communication(shape), *_pdos(shape), *profile], source=source)
+    name = "single_device_type"
+    device_type = Object.of(name, [replace(standard_variable(0x1000), index=0x67FF, name=name, default=_DEVICE_TYPE)])
+    of_axes = [moved(each, axis) for axis in range(axes) for each in (*profile, *_pdos_of_axis(axis), device_type)]
+    whole = ObjectDictionary([*_communication(shape, _SEVERAL_DEVICES), *of_axes], source=f"{source} with {axes} axes")
+    return with_names_of_axes(whole)
 
 
-def _communication(shape: Shape) -> list[Object]:
+def _communication(shape: Shape, device_type: int = _DEVICE_TYPE) -> list[Object]:
     """Return the objects that CiA 301 asks for, and those that a master of these drives uses."""
     single: dict[int, Value | None] = {
-        indices.DEVICE_TYPE: _DEVICE_TYPE,
+        indices.DEVICE_TYPE: device_type,
         indices.ERROR_REGISTER: None,
         indices.COB_ID_SYNC: None,
         indices.MANUFACTURER_DEVICE_NAME: _NAMES[shape],
@@ -166,10 +182,31 @@ def _communication(shape: Shape) -> list[Object]:
         ),
         standard_object(indices.SDO_SERVER_PARAMETER, highest=2),
     ]
+    return described
+
+
+def _pdos(shape: Shape) -> list[Object]:
+    """Return the records of the PDOs of a drive with one axis."""
+    described: list[Object] = []
     for number in range(4):
         rpdo, tpdo = RPDO1 + number * _CHANNEL, (TPDO1 + number * _CHANNEL) | COB_ID_NO_RTR
         described += _pdo(indices.RPDO1_COMMUNICATION_PARAMETER + number, rpdo, _RPDO_SUBINDICES[shape], _RPDOS[shape][number])
         described += _pdo(indices.TPDO1_COMMUNICATION_PARAMETER + number, tpdo, _TPDO_SUBINDICES, _TPDOS[shape][number])
+    return described
+
+
+def _pdos_of_axis(axis: int) -> list[Object]:
+    """Return the records of the PDOs of one of several axes; the objects that they carry are those of the first axis."""
+    described: list[Object] = []
+    for number in range(4):
+        is_valid = number == 0 and axis < 4
+        commands = (objects.CONTROLWORD, objects.TARGET_POSITION)
+        values = (objects.STATUSWORD, objects.MODES_OF_OPERATION_DISPLAY, objects.POSITION_ACTUAL_VALUE)
+        rpdo = _Pdo(commands, _EACH_SYNC) if is_valid else _OFF
+        tpdo = _Pdo(values, _EACH_SYNC) if is_valid else _OFF
+        place, shift = axis * PDOS_PER_AXIS + number, axis * _CHANNEL if is_valid else 0
+        described += _pdo(indices.RPDO1_COMMUNICATION_PARAMETER + place, RPDO1 + shift, _RPDO_SUBINDICES[Shape.STANDARD], rpdo)
+        described += _pdo(indices.TPDO1_COMMUNICATION_PARAMETER + place, (TPDO1 + shift) | COB_ID_NO_RTR, _TPDO_SUBINDICES, tpdo)
     return described
 
 

@@ -14,8 +14,6 @@ events `DriveFault` and `DriveFaultCleared`; the node makes EMCYs of them.
 - Connection lost (heartbeat, NMT stop): 6007h says 0 nothing, 1 fault, 2 disable voltage, 3 quick stop. (Drives disagree on 2 and
   3; this follows CiA 402.) A drive without 6007h does nothing. SYNC or an RPDO lost: see synchronous_modes.py.
 
-Left out: jerk.
-
 Source: IEC 61800-7-201 (CiA 402-2): device control, common entries, option codes.
 """
 
@@ -64,7 +62,8 @@ class Drive(Machine):
     """A simulated drive. Nothing happens before `reset`, which is its power-on.
 
     values: of a dictionary such as `drive_dictionary` makes; objects that it lacks have the values of fallbacks.FALLBACKS. state,
-    mode: as statusword and 6061h show them.
+    mode: as statusword and 6061h show them. axis: of its node; a further one (axes.py) has values of its own, with the numbers of
+    the first axis.
     """
 
     __slots__ = (
@@ -81,6 +80,7 @@ class Drive(Machine):
         "_ready_at",
         "_servo",
         "_torque_is_off",
+        "axis",
         "mode",
         "node_id",
         "settings",
@@ -88,8 +88,9 @@ class Drive(Machine):
         "values",
     )
 
-    def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings) -> None:
+    def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings, axis: int = 0) -> None:
         super().__init__(out)
+        self.axis = axis
         self.node_id = node_id
         self.values = values
         self.settings = settings
@@ -97,7 +98,7 @@ class Drive(Machine):
         self.mode: int = Mode.NO_MODE
         self._servo = Servo(values.store, settings)
         common = (self._servo, out, node_id)
-        self._homing, self._inputs = Homing(*common), Inputs(*common)
+        self._homing, self._inputs = Homing(*common), Inputs(*common, axis)
         self._modes = modes_of(*common, self._homing)
         self._mode = self._modes[Mode.NO_MODE]
         self._controlword = 0
@@ -337,7 +338,7 @@ class Drive(Machine):
         """Take a transition: the only place where the state changes."""
         previous = self.state
         self.state, transition = arc
-        self.out.events.append(DriveStateChanged(self.node_id, previous, self.state, transition))
+        self.out.events.append(DriveStateChanged(self.node_id, previous, self.state, transition, self.axis))
         servo = self._servo
         holds = self._after_stop is not None or (transition in _IN_ORDER and not servo.is_moving)
         self._is_opening = False
@@ -361,7 +362,7 @@ class Drive(Machine):
                 self._stop_by(option, Occurrence.FAULT_REACTION_FINISHED)
             case State.SWITCH_ON_DISABLED if previous is State.FAULT:
                 self._put(objects.ERROR_CODE, 0)
-                self.out.events.extend(DriveFaultCleared(self.node_id, code) for code in self._faults)
+                self.out.events.extend(DriveFaultCleared(self.node_id, code, self.axis) for code in self._faults)
                 self._faults.clear()
             case _:
                 servo.release(holds=holds and not self._torque_is_off)
@@ -386,7 +387,7 @@ class Drive(Machine):
             return
         self._faults.append(error_code)
         self._put(objects.ERROR_CODE, error_code)
-        self.out.events.append(DriveFault(self.node_id, error_code, int(register_bits_of(error_code))))
+        self.out.events.append(DriveFault(self.node_id, error_code, int(register_bits_of(error_code)), self.axis))
         if (self.state, Occurrence.FAULT_DETECTED) in TRANSITIONS:
             self._occur(Occurrence.FAULT_DETECTED)
 
@@ -413,7 +414,7 @@ class Drive(Machine):
                 self._mode.control(self._controlword, self._controlword)
         if self.values.store.get(objects.MODES_OF_OPERATION_DISPLAY) != self.mode:
             self._put(objects.MODES_OF_OPERATION_DISPLAY, self.mode)
-            self.out.events.append(ModeChanged(self.node_id, self.mode))
+            self.out.events.append(ModeChanged(self.node_id, self.mode, self.axis))
 
     # ---- time, and the values in the store ----
 
@@ -472,7 +473,7 @@ class Drive(Machine):
         show_values(self._servo, torque_is_off=self._torque_is_off)
         self._inputs.look()
         if statusword != shown:
-            self.out.events.append(StatuswordChanged(self.node_id, statusword))
+            self.out.events.append(StatuswordChanged(self.node_id, statusword, self.axis))
 
     def _statusword(self) -> int:
         mode_status = 0

@@ -24,8 +24,8 @@ class LateDrive(Drive):
 
     __slots__ = ("_late", "_obeys")
 
-    def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings) -> None:
-        super().__init__(out, node_id, values, settings)
+    def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings, axis: int = 0) -> None:
+        super().__init__(out, node_id, values, settings, axis)
         self._late: deque[tuple[Time, Mux, int]] = deque()  # when it takes effect, key, value
         self._obeys = False
 

@@ -3,6 +3,9 @@
 The node acts on the drive's events: a fault becomes an EMCY with its entry in 0x1001 and 0x1003, and a fault reset clears it. A
 statusword or a shown mode that changes sends the event-driven TPDOs that carry it; so does entering Operational. The node tells
 the drive of an overdue RPDO.
+
+A node may have several drives (axes.py): those of `DriveSettings.further_axes`, or of all axes that its dictionary describes.
+They share NMT state, heartbeat, SYNC and power. The EMCY of a fault has the number of the axis in byte 3; so has 0x1003.
 """
 
 from __future__ import annotations
@@ -10,16 +13,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.cia402.axes import axes_of, swapped
 from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.values import Values
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
-from canopen_proto.multiplexer import mux
+from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
 from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending
 from canopen_proto.simulated_drive.answers import Answer, AnswerDue, DelayedAnswers
+from canopen_proto.simulated_drive.axes import Axes, AxisValues
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, InputsChanged, ModeChanged, StatuswordChanged
@@ -30,22 +36,35 @@ from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class DriveNode(LocalNode):
-    """A simulated CiA 402 drive. drive: the part that moves; `boot` powers it on."""
+    """A simulated CiA 402 drive, or several. drive: the part that moves, of the first axis; drives: of all axes; `boot` powers
+    them on.
+    """
 
-    __slots__ = ("_answers", "_delayed", "drive")
+    __slots__ = ("_answers", "_axes", "_delayed", "drive", "drives")
 
     def __init__(self, out: Outbox, node_id: int, settings: DriveSettings, dictionary: ObjectDictionary | None = None) -> None:
         """Make the drive. settings: its shape and its mechanics. dictionary: by default that of its shape. An object of
         UNSET_BY_ZERO that is 0 in it, and would keep the drive from moving, counts as not set.
         """
-        super().__init__(out, node_id, drive_dictionary(settings.shape) if dictionary is None else dictionary)
-        zeros = frozenset(key for key in UNSET_BY_ZERO if self.values.store.get(key) == 0)
-        kind = LateDrive if settings.reaction else Drive
-        self.drive: Drive = kind(self.inner, node_id, self.values, replace(settings, unset=settings.unset | zeros))
+        if dictionary is None:
+            dictionary = drive_dictionary(settings.shape, 1 + len(settings.further_axes))
+        super().__init__(out, node_id, dictionary)
+        self.drive = self._drive(settings, self.values, 0)
+        drives, further = [self.drive], []
+        for axis in axes_of(dictionary)[1:]:
+            if axis != len(drives):
+                break  # an axis without those before it is none that we know
+            values = AxisValues(self.values, axis)
+            theirs = settings.further_axes[axis - 1] if axis <= len(settings.further_axes) else settings
+            drives.append(self._drive(theirs, values.own, axis))
+            further.append(values)
+        self.drives = tuple(drives)
+        self._axes = Axes(drives, further)
         self.pdos.sends_on_start = True  # a master that relies on event-driven TPDOs needs the values before the first change
-        self.application = self.drive
-        self.storage.excluded.add(CONTROLWORD >> 8)  # a command, not a parameter
-        self._members.attach(self.drive)
+        self.application = self._axes if further else self.drive
+        for drive in drives:
+            self.storage.excluded.add(swapped(CONTROLWORD, drive.axis) >> 8)  # a command, not a parameter
+            self._members.attach(drive)
         self._answers = dict(settings.answers)
         self._delayed = DelayedAnswers(self.inner)
         self._members.attach(self._delayed)
@@ -62,25 +81,31 @@ class DriveNode(LocalNode):
             }
         )
 
+    def _drive(self, settings: DriveSettings, values: Values, axis: int) -> Drive:
+        zeros = frozenset(key for key in UNSET_BY_ZERO if values.store.get(key) == 0)
+        kind = LateDrive if settings.reaction else Drive
+        return kind(self.inner, self.node_id, values, replace(settings, unset=settings.unset | zeros), axis)
+
     def boot(self, now: Time) -> None:
-        if self.state is NmtState.INITIALISING:  # else boot does nothing, and the drive stays as it is
-            self.drive.reset(now)
+        if self.state is NmtState.INITIALISING:  # else boot does nothing, and the drives stay as they are
+            self.application.reset(now)
         super().boot(now)
 
-    def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False) -> None:
-        """Make a fault in the drive: it goes into Fault, and the node sends an EMCY. See Drive.raise_fault."""
+    def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False, axis: int = 0) -> None:
+        """Make a fault in a drive: it goes into Fault, and the node sends an EMCY. See Drive.raise_fault."""
         with self._settling(now):
-            self.drive.raise_fault(error_code, now, lasting=lasting)
+            self.drives[axis].raise_fault(error_code, now, lasting=lasting)
 
-    def block(self, blocked: bool, now: Time) -> None:
-        """Block the axis mechanically, or free it: a blocked drive that is to move gets a following error. See Drive.block."""
+    def block(self, blocked: bool, now: Time, *, axis: int = 0) -> None:
+        """Block an axis mechanically, or free it: a blocked drive that is to move gets a following error. See Drive.block."""
         with self._settling(now):
-            self.drive.block(blocked, now)
+            self.drives[axis].block(blocked, now)
 
     def set_safe_torque_off(self, is_active: bool, now: Time) -> None:
-        """Switch the STO input. Active: no torque, and no command enables the drive. See Drive.set_safe_torque_off."""
+        """Switch the STO input of all axes. Active: no torque, and no command enables a drive. See Drive.set_safe_torque_off."""
         with self._settling(now):
-            self.drive.set_safe_torque_off(is_active, now)
+            for drive in self.drives:
+                drive.set_safe_torque_off(is_active, now)
 
     def answer(self, index: int, subindex: int, answer: Answer | None) -> None:
         """Answer each access to an object in this way from now on; None: as it should be."""
@@ -130,23 +155,28 @@ class DriveNode(LocalNode):
         self.channels.complete(access.access_id, AbortCode.LOCAL_CONTROL if isinstance(result, Pending) else result, now)
 
     def _on_fault(self, fault: DriveFault, now: Time) -> None:
-        self.communication.emcy.raise_error(fault.error_code, fault.error_register, b"", now)
+        self.communication.emcy.raise_error(fault.error_code, fault.error_register, bytes((fault.axis,)), now, fault.axis)
 
     def _on_fault_cleared(self, cleared: DriveFaultCleared, now: Time) -> None:
-        self.communication.emcy.clear(cleared.error_code, now)
+        self.communication.emcy.clear(cleared.error_code, now, cleared.axis)
 
     def _on_statusword(self, change: StatuswordChanged, now: Time) -> None:
-        self.pdos.trigger(STATUSWORD, now)
+        self._trigger(STATUSWORD, change.axis, now)
 
     def _on_mode(self, change: ModeChanged, now: Time) -> None:
-        self.pdos.trigger(MODES_OF_OPERATION_DISPLAY, now)
+        self._trigger(MODES_OF_OPERATION_DISPLAY, change.axis, now)
 
     def _on_inputs(self, change: InputsChanged, now: Time) -> None:
-        self.pdos.trigger(change.mux, now)
+        self._trigger(change.mux, change.axis, now)
+
+    def _trigger(self, key: Mux, axis: int, now: Time) -> None:
+        self._axes.show(axis)
+        self.pdos.trigger(swapped(key, axis), now)
 
     def _on_rpdo_overdue(self, overdue: PdoOverdue, now: Time) -> None:
         self._on_pdo_error(overdue, now)
-        self.drive.rpdo_overdue(now)
+        for drive in self.drives:
+            drive.rpdo_overdue(now)
 
 
 def powerball(out: Outbox, node_id: int) -> DriveNode:

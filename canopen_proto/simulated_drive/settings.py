@@ -94,6 +94,7 @@ class DriveSettings:
     own_homing: homing methods of its maker, below 0, each with its picture. second_encoder: counts of a second encoder
     (60E4h:01) for one of the first; it has the zero of the track. stops_at_switches: whether the limit switches stop the axis;
     False: they only matter for homing, as in a drive whose track is not known.
+    further_axes: the drives of axis 1, 2 ... in the same node (7 at most); see axes.py. Their shape and answers do not count.
     answers: objects that are answered wrongly, late or not at all, for tests.
     """
 
@@ -120,4 +121,5 @@ class DriveSettings:
     own_homing: tuple[tuple[int, HomingMethod], ...] = ()
     second_encoder: float = 1.0
     stops_at_switches: bool = True
+    further_axes: tuple[DriveSettings, ...] = ()
     answers: tuple[tuple[Mux, Answer], ...] = ()

@@ -1,6 +1,7 @@
 """Motions of several joints as mathematics: pure functions and small machines, no I/O, no bus.
 
     path.py            `Path`: positions of all joints over time, in pieces of polynomials
+    interpolation.py   paths from waypoints with times: `linear`, `cubic`, `quintic`, `from_function`
     limit_check.py     `JointLimits`, and `first_violation`: the first place at which a path exceeds one
     path_clock.py      `PathClock`: runs a path, slows it down, stops on it, goes on
     speed_change.py    `SpeedChange`: a speed changes with limited acceleration and jerk
@@ -9,6 +10,10 @@
 Units: positions in the user's unit of each joint, times in seconds.
 """
 
+from canopen_proto.trajectory.interpolation import cubic as cubic
+from canopen_proto.trajectory.interpolation import from_function as from_function
+from canopen_proto.trajectory.interpolation import linear as linear
+from canopen_proto.trajectory.interpolation import quintic as quintic
 from canopen_proto.trajectory.limit_check import JointLimits as JointLimits
 from canopen_proto.trajectory.limit_check import Violation as Violation
 from canopen_proto.trajectory.limit_check import first_violation as first_violation

@@ -18,10 +18,11 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from canopen_proto.trajectory.path import POSITION_TOLERANCE, Path, PathError, Segment
-from canopen_proto.trajectory.polynomial import derivative_of, extremes_of, value_at
+from canopen_proto.trajectory.polynomial import Extremes, derivative_of, extremes_of, value_at
 
 EXACT: Final = 1 + 1e-6
 """A path at the limit itself is not refused for a rounding error of floating point."""
+_KINDS: Final = ("speed", "acceleration", "jerk")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +63,13 @@ class Violation(NamedTuple):
         return f"joint {self.joint} at {self.time:.6g} s: {self.kind} {self.value:.6g}, limit {self.limit:.6g}"
 
 
-class Peak(NamedTuple):
-    """The value with the largest magnitude, and the time of the path at which it occurs."""
-
-    value: float
-    time: float
-
-
 class Demand(NamedTuple):
-    """The largest speed, acceleration and jerk that a segment, or a knot, asks for."""
+    """What a segment, or a knot between two of them, asks of its joint. The times are those of the path."""
 
-    speed: Peak
-    acceleration: Peak
-    jerk: Peak
+    position: Extremes
+    speed: Extremes
+    acceleration: Extremes
+    jerk: Extremes
 
 
 def check_same_count(path: Path, limits: Sequence[JointLimits]) -> None:
@@ -112,51 +107,47 @@ def demands_of(path: Path, joint: int, cycle_time: float) -> Iterator[Demand]:
     for segment in path.segments[joint]:
         if before is not None:
             yield _demand_of_knot(before, segment, begin, cycle_time)
-        speed = derivative_of(segment.coefficients)
-        acceleration = derivative_of(speed)
-        jerk = derivative_of(acceleration)
-        duration = segment.duration
-        yield Demand(_peak(speed, begin, duration), _peak(acceleration, begin, duration), _peak(jerk, begin, duration))
+        extremes = []
+        coefficients: Sequence[float] = segment.coefficients
+        for _ in range(4):
+            extremes.append(extremes_of(coefficients, segment.duration).after(begin))
+            coefficients = derivative_of(coefficients)
+        yield Demand(extremes[0], extremes[1], extremes[2], extremes[3])
         before = segment
-        begin += duration
+        begin += segment.duration
 
 
 def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float) -> Iterator[Violation]:
-    begin = 0.0
-    for segment in path.segments[joint]:
-        low, low_time, high, high_time = extremes_of(segment.coefficients, segment.duration)
-        if limits.lowest is not None and low < limits.lowest - POSITION_TOLERANCE * max(1.0, abs(limits.lowest)):
-            yield Violation(joint, begin + low_time, "position", low, limits.lowest)
-        if limits.highest is not None and high > limits.highest + POSITION_TOLERANCE * max(1.0, abs(limits.highest)):
-            yield Violation(joint, begin + high_time, "position", high, limits.highest)
-        begin += segment.duration
-    for demand in demands_of(path, joint, cycle_time):
-        for kind, peak, limit in (
-            ("speed", demand.speed, limits.speed),
-            ("acceleration", demand.acceleration, limits.acceleration),
-            ("jerk", demand.jerk, limits.jerk),
-        ):
-            if limit is not None and abs(peak.value) > limit * EXACT:
-                yield Violation(joint, peak.time, kind, peak.value, limit)
-
-
-def _peak(coefficients: Sequence[float], begin: float, duration: float) -> Peak:
-    low, low_time, high, high_time = extremes_of(coefficients, duration)
-    return Peak(high, begin + high_time) if high >= -low else Peak(low, begin + low_time)
+    lowest, highest = limits.lowest, limits.highest
+    for position, *others in demands_of(path, joint, cycle_time):
+        if lowest is not None and position.low < lowest - POSITION_TOLERANCE * max(1.0, abs(lowest)):
+            yield Violation(joint, position.low_time, "position", position.low, lowest)
+        if highest is not None and position.high > highest + POSITION_TOLERANCE * max(1.0, abs(highest)):
+            yield Violation(joint, position.high_time, "position", position.high, highest)
+        for kind, found, limit in zip(_KINDS, others, (limits.speed, limits.acceleration, limits.jerk), strict=True):
+            if limit is not None and -found.low > limit * EXACT:
+                yield Violation(joint, found.low_time, kind, found.low, limit)
+            if limit is not None and found.high > limit * EXACT:
+                yield Violation(joint, found.high_time, kind, found.high, limit)
 
 
 def _demand_of_knot(before: Segment, after: Segment, time: float, cycle_time: float) -> Demand:
     left: Sequence[float] = before.coefficients
     right: Sequence[float] = after.coefficients
     ends, starts = [], []
-    for _ in range(3):
-        left, right = derivative_of(left), derivative_of(right)
+    for _ in range(4):
         ends.append(value_at(left, before.duration))
         starts.append(value_at(right, 0.0))
-    jump = (starts[0] - ends[0]) / cycle_time
-    jerk = (abs(jump) + abs(starts[1] - ends[1])) / cycle_time + max(abs(ends[2]), abs(starts[2]))
+        left, right = derivative_of(left), derivative_of(right)
+    jump = (starts[1] - ends[1]) / cycle_time
+    jerk = (abs(jump) + abs(starts[2] - ends[2])) / cycle_time + max(abs(ends[3]), abs(starts[3]))
     return Demand(
-        Peak(max(ends[0], starts[0], key=abs), time),
-        Peak(max(jump + ends[1], jump + starts[1], key=abs), time),
-        Peak(jerk, time),
+        _between(ends[0], starts[0], time),
+        _between(ends[1], starts[1], time),
+        _between(jump + ends[2], jump + starts[2], time),
+        _between(0.0, jerk, time),
     )
+
+
+def _between(one: float, other: float, time: float) -> Extremes:
+    return Extremes(min(one, other), time, max(one, other), time)

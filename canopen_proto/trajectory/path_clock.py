@@ -31,6 +31,7 @@ from typing import Final, NamedTuple, final
 
 from canopen_proto.trajectory.limit_check import Demand, JointLimits, check_cycle, check_same_count, demands_of
 from canopen_proto.trajectory.path import TIME_TOLERANCE, Path, PathError, PathPoint
+from canopen_proto.trajectory.polynomial import Extremes
 from canopen_proto.trajectory.speed_change import SpeedChange
 
 FASTEST_CHANGE: Final = 20.0
@@ -82,8 +83,8 @@ class PathClock:
             speed = acceleration = 0.0
             for demand in demands_of(path, joint, cycle_time):
                 room.narrow(joint, demand, own)
-                speed = max(speed, abs(demand.speed.value))
-                acceleration = max(acceleration, abs(demand.acceleration.value))
+                speed = max(speed, demand.speed.magnitude)
+                acceleration = max(acceleration, demand.acceleration.magnitude)
             rests_at_start = rests_at_start and _rests(start, joint, REST * speed, REST * acceleration)
             rests_at_end = rests_at_end and _rests(end, joint, REST * speed, REST * acceleration)
         self._max_change, self._max_onset = room.best(longest_stop)
@@ -230,17 +231,17 @@ def _rests(point: PathPoint, joint: int, velocity: float, acceleration: float) -
 
 
 class _Cause(NamedTuple):
-    """Where a path leaves least free: the joint asks for `value` at `time`, and has the limit `limit`."""
+    """Where a path leaves least free."""
 
     joint: int
     kind: str
-    value: float
-    time: float
+    extremes: Extremes
     limit: float
 
     def __str__(self) -> str:
-        needed = f"the {self.kind} {abs(self.value):.6g} at {self.time:.6g} s of the path"
-        return f"Joint {self.joint} needs {needed}, and has {self.limit:.6g}."
+        low, low_time, high, high_time = self.extremes
+        value, time = (high, high_time) if high >= -low else (-low, low_time)
+        return f"Joint {self.joint} needs the {self.kind} {value:.6g} at {time:.6g} s of the path, and has {self.limit:.6g}."
 
 
 @final
@@ -255,7 +256,7 @@ class _Room:
 
     def narrow(self, joint: int, demand: Demand, limits: JointLimits) -> None:
         """Lower each A to what this part of the path leaves free."""
-        speed, acceleration, jerk = abs(demand.speed.value), abs(demand.acceleration.value), abs(demand.jerk.value)
+        speed, acceleration, jerk = demand.speed.magnitude, demand.acceleration.magnitude, demand.jerk.magnitude
         most = math.inf if limits.acceleration is None else limits.acceleration
         most_jerk = math.inf if limits.jerk is None else limits.jerk
         # A falls with the ratio and J grows, so these two are the largest ones: most parts of a path allow even both.
@@ -266,12 +267,12 @@ class _Room:
             change = self.changes[number]
             if acceleration + speed * change > most:
                 change = max(0.0, most - acceleration) / speed if speed else 0.0
-                self.causes[number] = _Cause(joint, "acceleration", *demand.acceleration, most)
+                self.causes[number] = _Cause(joint, "acceleration", demand.acceleration, most)
             if jerk + 3.0 * acceleration * change + speed * steepness * change * change > most_jerk:
                 free = max(0.0, most_jerk - jerk)
                 root = math.sqrt(9.0 * acceleration * acceleration + 4.0 * speed * steepness * free)
                 change = 2.0 * free / (3.0 * acceleration + root) if free else 0.0
-                self.causes[number] = _Cause(joint, "jerk", *demand.jerk, most_jerk)
+                self.causes[number] = _Cause(joint, "jerk", demand.jerk, most_jerk)
             self.changes[number] = change
 
     def best(self, longest_stop: float) -> tuple[float, float]:

@@ -19,6 +19,15 @@ class Extremes(NamedTuple):
     high: float
     high_time: float
 
+    @property
+    def magnitude(self) -> float:
+        """The largest magnitude."""
+        return max(self.high, -self.low)
+
+    def after(self, time: float) -> Extremes:
+        """Return the same, `time` later."""
+        return Extremes(self.low, self.low_time + time, self.high, self.high_time + time)
+
 
 def value_at(coefficients: Sequence[float], time: float) -> float:
     """Return the value at `time`."""

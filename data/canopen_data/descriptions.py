@@ -15,6 +15,7 @@ from canopen_data import DataError, content_of, expanded, load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_data.reading import read_description
 from canopen_proto import indices
+from canopen_proto.cia402.axes import with_names_of_axes
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import ObjectDictionary
 
@@ -71,7 +72,7 @@ def with_names(description: DeviceDescription, names: ObjectDictionary) -> Devic
     """
     whole = description.dictionary
     if _is_drive(whole):
-        return replace(description, dictionary=whole.with_names_of(names))
+        return replace(description, dictionary=with_names_of_axes(whole.with_names_of(names)))
     # From the profile area on, the meaning of an index depends on the device profile (CiA 301 v4.2.0, table 41)
     common = ObjectDictionary(
         [each for each in whole.objects.values() if each.index < indices.PROFILE_AREA.start],

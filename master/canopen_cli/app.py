@@ -23,6 +23,7 @@ CLOSED_PIPE = 128 + 13
 
 COMMANDS: Final = {
     "demo": ("demo", "A six-joint arm boots, homes itself and moves."),
+    "plot": ("plot_file", "Draw a recording (--record): position, velocity, acceleration and following error."),
     "doctor": ("doctor", "Check adapters, drivers and permissions; with -b also what is heard on a bus."),
     "scan": ("scan", "Find the nodes of a bus."),
     "info": ("info", "Show a node's identity, state, errors and PDOs."),

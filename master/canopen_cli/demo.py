@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import click
@@ -14,6 +15,7 @@ from canopen_cli.new_files import check_new_file
 from canopen_cli.options import Duration, Fault, FiniteRange, Settings, common, enabling
 from canopen_cli.plot import check_plot, write_plot
 from canopen_cli.problem import usage
+from canopen_cli.record_option import check_record, record_option, recorded
 from canopen_cli.running import run
 from canopen_cli.screen import escape
 from canopen_proto.machine import MILLISECOND, Time
@@ -36,7 +38,12 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
     show_default=True,
     help="How far, in degrees; less where the joints may not go as fast as that takes.",
 )
-@click.option("--plot", type=PICTURE, help="Draw commanded and actual positions, as .png, .svg or .pdf (needs matplotlib).")
+@click.option(
+    "--plot",
+    type=PICTURE,
+    help="Draw positions and following errors, as .png, .svg or .pdf (needs matplotlib).",
+)
+@record_option
 @click.option(
     "--counts-per-degree",
     type=FiniteRange(1e-6, 1e9),
@@ -56,6 +63,7 @@ def demo(
     cycle: Time | None,
     swing: float,
     plot: Path | None,
+    record: Path | None,
     counts_per_degree: float | None,
     fault: tuple[int, float] | None,
     defaults: bool,
@@ -77,6 +85,7 @@ def demo(
     \b
     canopen demo
     canopen demo --plot arm.png
+    canopen demo --record run.csv                             every cycle; canopen plot run.csv
     canopen demo --fault 5@2.0                                what a drive's breakdown looks like
     canopen demo --eds drive.dcf                              drives made of a file
     canopen demo -m cell.toml                                 a machine of yours, simulated
@@ -101,6 +110,7 @@ def demo(
     if plot is not None:
         check_plot(plot)
         check_new_file(settings, settings.screen(), plot)
+    check_record(settings, settings.screen(), record)
     if defaults and not settings.eds and machine is None:
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()
@@ -111,7 +121,7 @@ def demo(
     timeout = settings.timeout if settings.timeout is not None or machine is None else machine.master.timeout
     arm = chains or CHAINS
     plan = Plan(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, grip, machine, drives)
-    demonstration = Demonstration(screen, plan)
+    demonstration = Demonstration(screen, plan, partial(recorded, settings, screen, path=record))
     try:
         run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
         return demonstration.show_result()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -109,7 +109,11 @@ class CycleCounts:
 class Demonstration:
     """One run. recording: commanded and actual positions; it is filled while the joints move."""
 
-    def __init__(self, screen: Screen, plan: Plan) -> None:
+    def __init__(
+        self, screen: Screen, plan: Plan, record: Callable[[Chain], contextlib.AbstractAsyncContextManager[None]]
+    ) -> None:
+        """record: records what the chain does while its block runs."""
+        self._record_chain = record
         self.screen = screen
         self.plan = plan
         self.recording = Recording([])
@@ -197,7 +201,7 @@ class Demonstration:
 
     async def _demonstrate(self, arm: Chain) -> None:
         with DemoView(self.screen, self.titles()[1], range=2 * self.plan.swing) as view:
-            async with trio.open_nursery() as nursery:
+            async with self._record_chain(arm), trio.open_nursery() as nursery:
                 nursery.start_soon(self._draw, view)
                 await self._boot(arm, view)
                 await self._home(arm, view)

@@ -20,6 +20,7 @@ from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name
 from canopen_proto.drive import shut_down
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.reasons import look_at, reasons
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import Unit, read_units
@@ -113,7 +114,7 @@ def joint_settings(settings: Settings) -> AxisSettings:
     return AxisSettings() if joint is None else joint.settings
 
 
-def look_at_drive(node: RemoteNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
+def look_at_drive(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
     view = yield from look_at(node, settings)
     if view is None:
         raise Problem(

@@ -38,7 +38,7 @@ def limits_with_reserve(path: Path, reserve: float, cycle_time: float = CYCLE) -
     found = []
     for joint in range(path.joints):
         demands = list(demands_of(path, joint, cycle_time))
-        speed, acceleration, jerk = (max(abs(demand[order].value) for demand in demands) or 1.0 for order in range(3))
+        speed, acceleration, jerk = (max(demand[order].magnitude for demand in demands) or 1.0 for order in (1, 2, 3))
         found.append(JointLimits(speed=speed, acceleration=acceleration / (1 - reserve), jerk=jerk / (1 - reserve)))
     return found
 

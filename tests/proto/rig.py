@@ -33,27 +33,39 @@ STREAMED = {Shape.STANDARD: ((4,), (3,)), Shape.SCHUNK_POWERBALL: ((1,), (1,))}
 
 
 class Rig:
-    """One drive as node 5, powered on and Operational; an axis over it; PDOs exchanged as the drive has them by default."""
+    """One drive as node 5, powered on and Operational; an axis over it; PDOs exchanged as the drive has them by default.
+
+    axis: the drive is that of a further axis of the node; without PDOs.
+    """
 
     def __init__(
-        self, shape: Shape, *, pdos: bool = True, drive: DriveSettings | None = None, dictionary: ObjectDictionary | None = None
+        self,
+        shape: Shape,
+        *,
+        pdos: bool = True,
+        drive: DriveSettings | None = None,
+        dictionary: ObjectDictionary | None = None,
+        axis: int = 0,
     ) -> None:
         self.bus = Bus(delay=(100 * MICROSECOND, 100 * MICROSECOND))
         self.device = self.bus.attach(Network())
-        self.node = DriveNode(self.device.out, 5, drive or DriveSettings(shape=shape), dictionary)
+        settings = drive or DriveSettings(shape=shape)
+        if axis:
+            settings = replace(settings, further_axes=(settings,) * axis)
+        self.node = DriveNode(self.device.out, 5, settings, dictionary)
         self.device.attach(self.node)
-        self.drive = self.node.drive
+        self.drive = self.node.drives[axis]
         self.master = self.bus.attach(Network())
         self.remote = RemoteNode(self.master.out, 5, self.node.dictionary)
         self.nmt, self.sync = NmtMaster(self.master.out), SyncProducer(self.master.out)
         for machine in (self.remote, self.nmt, self.sync):
             self.master.attach(machine)
-        self.axis = Axis(self.remote, SETTINGS[shape])
+        self.axis = Axis(self.remote, SETTINGS[shape], axis)
         self.node.boot(self.bus.now)
         self.bus.run(MILLISECOND)
         self.nmt.start(0, self.bus.now)
         self.bus.run(MILLISECOND)
-        if pdos:
+        if pdos and not axis:
             rpdos, tpdos = STREAMED[shape]
             for number in rpdos:
                 self.run(use_device_pdo(self.remote, Direction.RPDO, number))

@@ -43,28 +43,28 @@ BY_ITSELF = {0, 1, 12, 13, 14}
 """The transitions that no command has to make."""
 
 
-def rig_in(start: str, by_pdo: bool) -> Rig:
+def rig_in(start: str, by_pdo: bool, axis: int = 0) -> Rig:
     """A master and a drive in a state; it has just got there."""
-    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(self_test=SELF_TEST if start == NOT_READY else 0))
-    store = rig.node.values.store
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(self_test=SELF_TEST if start == NOT_READY else 0), axis=axis)
+    store = rig.drive.values.store
     store[objects.QUICK_STOP_DECELERATION] = store[objects.PROFILE_DECELERATION] = RAMP
     store[objects.QUICK_STOP_OPTION_CODE] = 2 if start == BRAKING else 6
     if by_pdo:
         rig.run(use_device_pdo(rig.remote, Direction.RPDO, 1))
         rig.run(use_device_pdo(rig.remote, Direction.TPDO, 2))
         rig.remote.enable_rpdo(1, rig.bus.now)
-    rig.run(write(rig.remote, "0x6060", 3))
+    rig.run(write(rig.axis.node, "0x6060", 3))
     if start in (MOVING, QUICK_STOP, BRAKING, REACTION):
-        rig.run(write(rig.remote, "0x60FF", SPEED))
+        rig.run(write(rig.axis.node, "0x60FF", SPEED))
     words = {NOT_READY: (), DISABLED: (), FAULT: (), READY: (6,), SWITCHED_ON: (6, 7)}.get(start, (6, 7, 0x0F))
     for word in words:
-        rig.run(write(rig.remote, "0x6040", word))
+        rig.run(write(rig.axis.node, "0x6040", word))
     if len(words) == 3:
         rig.bus.run(SECOND)
     if start in (QUICK_STOP, BRAKING):
-        rig.run(write(rig.remote, "0x6040", 0x02))
+        rig.run(write(rig.axis.node, "0x6040", 0x02))
     if start in FAULTS:
-        rig.node.raise_fault(CODE, rig.bus.now)
+        rig.node.raise_fault(CODE, rig.bus.now, axis=axis)
     rig.bus.run(2 * MILLISECOND)
     assert str(rig.drive.state) == {MOVING: ENABLED, BRAKING: QUICK_STOP}.get(start, start)
     rig.bus.events.clear()
@@ -72,7 +72,10 @@ def rig_in(start: str, by_pdo: bool) -> Rig:
 
 
 def transitions(rig: Rig) -> list[int]:
-    return [event.transition for event in rig.bus.events if isinstance(event, DriveStateChanged)]
+    changes = [event for event in rig.bus.events if isinstance(event, DriveStateChanged)]
+    others = {event.transition for event in changes if event.axis != rig.axis.number}
+    assert others <= {1}, "the other axis of the node was led, too"
+    return [event.transition for event in changes if event.axis == rig.axis.number]
 
 
 def led(rig: Rig, procedure: Procedure[object]) -> str:
@@ -87,7 +90,7 @@ def led(rig: Rig, procedure: Procedure[object]) -> str:
 
 
 def stands(rig: Rig) -> bool:
-    return rig.node.values.store[objects.VELOCITY_DEMAND_VALUE] == 0
+    return rig.drive.values.store[objects.VELOCITY_DEMAND_VALUE] == 0
 
 
 def can_be_led(start: str, target: str) -> bool:
@@ -96,11 +99,11 @@ def can_be_led(start: str, target: str) -> bool:
     return target != QUICK_STOP or start in (ENABLED, MOVING, QUICK_STOP, BRAKING)
 
 
-@pytest.mark.parametrize("by_pdo", [False, True])
+@pytest.mark.parametrize(("axis", "by_pdo"), [(0, False), (0, True), (1, False)])
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("start", STARTS)
-def test_from_each_state_to_each_state(start: str, target: str, by_pdo: bool) -> None:
-    rig = rig_in(start, by_pdo)
+def test_from_each_state_to_each_state(start: str, target: str, axis: int, by_pdo: bool) -> None:
+    rig = rig_in(start, by_pdo, axis)
     procedure = drive.change_state(rig.axis, State(target))
     if can_be_led(start, target) and (start, target) != (BRAKING, QUICK_STOP):
         assert led(rig, procedure) == target
@@ -115,7 +118,7 @@ def test_from_each_state_to_each_state(start: str, target: str, by_pdo: bool) ->
         rig.bus.run(2 * SECOND)
         assert rig.drive.state is State.SWITCH_ON_DISABLED
     elif start in FAULTS:
-        with pytest.raises(drive.DriveFault, match=f"drive 5 is in fault.*0x{CODE:04X}.*Try: "):
+        with pytest.raises(drive.DriveFault, match=f"{rig.axis.title} is in fault.*0x{CODE:04X}.*Try: "):
             rig.run(procedure)
     else:
         with pytest.raises(LocalProtocolError, match="a quick stop leads there from operation enabled, not from"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import example, given
@@ -11,10 +12,11 @@ from hypothesis import strategies as st
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import POWERED
+from canopen_proto.cia402.states import POWERED, State
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.settings import AxisSettings
+from canopen_proto.drive.slow_position import start_slow_position
 from canopen_proto.drive.target_sequence import RelativeTo, Start, Target
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.procedures.runner import ProcedureFailed
@@ -250,3 +252,25 @@ def test_whenever_it_ends_the_drive_stands_or_has_no_power(at: int, how: str) ->
     assert rig.drive.state not in POWERED or rig.drive._servo.at_rest
     if isinstance(ended, ProcedureFailed):
         assert how != "cancel"
+
+
+@pytest.mark.parametrize("settings", [{}, {"mode_change_state": State.SWITCHED_ON}, {"changes_mode_halted": False}], ids=str)
+@pytest.mark.parametrize("points", [0, 1, 3])
+@pytest.mark.parametrize("second", ["move_to", "move_along", "slow"])
+def test_what_waited_in_a_cancelled_set_stands_in_nobodys_way(points: int, settings: dict[str, Any], second: str) -> None:
+    rig = rig_at_zero(set_points=points, **{k: v for k, v in settings.items() if k == "mode_change_state"})
+    rig.axis.settings = replace(DEGREES, queues_set_points=bool(points), **settings)
+    targets = [Target(60 + each) for each in range(points + 3)]
+    request_id = rig.master.run(along(rig, *targets), rig.bus.now)
+    rig.bus.run(500 * MILLISECOND)
+    rig.master.cancel(request_id, rig.bus.now)
+    rig.outcome(request_id)
+    began = rig.bus.now
+    if second == "slow":
+        rig.run(start_slow_position(rig.axis))
+        rig.bus.run(SECOND)
+        assert rig.drive._servo.demand_velocity == 0
+        return
+    rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT) if second == "move_to" else along(rig, Target(1)))
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(1, abs=0.05)
+    assert rig.bus.now - began < 4 * SECOND, "it went there at once"

@@ -104,6 +104,8 @@ class DirectDrive:
     async def change_state(self, state: State) -> None:
         """Lead the drive to a state, up or down. In any state but Operation enabled it stops following set-points."""
         if state is State.OPERATION_ENABLED:
+            if self._is_following and self.axis.state is state:
+                return
             await self._run(identify(self.axis))
         else:
             self._end_following()

@@ -254,8 +254,8 @@ class Chain(ChainView, Moving):
         initialised. Raises OSError, and RecordError without pyarrow for Parquet; at the end RecordError if rows are missing. If
         the block ends by an error or is cancelled, its end waits for nothing: `Recorder.wait` does.
         """
-        participant, devices, set_points = self._participant, self.devices, self._set_points
-        return recording(participant, self.name, devices, set_points, lambda: self.state is not ChainState.OFF, path)
+        followed = self._participant, self.name, self.devices, self._set_points
+        return recording(lambda: Recorder(*followed, lambda: self.state is not ChainState.OFF, path))
 
     # ---- along a path: see path_motion.py and moving.py ----
 

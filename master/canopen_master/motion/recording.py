@@ -184,16 +184,9 @@ def unit_of(settings: AxisSettings) -> str:
 
 
 @asynccontextmanager
-async def recording(
-    participant: Participant,
-    chain: str,
-    devices: Sequence[Device],
-    set_points: SetPoints,
-    has_begun: Callable[[], bool],
-    path: str | Path,
-) -> AsyncIterator[Recorder]:
-    """Record while the block runs; see Recorder, and Chain.record."""
-    recorder = Recorder(participant, chain, devices, set_points, has_begun, path)
+async def recording(make: Callable[[], Recorder]) -> AsyncIterator[Recorder]:
+    """Record while the block runs; see Chain.record."""
+    recorder = make()
     try:
         yield recorder
     finally:

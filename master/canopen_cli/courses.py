@@ -1,0 +1,94 @@
+"""The course of each joint over time, of a recording or a path, and the velocities and accelerations that its positions make."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from canopen_master.motion.record_reader import Record
+
+NAN = math.nan
+
+
+@dataclass(frozen=True)
+class Course:
+    """One joint. unit: of its positions, "" for one without a name. All lists are as long as `Courses.times`; NaN: not known.
+
+    wanted: the set-points; actual, actual_velocities, errors: empty where only a path is known.
+    """
+
+    name: str
+    unit: str
+    wanted: Sequence[float]
+    velocities: Sequence[float]
+    accelerations: Sequence[float]
+    actual: Sequence[float] = ()
+    actual_velocities: Sequence[float] = ()
+    errors: Sequence[float] = ()
+
+
+@dataclass(frozen=True)
+class Courses:
+    """All joints. times: seconds. late: the times of cycles that brought nothing new, or that were late themselves."""
+
+    title: str
+    subtitle: str
+    times: Sequence[float]
+    joints: Sequence[Course]
+    late: Sequence[float] = field(default=())
+
+
+def courses_of_record(record: Record) -> Courses:
+    """Return the courses in a recording.
+
+    Velocities and accelerations are those of the set-points, over the nominal cycle: the clock of the computer that sent them
+    trembles by more than a motion changes within a cycle.
+    """
+    head, times = record.head, record["time"]
+    ideal = [cycle * head.cycle_time for cycle in record["cycle"]]
+    joints = []
+    for joint in head.joints:
+        wanted = record.of(joint.name, "set_point")
+        joints.append(
+            Course(
+                joint.name,
+                joint.unit,
+                wanted,
+                velocities(ideal, wanted),
+                accelerations(ideal, wanted),
+                record.of(joint.name, "position"),
+                record.of(joint.name, "velocity"),
+                record.of(joint.name, "following_error"),
+            )
+        )
+    counts = [record.columns.get(name, [0.0] * len(record)) for name in ("missed", "skipped")]
+    late = [time for time, missed, skipped in zip(times, *counts, strict=True) if missed > 0 or skipped > 0]
+    missed, skipped = (int(sum(count)) for count in counts)
+    subtitle = f"{len(record)} cycles of {1000 * head.cycle_time:g} ms, {missed} missed, {skipped} skipped"
+    begun = head.begun.replace("T", " ").partition(".")[0]
+    return Courses(f"{head.chain}: what it did", f"{subtitle}; begun {begun} UTC", times, joints, late)
+
+
+def velocities(times: Sequence[float], positions: Sequence[float]) -> list[float]:
+    """Return the slope at each position, from the one before to the one after; NaN at both ends and beside what is not known."""
+    inner = [
+        (positions[place + 1] - positions[place - 1]) / (times[place + 1] - times[place - 1])
+        for place in range(1, len(positions) - 1)
+    ]
+    return [NAN, *inner, NAN][: len(positions)]
+
+
+def accelerations(times: Sequence[float], positions: Sequence[float]) -> list[float]:
+    """Return the change of the slope at each position: of the step behind it, against the one before it; NaN as `velocities`."""
+    inner = []
+    for place in range(1, len(positions) - 1):
+        before, after = times[place] - times[place - 1], times[place + 1] - times[place]
+        change = (positions[place + 1] - positions[place]) / after - (positions[place] - positions[place - 1]) / before
+        inner.append(2 * change / (before + after))
+    return [NAN, *inner, NAN][: len(positions)]
+
+
+def largest(values: Sequence[float]) -> float | None:
+    """Return the largest amount of the values that are known; None if none is."""
+    return max((abs(value) for value in values if not math.isnan(value)), default=None)

@@ -1,0 +1,73 @@
+"""`canopen plot FILE`: draw a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from canopen_cli.courses import Course, Courses, courses_of_record, largest
+from canopen_cli.motion_plot import write_motion_plot
+from canopen_cli.new_files import check_new_file
+from canopen_cli.options import Settings, common
+from canopen_cli.plot import check_plot
+from canopen_cli.screen import Screen, escape
+from canopen_master.motion.record_reader import read_record
+
+COLUMNS = "joint", "unit", "from", "to", "largest\nspeed", "largest\nacceleration", "largest\nfollowing\nerror"
+
+
+@click.command()
+@click.argument("file")
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
+)
+@common
+@click.pass_obj
+def plot(settings: Settings, file: str, output: Path | None) -> None:
+    """Draw a recording: position, velocity, acceleration and following error of each joint, one above the other.
+
+    Velocity and acceleration are those of the set-points, by their differences; the velocity that the drive told lies over it.
+
+    \b
+    canopen demo --record run.csv
+    canopen plot run.csv                  run.png
+    canopen plot run.csv -o run.svg
+    """
+    screen = settings.screen()
+    target = Path(file).with_suffix(".png") if output is None else output
+    check_plot(target)
+    courses = read_courses(file, screen)
+    check_new_file(settings, screen, target, file)
+    write_motion_plot(target, courses)
+    if settings.json:
+        screen.json({"file": file, "picture": str(target), "joints": [_as_json(joint) for joint in courses.joints]})
+    else:
+        screen.table(COLUMNS, [_row(joint) for joint in courses.joints], right=COLUMNS[2:])
+    screen.say(f"Drawn: [bold]{escape(str(target))}[/]")
+
+
+def read_courses(file: str, screen: Screen) -> Courses:
+    """Read what is to be drawn. Raises RecordError."""
+    record = read_record(file)
+    if record.is_cut:
+        screen.say("[yellow]the last line is not whole, and was left out: the program ended while it wrote, or writes still[/]")
+    return courses_of_record(record)
+
+
+def _as_json(joint: Course) -> dict[str, object]:
+    known = [value for value in joint.wanted if value == value]
+    return {
+        "joint": joint.name,
+        "unit": joint.unit,
+        "from": min(known, default=None),
+        "to": max(known, default=None),
+        "largest_speed": largest(joint.velocities),
+        "largest_acceleration": largest(joint.accelerations),
+        "largest_following_error": largest(joint.errors),
+    }
+
+
+def _row(joint: Course) -> tuple[str, ...]:
+    name, unit, *numbers = _as_json(joint).values()
+    return escape(str(name)), escape(str(unit)), *("" if number is None else f"{number:.4g}" for number in numbers)
