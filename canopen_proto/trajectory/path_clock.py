@@ -42,7 +42,7 @@ LONGEST_STOP: Final = 10.0
 """Seconds that a stop along the path may take, unless the caller says otherwise."""
 REST: Final = 1e-7
 """A velocity or acceleration at an end of a path counts as 0 up to this part of the largest one of its joint."""
-_STEEPNESS: Final = (1.0, 2.0, 4.0, 8.0, 16.0)
+_STEEPNESS: Final[tuple[float, ...]] = (1.0, 2.0, 4.0, 8.0, 16.0)
 """The ratios J / A² that are tried. With 1 the change of the rate grows, and falls at once; with 16 it is mostly held."""
 _HALVINGS: Final = 60
 

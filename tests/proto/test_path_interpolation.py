@@ -28,7 +28,7 @@ def waypoints(draw: st.DrawFn) -> tuple[list[float], list[tuple[list[float], lis
 
 def sides(path: Path, time: float) -> tuple[PathPoint, PathPoint]:
     """The points just before and just after a knot."""
-    tiny = 1e-9
+    tiny = 1e-11
     return path.at(time - tiny), path.at(time + tiny)
 
 
