@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias
 
-from canopen_proto.trajectory.path import Path, PathError, Segment
+from canopen_proto.trajectory.path import TIME_TOLERANCE, Path, PathError, Segment
 
 Rows: TypeAlias = Sequence[Sequence[float]]
 
@@ -84,10 +84,10 @@ def _steps(times: Sequence[float]) -> list[float]:
         raise PathError(f"A path needs at least two waypoints; there are {len(times)}.")
     steps = [end - begin for begin, end in itertools.pairwise(times)]
     for number, step in enumerate(steps):
-        if not 0.0 < step < math.inf:
+        if not TIME_TOLERANCE <= step < math.inf:
             raise PathError(
-                f"The times of waypoints must rise: waypoint {number + 1} (counted from 0) is at {times[number + 1]!r} s, "
-                f"the one before at {times[number]!r} s."
+                f"The times of waypoints must rise by {TIME_TOLERANCE:g} s or more: waypoint {number + 1} (counted from 0) is at "
+                f"{times[number + 1]!r} s, the one before at {times[number]!r} s."
             )
     return steps
 
