@@ -26,6 +26,10 @@ COMMANDS: Final = {
     "move": ("drive_power", "Move a drive to POSITION by its own profile (profile position)."),
     "velocity": ("drive_velocity", "Run a drive at a velocity (profile velocity, else velocity), until Ctrl-C."),
     "torque": ("drive_torque", "Let a drive push with a torque (profile torque) for a time."),
+    "commission": (
+        "drive_commission",
+        "Commission a new drive, step by step: identity, file, units, limits, a small move, homing, a first move.",
+    ),
     "stop": ("drive_state", "Command a quick stop."),
     "disable": ("drive_state", "Take the power from a drive."),
 }
@@ -59,6 +63,7 @@ def drive(ctx: click.Context, node_id: int | str) -> None:
     canopen drive 3 torque 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --seconds
     canopen drive 3 enable -b demo     power until Ctrl-C
     canopen drive 3 disable -b demo    no power, from any state
+    canopen drive 3 commission ...     IT MOVES: a new drive, from its identity to the first move; asks before each motion
     canopen drive 3 stop -b demo       a quick stop
     """
     ctx.meta[NODE] = node_id

@@ -61,29 +61,35 @@ def info(settings: Settings, node_id: int) -> None:
 async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
     async with open_session(settings, screen) as session:
         node = session.node(node_id)
-        # Every device has this object: if the node does not answer, it is not there, and the error says so.
-        device_type = int.from_bytes(await node.read_bytes(indices.DEVICE_TYPE), "little")
-        facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
-        for name, index in (
-            ("name", indices.MANUFACTURER_DEVICE_NAME),
-            ("hardware version", indices.MANUFACTURER_HARDWARE_VERSION),
-            ("software version", indices.MANUFACTURER_SOFTWARE_VERSION),
-        ):
-            text = await _standard(node, index)
-            if isinstance(text, str) and (shown := text_for_people(text, DataType.VISIBLE_STRING).rstrip("\0 ")):
-                facts[name] = (shown, shown)
-        for subindex, name in IDENTITY:
-            number = await _standard(node, indices.IDENTITY_OBJECT, subindex)
-            if isinstance(number, int):
-                facts[name] = (number, f"0x{number:08X}")
-        description = session.description_of(node_id)
-        if description is not None:
-            facts["file"] = _compared(description, facts, node_id)
+        facts = await identity_facts(session, node)
         await _add_health(node, facts)
         await _add_pdos(session, node, facts)
-        if profile_of(device_type) == DRIVE_PROFILE:
+        if profile_of(facts["device type"][0]) == DRIVE_PROFILE:
             await _add_drive(node, facts)
         return facts
+
+
+async def identity_facts(session: Session, node: Node) -> Facts:
+    """Return what a node says it is, and whether its file (if it has one) is that of such a device."""
+    # Every device has this object: if the node does not answer, it is not there, and the error says so.
+    device_type = int.from_bytes(await node.read_bytes(indices.DEVICE_TYPE), "little")
+    facts: Facts = {"device type": (device_type, f"{device_type_text(device_type)}  (0x{device_type:08X})")}
+    for name, index in (
+        ("name", indices.MANUFACTURER_DEVICE_NAME),
+        ("hardware version", indices.MANUFACTURER_HARDWARE_VERSION),
+        ("software version", indices.MANUFACTURER_SOFTWARE_VERSION),
+    ):
+        text = await _standard(node, index)
+        if isinstance(text, str) and (shown := text_for_people(text, DataType.VISIBLE_STRING).rstrip("\0 ")):
+            facts[name] = (shown, shown)
+    for subindex, name in IDENTITY:
+        number = await _standard(node, indices.IDENTITY_OBJECT, subindex)
+        if isinstance(number, int):
+            facts[name] = (number, f"0x{number:08X}")
+    description = session.description_of(node.node_id)
+    if description is not None:
+        facts["file"] = _compared(description, facts, node.node_id)
+    return facts
 
 
 def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tuple[dict[str, Any], str]:

@@ -142,6 +142,11 @@ class Screen:
         if self.verbosity >= 0:
             self.err.print(text, highlight=False, soft_wrap=not self.err.is_terminal)
 
+    def ask(self, text: str) -> None:
+        """Print a question; the answer stands behind it, on the same line. Markup is interpreted."""
+        self.err.print(text, highlight=False, soft_wrap=True, end="")
+        self.err.file.flush()
+
     def detail(self, text: str) -> None:
         """Print a message, only with -v."""
         if self.verbosity >= 1:
