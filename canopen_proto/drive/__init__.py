@@ -79,6 +79,7 @@ from canopen_proto.drive.state import shut_down as shut_down
 from canopen_proto.drive.synchronous import start_cyclic_position as start_cyclic_position
 from canopen_proto.drive.synchronous import start_cyclic_torque as start_cyclic_torque
 from canopen_proto.drive.synchronous import start_cyclic_velocity as start_cyclic_velocity
+from canopen_proto.drive.target_sequence import Direction as Direction
 from canopen_proto.drive.target_sequence import RelativeTo as RelativeTo
 from canopen_proto.drive.target_sequence import Start as Start
 from canopen_proto.drive.target_sequence import Target as Target

@@ -7,10 +7,18 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl, ModeStatus
+from canopen_proto.cia402.positioning import (
+    DIRECTION_OPTION,
+    DIRECTION_SHIFT,
+    RELATIVE_OPTION,
+    REQUEST_RESPONSE_OPTION,
+    Direction,
+    RelativeTo,
+)
 from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit
 from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import command
-from canopen_proto.drive.failures import LimitReached, accounted, require_reference
+from canopen_proto.drive.failures import DriveError, LimitReached, accounted, require_reference
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.identity import learn_units
 from canopen_proto.drive.limits import EXACT, limits_of
@@ -19,7 +27,7 @@ from canopen_proto.drive.reasons import LIMIT_SWITCHES
 from canopen_proto.drive.standing import takes
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
-from canopen_proto.machine import Time
+from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.objects import read_if_present, read_int, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeout, current_time, sleep
 from canopen_proto.remote_node import FRESH
@@ -32,18 +40,23 @@ _NO_NEARER: Final = 0.001
 
 OTHER_TARGET: Final = "a target within the limit, or another limit"
 
+_OPPOSITE: Final = {Direction.POSITIVE: Direction.NEGATIVE, Direction.NEGATIVE: Direction.POSITIVE}
+
 _AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 """The controlword with which a new set-point drops the one before."""
 
 
 @moves
 @accounted
-def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = False) -> Procedure[None]:
+def move_to(
+    axis: Axis, position: float, *, timeout: Time, relative: bool = False, direction: Direction | None = None
+) -> Procedure[None]:
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.
 
     The set-point handshake of CiA 402: bit 4 clear, target, bit 4 set, bit 12 acknowledges, bit 4 clear, bit 10 at the target.
     Bit 5 is always set: it drops a target that a halt has kept, or that is under way. A drive in another mode is halted first.
     The position (0x6062, 0x6064) shows whether the target is reached: bit 10 also rises when a drive stops at a software limit.
+    direction: the way to the target of an axis without end, in the user's direction; None leaves 0x60F2 as it is.
     timeout: ns for the whole way. Raises LimitReached; nothing is sent if the target is beyond min_position or max_position of
     the settings, if 0x6081 is beyond their max_speed, or if the target does not fit 0x607A (ValueRangeError). Raises
     DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is not relative.
@@ -51,6 +64,9 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
     """
     if not relative:
         require_reference(axis)
+    elif direction is not None:
+        raise LocalProtocolError("a relative target has its direction already: by its sign")
+    require_option(axis, direction)
     settings = axis.settings
     counts = axis.to_counts(position) - (settings.offset if relative else 0)
     axis.node.encode(objects.TARGET_POSITION, counts)
@@ -64,6 +80,7 @@ def move_to(axis: Axis, position: float, *, timeout: Time, relative: bool = Fals
             yield from halt(axis)
         yield from set_mode(axis, Mode.PROFILE_POSITION)
         yield from _end_at_rest(axis)
+        yield from set_options(axis, direction)
         yield from enable(axis)
         if relative and axis.controlword & ControlBit.HALT:
             # The drive may count from the target that the halt kept: so first make its present position the target.
@@ -91,6 +108,36 @@ def _end_at_rest(axis: Axis) -> Procedure[None]:
     """Write 0 to the end velocity (0x6082), if another tool left one: the drive would not stop at its target."""
     if (yield from read_if_present(axis.node, objects.END_VELOCITY)):
         yield from write(axis.node, objects.END_VELOCITY, 0)
+
+
+def require_option(axis: Axis, direction: Direction | None, relative_to: RelativeTo | None = None) -> None:
+    """Raise DriveError if these options need 0x60F2 and the drive does not have it. Without it, drives count from the target
+    before."""
+    if objects.POSITIONING_OPTION_CODE in axis.node.dictionary:
+        return
+    if direction is not None:
+        raise DriveError(axis, "has no 0x60F2: it goes its own way to a target", remedy="no direction", looks=False)
+    if relative_to not in (None, RelativeTo.PREVIOUS):
+        remedy = "RelativeTo.PREVIOUS, from which drives without it count"
+        raise DriveError(axis, "has no 0x60F2: it cannot count from another position", remedy=remedy, looks=False)
+
+
+def option_code(axis: Axis, present: int, direction: Direction | None = None, relative_to: RelativeTo | None = None) -> int:
+    """Return 0x60F2 with these options; None leaves one as it is. Bits 4 and 5 become 0: the master itself clears bit 4 of the
+    controlword, and an acknowledge that falls by itself could be missed."""
+    option = present & ~REQUEST_RESPONSE_OPTION
+    if direction is not None:
+        if axis.settings.direction < 0:
+            direction = _OPPOSITE.get(direction, direction)
+        option = option & ~DIRECTION_OPTION | direction << DIRECTION_SHIFT
+    return option if relative_to is None else option & ~RELATIVE_OPTION | relative_to
+
+
+def set_options(axis: Axis, direction: Direction | None = None) -> Procedure[None]:
+    """Make 0x60F2 fit: see `option_code`. Does nothing if the drive lacks it."""
+    present = yield from read_if_present(axis.node, objects.POSITIONING_OPTION_CODE)
+    if isinstance(present, int) and present != (option := option_code(axis, present, direction)):
+        yield from write(axis.node, objects.POSITIONING_OPTION_CODE, option)
 
 
 def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:

@@ -32,7 +32,7 @@ from canopen_proto.drive.failures import accounted, require_reference
 from canopen_proto.drive.following import Following
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.one_motion import moves
-from canopen_proto.drive.profile_position import make_room
+from canopen_proto.drive.profile_position import make_room, set_options
 from canopen_proto.drive.state import enable, set_mode
 from canopen_proto.drive.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
@@ -69,6 +69,7 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
     yield from set_mode(axis, Mode.PROFILE_POSITION)
     yield from enable(axis)
     try:
+        yield from set_options(axis)
         position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
         axis.set_position_counts(position)
         now = yield from current_time()

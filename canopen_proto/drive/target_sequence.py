@@ -22,6 +22,8 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl
+from canopen_proto.cia402.positioning import Direction as Direction
+from canopen_proto.cia402.positioning import RelativeTo as RelativeTo
 from canopen_proto.cia402.states import Command, State
 from canopen_proto.drive.axis import OBEYED, Axis
 from canopen_proto.drive.controlword import command
@@ -34,6 +36,8 @@ from canopen_proto.drive.profile_position import (
     demand_of,
     limit_before,
     make_room,
+    option_code,
+    require_option,
     require_profile_speed,
     require_within_limits,
     wait_for_acknowledge,
@@ -45,9 +49,6 @@ from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import read_if_present, write
 from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeout, current_time
-
-_RELATIVE_OPTION: Final = 0b11
-"""Bits 0 and 1 of 0x60F2; the others (rotary axis, request and response) stay as they are."""
 
 
 class Start(enum.Enum):
@@ -65,17 +66,6 @@ _BITS: Final = {
 }
 
 
-class RelativeTo(enum.IntEnum):
-    """The position from which a relative target counts: bits 0 and 1 of 0x60F2."""
-
-    PREVIOUS = 0
-    """The target before; for the first one, the demand."""
-    DEMAND = 1
-    """The demand (0x6062) when the target is given."""
-    ACTUAL = 2
-    """The actual position (0x6064) when the target is given."""
-
-
 @dataclass(frozen=True, slots=True)
 class Target:
     """A target and the profile that leads to it.
@@ -84,7 +74,8 @@ class Target:
     is given, while the drive goes on. velocity: in the user's unit per second; acceleration, deceleration: per second²; all are
     rounded down to the drive's unit, and stay in the drive. None keeps the last one, which at first is the drive's own (0x6081,
     0x6083, 0x6084). end_velocity: the speed with which the drive passes the target (0x6082); 0 for the last one. A drive that
-    gets its next target late runs on at that speed: ON_THE_WAY is safer, because it stops.
+    gets its next target late runs on at that speed: ON_THE_WAY is safer, because it stops. direction: the way to an absolute
+    target of an axis without end, in the user's direction (0x60F2); None leaves it as the drive has it.
     """
 
     position: float
@@ -95,6 +86,7 @@ class Target:
     acceleration: float | None = None
     deceleration: float | None = None
     end_velocity: float = 0.0
+    direction: Direction | None = None
 
     def __post_init__(self) -> None:
         for name in ("velocity", "acceleration", "deceleration"):
@@ -103,6 +95,8 @@ class Target:
                 raise LocalProtocolError(f"{name} of a target must be above 0, or None for the last one; it is {value!r}")
         if self.end_velocity < 0 or self.pause < 0:
             raise LocalProtocolError("end_velocity and pause of a target must not be below 0")
+        if self.direction is not None and self.relative_to is not None:
+            raise LocalProtocolError("a relative target has its direction already: by its sign")
 
 
 @moves
@@ -170,14 +164,17 @@ class _Feeder:
         self._profiles = [self._profile_of(each) for each in points]
         if points[0].velocity is None:
             yield from require_profile_speed(axis)
-        end_velocity = yield from read_if_present(axis.node, objects.END_VELOCITY)
-        if isinstance(end_velocity, int):
-            self._written[objects.END_VELOCITY] = end_velocity
+        for key in (objects.END_VELOCITY, objects.POSITIONING_OPTION_CODE):
+            present = yield from read_if_present(axis.node, key)
+            if isinstance(present, int):
+                self._written[key] = present
         for profile in self._profiles:
             for key, number in profile.items():
                 if key not in axis.node.dictionary:
                     raise DriveError(axis, f"has no {mux_text(key)}, which a target needs; nothing was sent", looks=False)
                 axis.node.encode(key, number)
+        for point in points:
+            require_option(axis, point.direction, None if point is points[0] else point.relative_to)
         self._target = start = yield from demand_of(axis)
         known: int | None = start
         for point in points:
@@ -266,15 +263,10 @@ class _Feeder:
         absolute = self._absolute(point, before)
         if absolute is not None and (point.relative_to is None or is_first):  # before the first there is no target to count from
             self._target, self._is_exact = absolute, True
+            yield from self._set_options(direction=point.direction)
             return absolute, 0
         assert point.relative_to is not None
-        option = yield from read_if_present(axis.node, objects.POSITIONING_OPTION_CODE)
-        if isinstance(option, int):
-            self._written.setdefault(objects.POSITIONING_OPTION_CODE, option)
-            yield from self._write(objects.POSITIONING_OPTION_CODE, option & ~_RELATIVE_OPTION | point.relative_to)
-        elif point.relative_to is not RelativeTo.PREVIOUS:
-            remedy = "RelativeTo.PREVIOUS, from which drives without it count"
-            raise DriveError(axis, "has no 0x60F2: it cannot count from another position", remedy=remedy, looks=False)
+        yield from self._set_options(relative_to=point.relative_to)
         if absolute is None:
             here = yield from demand_of(axis)
             if not axis.has_lost_reference:  # the drive takes it a little later, between here and the target before
@@ -284,6 +276,13 @@ class _Feeder:
             self._is_exact = is_first and point.relative_to is RelativeTo.DEMAND
         self._target = absolute
         return way, int(ModeControl.RELATIVE)
+
+    def _set_options(self, direction: Direction | None = None, relative_to: RelativeTo | None = None) -> Procedure[None]:
+        """Write what a target needs to 0x60F2, if the drive has it."""
+        present = self._written.get(objects.POSITIONING_OPTION_CODE)
+        if present is not None:
+            option = option_code(self._axis, present, direction, relative_to)
+            yield from self._write(objects.POSITIONING_OPTION_CODE, option)
 
     def _write(self, key: Mux, value: int) -> Procedure[None]:
         """Write an object if its value changes."""

@@ -34,7 +34,7 @@ from functools import cache
 from typing import Final, NamedTuple
 
 from canopen_proto import indices
-from canopen_proto.cia402 import objects
+from canopen_proto.cia402 import objects, positioning
 from canopen_proto.cia402.axes import PDOS_PER_AXIS, moved, with_names_of_axes
 from canopen_proto.cia402.option_codes import OPTION_CODES
 from canopen_proto.datatypes import Value
@@ -108,7 +108,7 @@ _ONLY: Final = {
     Shape.STANDARD: (
         0x6007, *_VELOCITY_MODE, 0x605A, 0x605B, 0x605C, 0x605D, 0x605E, 0x606D, 0x606E, 0x606F, 0x6070, 0x6071, 0x6072, 0x6073,
         0x6074, 0x6075, 0x6076, 0x6078, 0x607F, 0x6080, 0x6082, 0x6084, 0x6085, 0x6087, 0x6098, 0x6099, 0x609A, 0x60A3, 0x60A4,
-        0x60B0, 0x60B1, 0x60B2, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2, 0x60F8, 0x60FE, 0x60FF, *_INPUTS_AND_PROBES,
+        0x607B, 0x60B0, 0x60B1, 0x60B2, 0x60C5, 0x60C6, 0x60E0, 0x60E1, 0x60F2, 0x60F8, 0x60FE, 0x60FF, *_INPUTS_AND_PROBES,
     ),
     Shape.SCHUNK_POWERBALL: (0x6042, 0x6098, 0x60B2),
 }  # fmt: skip
@@ -139,7 +139,7 @@ ALLOWED_VALUES: Final[dict[Mux, Collection[int]]] = {
     objects.BUFFER_ORGANISATION: range(2),
     objects.BUFFER_CLEAR: range(2),
     objects.TOUCH_PROBE_FUNCTION: FUNCTIONS,
-    objects.POSITIONING_OPTION_CODE: range(3),
+    objects.POSITIONING_OPTION_CODE: positioning.OPTION_CODES,
 }
 """The values that may be written to these objects; all others are refused with 06090030h."""
 

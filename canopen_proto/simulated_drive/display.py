@@ -10,6 +10,7 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.simulated_drive.servo import Servo
 from canopen_proto.simulated_drive.settings import STO_OF_AX8000, Shape
+from canopen_proto.simulated_drive.turns import shown
 
 _STATE_BITS: Final[dict[State, int]] = {
     State.UNKNOWN: 0x0000,
@@ -44,9 +45,9 @@ def statusword_of(state: State, mode_status: int, servo: Servo, *, is_referenced
 
 def show_values(servo: Servo, *, torque_is_off: bool) -> None:
     """Write the present values into the store. torque_is_off: by the STO input."""
-    store, zero = servo.store, servo.zero
-    store[objects.POSITION_DEMAND_VALUE] = wrapped(servo.demand_position - zero)
-    store[objects.POSITION_ACTUAL_VALUE] = wrapped(servo.position - zero)
+    store = servo.store
+    store[objects.POSITION_DEMAND_VALUE] = shown(servo, servo.demand_position)
+    store[objects.POSITION_ACTUAL_VALUE] = shown(servo, servo.position)
     store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
     store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
     if objects.VL_VELOCITY_DEMAND in store:
@@ -59,7 +60,7 @@ def show_values(servo: Servo, *, torque_is_off: bool) -> None:
     store[objects.FOLLOWING_ERROR_ACTUAL_VALUE] = _limited(servo.following_error)
     store[objects.DIGITAL_INPUTS] = servo.settings.track.inputs_at(servo.position)
     if objects.ADDITIONAL_POSITION in store:  # the second encoder has a zero of its own
-        store[objects.ADDITIONAL_POSITION] = wrapped(servo.position * servo.settings.second_encoder)
+        store[objects.ADDITIONAL_POSITION] = _wrapped(servo.position * servo.settings.second_encoder)
     sto_bit = servo.settings.sto_bit
     if torque_is_off or sto_bit is not STO_OF_AX8000:  # which is 0 in the inputs otherwise
         _show_bit(servo, sto_bit, torque_is_off)
@@ -74,7 +75,7 @@ def _show_bit(servo: Servo, shown: DriveBit, is_active: bool) -> None:
         servo.store[shown.mux] = word | bit if is_active is (shown.value == 1) else word & ~bit
 
 
-def wrapped(position: float) -> int:
+def _wrapped(position: float) -> int:
     """Return a position as INTEGER32; an endless axis starts again at the other end."""
     return (round(position) + _INT32) % (2 * _INT32) - _INT32
 

@@ -168,6 +168,7 @@ class Drive(Machine):
             return
         if key == objects.CONTROLWORD:
             word = self._servo.parameter(key)
+            self._controlword, self._mode.released = self._controlword & ~self._mode.released, 0
             command = command_of(word, self._controlword)
             if word == self._controlword and (command is None or (self.state, command) not in TRANSITIONS):
                 return  # the same value again, as in each cycle

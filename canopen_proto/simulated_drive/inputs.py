@@ -28,9 +28,9 @@ from typing import Final, NamedTuple
 from canopen_proto.cia402 import objects
 from canopen_proto.machine import Outbox
 from canopen_proto.multiplexer import Mux
-from canopen_proto.simulated_drive.display import wrapped
 from canopen_proto.simulated_drive.events import InputsChanged
 from canopen_proto.simulated_drive.servo import Servo
+from canopen_proto.simulated_drive.turns import shown
 
 _ENABLE, _CONTINUOUS, _BY_INDEX = 1 << 0, 1 << 1, 1 << 2
 _BYTE: Final = 8
@@ -119,7 +119,7 @@ class Inputs:
             if not function & edge.sample or (status & edge.stored and not is_continuous):
                 continue
             place, times = (last, times) if is_continuous else (first, 1)
-            servo.store[edge.positions[probe]] = wrapped(place - servo.zero)
+            servo.store[edge.positions[probe]] = shown(servo, place)
             if edge.counters[probe] in servo.store:
                 servo.store[edge.counters[probe]] = (servo.parameter(edge.counters[probe]) + times) % _COUNTER
             status |= edge.stored

@@ -24,11 +24,13 @@ from typing import Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl, ModeStatus
+from canopen_proto.cia402.positioning import Direction
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import NEVER, Event, Outbox
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.servo import Servo
 from canopen_proto.simulated_drive.synchronous_modes import SynchronousMode
+from canopen_proto.simulated_drive.turns import place_of
 
 POSITION_AND_VELOCITY: Final = -1
 """60C0h: the sub-mode in which a record has a velocity too."""
@@ -206,7 +208,7 @@ class InterpolatedPosition(SynchronousMode):
         self._await_sync()
         record = self._buffer.pop()
         if record is not None:
-            servo.interpolate(record.position + servo.zero, record.velocity)
+            servo.interpolate(place_of(servo, record.position, Direction.SHORTEST), record.velocity)
             self._show()
         elif servo.moving_at:
             self._stop_following()

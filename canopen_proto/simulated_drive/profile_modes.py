@@ -59,7 +59,7 @@ class Dwell:
 class OperationMode:
     """The base of all modes. By itself it is "no mode", in which the axis stands. See this module's text."""
 
-    __slots__ = ("controlword", "due", "node_id", "out", "servo")
+    __slots__ = ("controlword", "due", "node_id", "out", "released", "servo")
 
     listens_to: frozenset[Mux] = frozenset()
     """The objects that act when they are written; all others are read when they are needed."""
@@ -71,6 +71,8 @@ class OperationMode:
         self.controlword = 0
         self.due: Time = NEVER
         """When the next SYNC is overdue; NEVER if the mode needs no SYNC."""
+        self.released = 0
+        """Bits of the controlword that the drive has cleared by itself since it was last written."""
         self.enter()  # a mode that is selected while the drive ramps down must give its status before it acts
 
     def enter(self) -> None:

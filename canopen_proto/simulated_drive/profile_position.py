@@ -13,7 +13,9 @@ another one.
 which none can wait takes set-points with bit 5 only.
 
 Bit 6 makes a target relative. 60F2h, bits 0 and 1, says to what: 0 the target before, 1 the demand, 2 the actual position. The
-first target after the mode began counts from the demand.
+first target after the mode began counts from the demand. Bits 6 and 7 of it say which way an axis without end goes to an absolute
+target (turns.py). Bits 4 and 5: the drive itself clears bit 4 of the controlword, and then bit 12, at once (2) or at the target
+(1).
 
 An end velocity other than 0 is kept behind the target, up to the software limit, until the next set-point or a halt.
 
@@ -31,10 +33,12 @@ from typing import Final, NamedTuple
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl, ModeStatus
+from canopen_proto.cia402.positioning import DIRECTION_SHIFT, RELATIVE_OPTION, REQUEST_RESPONSE_OPTION, Direction, RequestResponse
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.profile_modes import Dwell, OperationMode
 from canopen_proto.simulated_drive.servo import UNLIMITED
+from canopen_proto.simulated_drive.turns import place_of
 
 _ROUNDING: Final = 1e-3
 """Units by which an axis may stop short of a target that it could just reach."""
@@ -78,12 +82,13 @@ class ProfilePosition(OperationMode):
     def _given(self, controlword: int) -> _SetPoint:
         servo = self.servo
         target = float(servo.parameter(objects.TARGET_POSITION))
+        option = servo.parameter(objects.POSITIONING_OPTION_CODE)
         if controlword & ModeControl.RELATIVE:
             last = self._waiting[-1] if self._waiting else self._running
             bases = (last.target if last else self._goal, servo.demand_position, servo.position, self._goal)
-            target += bases[servo.parameter(objects.POSITIONING_OPTION_CODE) & 3]
+            target += bases[option & RELATIVE_OPTION]
         else:
-            target += servo.zero
+            target = place_of(servo, target, Direction(option >> DIRECTION_SHIFT & 3))
         return _SetPoint(
             target,
             servo.rate(objects.PROFILE_VELOCITY),
@@ -105,6 +110,8 @@ class ProfilePosition(OperationMode):
         else:
             return  # no room, as bit 12 shows
         self._acknowledged = True
+        if self._response is RequestResponse.AT_ONCE:
+            self._release()
 
     def _start(self, set_point: _SetPoint) -> None:
         self._running = set_point
@@ -131,6 +138,17 @@ class ProfilePosition(OperationMode):
         deceleration = min(following.deceleration, self.servo.rate(objects.MAX_DECELERATION))
         return min(set_point.velocity, math.sqrt(2.0 * deceleration * max(0.0, abs(way) - _ROUNDING)))
 
+    @property
+    def _response(self) -> RequestResponse:
+        option = self.servo.parameter(objects.POSITIONING_OPTION_CODE) & REQUEST_RESPONSE_OPTION
+        return RequestResponse(option >> 4 if option >> 4 < 3 else 0)
+
+    def _release(self) -> None:
+        """Clear bit 4 of the controlword as the master would; 60F2h asks for that."""
+        self.released |= self.controlword & ModeControl.NEW_SET_POINT
+        self.controlword &= ~ModeControl.NEW_SET_POINT
+        self._ready_for_next()
+
     def _ready_for_next(self) -> None:
         has_room = len(self._waiting) < max(1, self.servo.settings.set_points)
         if has_room and not self.controlword & ModeControl.NEW_SET_POINT:
@@ -148,6 +166,8 @@ class ProfilePosition(OperationMode):
             elif servo.demand_velocity:
                 servo.run(servo.demand_velocity, ended.acceleration, ended.deceleration)
         self._watch_window()
+        if self._reached_target and self._response is RequestResponse.WHEN_REACHED:
+            self._release()
 
     def _watch_window(self) -> None:
         """Show "target reached" once the axis has been within 6067h of the target for 6068h."""

@@ -27,12 +27,14 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeStatus
+from canopen_proto.cia402.positioning import Direction
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.communication_objects import CYCLE_PERIOD
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.profile_modes import OperationMode
 from canopen_proto.simulated_drive.servo import UNLIMITED
+from canopen_proto.simulated_drive.turns import place_of
 
 SYNC_TOLERANCE: Final = 100 * MILLISECOND
 """A SYNC that stays away for less is late, not lost: the axis brakes until it comes, then goes on."""
@@ -114,7 +116,8 @@ class CyclicPosition(SynchronousMode):
         if self.is_halted:
             return
         servo = self.servo
-        target = servo.parameter(objects.TARGET_POSITION) + servo.parameter(objects.POSITION_OFFSET) + servo.zero
+        wanted = servo.parameter(objects.TARGET_POSITION) + servo.parameter(objects.POSITION_OFFSET)
+        target = place_of(servo, wanted, Direction.SHORTEST)
         if not self._follows:
             if not (servo.is_settled and self._is_near(target)):
                 return

@@ -92,7 +92,7 @@ def test_on_the_way_nothing_stops_and_each_profile_is_its_own() -> None:
         rig.drive.refresh(rig.bus.now)
         speeds[round(rig.drive._servo.position / 1000)] = rig.drive._servo.velocity / 1000
     assert speeds[9] == pytest.approx(10)
-    assert speeds[10] == pytest.approx(10, abs=1)
+    assert speeds[10] > 8.9, "half a degree further, by 20 degrees a second²"
     assert speeds[15] == pytest.approx(5)
     store = rig.node.values.store
     assert (store[objects.PROFILE_ACCELERATION], store[objects.PROFILE_DECELERATION]) == (50_000, 20_000)
