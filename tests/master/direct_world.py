@@ -13,6 +13,7 @@ import trio
 from canopen_master import Host, powerballs, simulate, standard_drives
 from canopen_master.direct.background import Background
 from canopen_master.simulation import DeviceMaker
+from canopen_proto.communication_objects import CYCLE_PERIOD
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
@@ -23,7 +24,9 @@ PATIENT = 10.0
 """Seconds for an answer, for a computer that is busy with other things."""
 
 INTERVAL = 100
-"""Milliseconds from SYNC to SYNC that drives are told: SYNC is lost to them after three of these, and a busy computer is late."""
+"""Milliseconds from SYNC to SYNC that drives and master are told: a busy computer is late."""
+SYNC_PERIOD = 30_000_000
+"""Microseconds, in 0x1006 of the drives: SYNC is lost to them after three of these, so never."""
 
 _numbers = itertools.count()
 
@@ -51,10 +54,11 @@ class Devices:
         return node
 
     def power_cycle(self) -> None:
-        """Everything as at power-on; nothing of before is in `frames`."""
+        """Everything as at power-on, but for SYNC_PERIOD; nothing of before is in `frames`."""
         self.frames(0)
         self.send(0x000, "8100")
         self._wait_for(f"{0x700 + self.host.nodes[-1].node_id:03X}#00")
+        self.do(lambda host: [node.values.store.update({CYCLE_PERIOD: SYNC_PERIOD}) for node in host.nodes])
 
     def is_moving(self, node_id: int) -> bool:
         """As the drive's own bit 8 says."""

@@ -30,7 +30,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_transports import TransportError
-from tests.master.direct_world import LIMIT, PATIENT, Devices, devices, near_home, until
+from tests.master.direct_world import INTERVAL, LIMIT, PATIENT, Devices, devices, near_home, until
 
 CHAINS = "arm joint1 can0 3 joint2 can0 12"
 
@@ -60,7 +60,7 @@ def session(arm: Devices) -> Iterator[Session]:
 @pytest.mark.parametrize("joints", [near_home])
 def test_a_chain_is_led_from_a_clients_thread(session: Session, arm: Devices) -> None:
     session.init_incoming_pdo_processor_thread()
-    session.init_master_thread()
+    session.init_master_thread(INTERVAL)
     chain = session.chain_map["arm"]
     assert repr(chain) == "<chain arm: joint1, joint2>"
     done: list[bool] = []
@@ -85,7 +85,7 @@ def test_a_chain_is_led_from_a_clients_thread(session: Session, arm: Devices) ->
 
 
 def test_a_clients_loop_gets_the_cycles(session: Session) -> None:
-    session.init_master_thread()
+    session.init_master_thread(INTERVAL)
     chain = session.chain_map["arm"]
     with pytest.raises(ChainError, match="cannot give cycles"):
         next(chain.cycles())
@@ -94,8 +94,8 @@ def test_a_clients_loop_gets_the_cycles(session: Session) -> None:
     start = chain.get_current_pos()
     for number, cycle in enumerate(chain.cycles()):
         assert cycle.number == number
-        assert cycle.time == pytest.approx(0.01 * number)  # however late this thread was
-        chain.set_pos([position + round(10_000 * cycle.time) for position in start])
+        assert cycle.time == pytest.approx(INTERVAL / 1000 * number)  # however late this thread was
+        chain.set_pos([position + round(1_000 * cycle.time) for position in start])
         if number == 5:
             break
     assert chain.get_desired_pos() == [position + 500 for position in start]
@@ -121,11 +121,11 @@ def test_a_wrong_call_raises(session: Session) -> None:
         chain.init()
     session.using_master_thread = False
     with pytest.raises(LocalProtocolError, match="using_master_thread"):
-        session.init_master_thread()
+        session.init_master_thread(INTERVAL)
     session.using_master_thread = True
-    session.init_master_thread()
+    session.init_master_thread(INTERVAL)
     with pytest.raises(LocalProtocolError, match="runs already"):
-        session.init_master_thread()
+        session.init_master_thread(INTERVAL)
     assert not chain.homing()
     assert isinstance(session.last_error(), ChainError)
     assert chain.init()
@@ -140,7 +140,7 @@ def test_a_wrong_call_raises(session: Session) -> None:
 
 
 def test_halt_ends_a_homing_and_recover_goes_on(session: Session, arm: Devices) -> None:
-    session.init_master_thread()
+    session.init_master_thread(INTERVAL)
     chain = session.chain_map["arm"]
     assert chain.init()
     results: list[tuple[bool, Exception | None]] = []
@@ -158,7 +158,7 @@ def test_halt_ends_a_homing_and_recover_goes_on(session: Session, arm: Devices) 
 
 
 def test_a_fault_of_one_joint_stops_the_chain(session: Session, arm: Devices) -> None:
-    session.init_master_thread()
+    session.init_master_thread(INTERVAL)
     chain = session.chain_map["arm"]
     assert chain.init()
     assert chain.ip_mode()
@@ -182,7 +182,7 @@ def test_a_handler_sees_each_pdo_and_may_fail(session: Session, monkeypatch: pyt
         raise ValueError(len(seen))
 
     session.init_incoming_pdo_processor_thread(handle)
-    session.init_master_thread()
+    session.init_master_thread(INTERVAL)
     assert session.chain_map["arm"].init()
     until(lambda: len(shown) >= 3)
     assert {pdo.node_id for pdo in seen} <= {3, 12}
