@@ -8,12 +8,15 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 
 import can
+import pytest
 import trio
 
 from canopen_master import Host, powerballs, simulate, standard_drives
 from canopen_master.direct.background import Background
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.communication_objects import CYCLE_PERIOD
+from canopen_proto.drive import following
+from canopen_proto.machine import SECOND
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
@@ -25,6 +28,8 @@ PATIENT = 10.0
 
 INTERVAL = 100
 """Milliseconds from SYNC to SYNC that drives and master are told: a busy computer is late."""
+SILENT_TIME = SECOND
+"""A drive that is late by less is not silent, however many SYNCs come meanwhile."""
 SYNC_PERIOD = 30_000_000
 """Microseconds, in 0x1006 of the drives: SYNC is lost to them after three of these, so never."""
 
@@ -111,10 +116,12 @@ async def _host(bus: str, devices: Sequence[DeviceMaker]) -> AsyncIterator[Host]
 @contextlib.contextmanager
 def devices(*node_ids: int, makers: Sequence[DeviceMaker] = ()) -> Iterator[Devices]:
     made = Devices(*node_ids, makers=makers)
-    try:
-        yield made
-    finally:
-        made.close()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(following, "SILENT_TIME", SILENT_TIME)
+        try:
+            yield made
+        finally:
+            made.close()
 
 
 def until(condition: Callable[[], object]) -> None:

@@ -79,7 +79,7 @@ def test_a_chain_is_led_from_a_clients_thread(session: Session, arm: Devices) ->
     assert chain.get_desired_pos() == [100, -100]
     assert [line.partition(":")[0] for line in chain.describe()] == ["joint1", "joint2"]
     assert len(session.incoming_pdos) == 0  # they were processed
-    assert chain.shut_down()
+    assert chain.shut_down(), session.last_error()
     until(lambda: {node.state for node in arm.host.nodes} == {NmtState.STOPPED})
     assert {node.drive.state for node in map(arm.node, (3, 12))} == {State.SWITCH_ON_DISABLED}
 
@@ -89,8 +89,8 @@ def test_a_clients_loop_gets_the_cycles(session: Session) -> None:
     chain = session.chain_map["arm"]
     with pytest.raises(ChainError, match="cannot give cycles"):
         next(chain.cycles())
-    assert chain.init()
-    assert chain.ip_mode()
+    assert chain.init(), session.last_error()
+    assert chain.ip_mode(), session.last_error()
     start = chain.get_current_pos()
     for number, cycle in enumerate(chain.cycles()):
         assert cycle.number == number
@@ -99,7 +99,7 @@ def test_a_clients_loop_gets_the_cycles(session: Session) -> None:
         if number == 5:
             break
     assert chain.get_desired_pos() == [position + 500 for position in start]
-    assert chain.halt()
+    assert chain.halt(), session.last_error()
 
 
 def test_sync_is_the_masters(session: Session, arm: Devices) -> None:
@@ -109,8 +109,8 @@ def test_sync_is_the_masters(session: Session, arm: Devices) -> None:
     session.send_sync(0)
     sent = arm.frames(last="080#").count("080#")
     assert sent <= 1 + (time.monotonic() - began) / 0.2
-    assert session.chain_map["arm"].init()
-    assert session.chain_map["arm"].ip_mode()
+    assert session.chain_map["arm"].init(), session.last_error()
+    assert session.chain_map["arm"].ip_mode(), session.last_error()
     session.send_pos(12, 3010)  # of a joint: the master's cycle takes it along
     assert session.chain_map["arm"].get_desired_pos() == [3000, 3010]
 
@@ -128,10 +128,10 @@ def test_a_wrong_call_raises(session: Session) -> None:
         session.init_master_thread(INTERVAL)
     assert not chain.homing()
     assert isinstance(session.last_error(), ChainError)
-    assert chain.init()
+    assert chain.init(), session.last_error()
     with pytest.raises(ChainError):
         chain.set_pos([0, 0])
-    assert chain.ip_mode()
+    assert chain.ip_mode(), session.last_error()
     with pytest.raises(SetPointRefused):
         chain.set_pos([0])
     session.close_connection()
@@ -142,33 +142,33 @@ def test_a_wrong_call_raises(session: Session) -> None:
 def test_halt_ends_a_homing_and_recover_goes_on(session: Session, arm: Devices) -> None:
     session.init_master_thread(INTERVAL)
     chain = session.chain_map["arm"]
-    assert chain.init()
+    assert chain.init(), session.last_error()
     results: list[tuple[bool, Exception | None]] = []
     thread = threading.Thread(target=lambda: results.append((chain.homing(), session.last_error())))
     thread.start()
     until(lambda: arm.is_moving(3) and arm.is_moving(12))
-    assert chain.halt()
+    assert chain.halt(), session.last_error()
     assert not arm.is_moving(3)
     assert not arm.is_moving(12)
     thread.join(LIMIT)
     ((homed, why),) = results
     assert not homed
     assert isinstance(why, ChainHalted)
-    assert chain.recover()
+    assert chain.recover(), session.last_error()
 
 
 def test_a_fault_of_one_joint_stops_the_chain(session: Session, arm: Devices) -> None:
     session.init_master_thread(INTERVAL)
     chain = session.chain_map["arm"]
-    assert chain.init()
-    assert chain.ip_mode()
+    assert chain.init(), session.last_error()
+    assert chain.ip_mode(), session.last_error()
     arm.break_down(12)
     until(lambda: chain.state is ChainState.FAULT)
     with pytest.raises(ChainFault, match="joint2"):
         session.send_pos(3, 3000)
     with pytest.raises(ChainFault, match="joint2"):
         chain.set_pos([0, 0])
-    assert chain.recover()
+    assert chain.recover(), session.last_error()
     assert chain.state is ChainState.FOLLOWING
 
 
@@ -183,7 +183,7 @@ def test_a_handler_sees_each_pdo_and_may_fail(session: Session, monkeypatch: pyt
 
     session.init_incoming_pdo_processor_thread(handle)
     session.init_master_thread(INTERVAL)
-    assert session.chain_map["arm"].init()
+    assert session.chain_map["arm"].init(), session.last_error()
     until(lambda: len(shown) >= 3)
     assert {pdo.node_id for pdo in seen} <= {3, 12}
     assert shown[0].exc_type is ValueError

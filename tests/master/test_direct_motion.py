@@ -50,6 +50,14 @@ def hold(session: Session, node: int, position: int) -> None:
     until(is_there)
 
 
+def go_on(session: Session, *nodes: int) -> None:
+    """Send set-points until one is refused, as an error of this thread."""
+    while True:
+        for node in nodes:
+            session.send_pos(node, 3100)
+        session.send_sync(10)
+
+
 # ---- homing ----
 
 
@@ -166,14 +174,8 @@ def test_a_fault_in_the_middle_of_a_move_is_raised(session: Session, arm: Device
     session.send_pos(12, 3100)
     session.send_sync(5)
     arm.break_down(12, 0x8611)
-
-    def go_on() -> None:
-        for _ in range(100):
-            session.send_pos(12, 3100)
-            session.send_sync(5)
-
     with pytest.raises(DriveFault, match="0x8611"):
-        go_on()
+        go_on(session, 12)
     with pytest.raises(LocalProtocolError):
         session.send_pos(12, 3100)
 
@@ -182,10 +184,8 @@ def test_a_drive_that_leaves_operation_enabled_is_told(session: Session, arm: De
     follow(session, 12)
     arm.send(0x60C, "2B40600006000000")  # somebody else: shutdown
     until(lambda: arm.node(12).drive.state is State.READY_TO_SWITCH_ON)
-    session.send_sync(5)
-    session.send_sync(5)
     with pytest.raises(ProcedureError, match="drive 12 left operation enabled by itself"):
-        session.send_pos(12, 3100)
+        go_on(session, 12)
 
 
 def test_a_drive_whose_pdos_no_longer_come_is_silent(arm: Devices) -> None:
@@ -195,15 +195,8 @@ def test_a_drive_whose_pdos_no_longer_come_is_silent(arm: Devices) -> None:
     session.send_sync(20)
     arm.send(0x000, "020C")  # somebody else: stop
     until(lambda: arm.node(12).state is NmtState.STOPPED)
-
-    def go_on() -> None:
-        for _ in range(100):
-            session.send_pos(3, 3100)
-            session.send_pos(12, 3100)
-            session.send_sync(1)
-
     with pytest.raises(NodeSilent, match="node 12"):
-        go_on()
+        go_on(session, 3, 12)
     session.close_connection()  # the master wakes it, to see it halted
     assert arm.node(12).state is NmtState.PRE_OPERATIONAL
     assert arm.node(12).values.store[0x6040_00] == 0x11F
@@ -222,17 +215,15 @@ def test_a_drive_that_does_not_follow_is_told_and_halted(session: Session, arm: 
     if frame.startswith("237D"):
         arm.send(0x60C, "237D6001F0D8FFFF")  # 0x607D:01 = -10000
     arm.send(0x60C, frame)
-    sent = 0
 
-    def go_on() -> None:
-        nonlocal sent
-        for sent in range(1, 100):
+    def move_on() -> None:
+        for sent in range(1, 30):
             session.send_pos(12, 3000 + 50 * sent)
             session.send_sync(10)
+            arm.frames(0, last="18C#")
 
     with pytest.raises(ProcedureError, match=reason):
-        go_on()
-    assert sent < 30
+        move_on()
     with pytest.raises(LocalProtocolError, match=r"enable_ip_mode\(12\) first"):
         session.send_pos(12, 3000)
     until(lambda: arm.node(12).values.store[0x6040_00] & 0x100)  # type: ignore[operator]

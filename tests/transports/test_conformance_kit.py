@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import trio
+import trio.testing
 
 from canopen_proto.frame import Frame
 from canopen_proto.verdict import Result
@@ -385,7 +386,12 @@ def test_a_violation_is_a_failed_assertion() -> None:
 
 
 def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("canopen_transports.conformance.bench.HEAR_TIME", 0.1)
+    run = trio.run
+
+    def run_in_virtual_time(*arguments: Any, clock: None = None) -> Any:
+        return run(*arguments, clock=trio.testing.MockClock(autojump_threshold=0))
+
+    monkeypatch.setattr(trio, "run", run_in_virtual_time)
     for locators, status, said in (
         (["virtual:trial"], 0, "none failed"),
         (["virtual:one", "virtual:other"], 1, "it needs 3 members of a bus, and 2 were given"),

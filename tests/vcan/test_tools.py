@@ -29,12 +29,19 @@ def running(*command: str, stdout: int = subprocess.DEVNULL) -> Iterator[subproc
             process.kill()
 
 
+def listeners() -> int:
+    """Sockets that receive whatever comes on vcan0."""
+    return sum(line.split()[:1] == ["vcan0"] for line in Path("/proc/net/can/rcvlist_all").read_text().splitlines())
+
+
 @trio_test(real_time=True)
 async def test_candump_reads_what_we_send() -> None:
     frames = [*EVERY_KIND, END]
-    with running("candump", "-L", "-n", str(len(frames)), "vcan0", stdout=subprocess.PIPE) as dump:
-        async with joined("vcan0") as one:
-            await trio.sleep(0.5)  # until it listens
+    async with joined("vcan0") as one:
+        before = listeners()
+        with running("candump", "-L", "-n", str(len(frames)), "vcan0", stdout=subprocess.PIPE) as dump:
+            while listeners() == before:
+                await trio.sleep(0.01)
             for frame in frames:
                 await one.send(frame)
             text, _ = await trio.to_thread.run_sync(dump.communicate)
