@@ -6,17 +6,20 @@ import contextlib
 import itertools
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from functools import partial
 
 import can
 import pytest
 import trio
 
-from canopen_master import Host, powerballs, simulate, standard_drives
+from canopen_master import Host, simulate
 from canopen_master.direct.background import Background
 from canopen_master.simulation import DeviceMaker
-from canopen_proto.communication_objects import CYCLE_PERIOD
+from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive import following
+from canopen_proto.indices import COMMUNICATION_CYCLE_PERIOD
 from canopen_proto.machine import SECOND
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
@@ -31,15 +34,20 @@ INTERVAL = 100
 SILENT_TIME = SECOND
 """A drive that is late by less is not silent, however many SYNCs come meanwhile."""
 SYNC_PERIOD = 30_000_000
-"""Microseconds, in 0x1006 of the drives: SYNC is lost to them after three of these, so never."""
+"""Microseconds, in 0x1006 of patient drives: SYNC is lost to them after three of these, so never."""
 
 _numbers = itertools.count()
 
 
+def patient(*node_ids: int, settings: DriveSettings = DriveSettings(shape=Shape.SCHUNK_POWERBALL)) -> list[DeviceMaker]:  # noqa: B008 - frozen
+    """Drives that never lose SYNC, by default Powerball joints."""
+    dictionary = drive_dictionary(settings.shape).with_objects([standard_object(COMMUNICATION_CYCLE_PERIOD, SYNC_PERIOD)])
+    return [partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary) for node_id in node_ids]
+
+
 def near_home(*node_ids: int) -> list[DeviceMaker]:
-    """Powerball joints that are homed in a blink: the edge of their home switch is near."""
-    settings = DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=Track(home_switch=(1_500, 10_000)))
-    return standard_drives(*node_ids, settings=settings)
+    """Patient Powerball joints that are homed in a blink: the edge of their home switch is near."""
+    return patient(*node_ids, settings=DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=Track(home_switch=(1_500, 10_000))))
 
 
 class Devices:
@@ -49,9 +57,9 @@ class Devices:
         channel = f"direct{next(_numbers)}"
         self.bus = f"pythoncan:virtual:{channel}"
         self._listener = can.Bus(channel, interface="virtual")
-        self._background = Background(lambda: _host(self.bus, [*powerballs(*node_ids), *makers]))
+        self._background = Background(lambda: _host(self.bus, [*patient(*node_ids), *makers]))
         self.host = self._background.start()
-        self.power_cycle()
+        self._await_boot()
 
     def node(self, node_id: int) -> DriveNode:
         (node,) = (each for each in self.host.nodes if each.node_id == node_id)
@@ -59,11 +67,10 @@ class Devices:
         return node
 
     def power_cycle(self) -> None:
-        """Everything as at power-on, but for SYNC_PERIOD; nothing of before is in `frames`."""
+        """Everything as at power-on; nothing of before is in `frames`."""
         self.frames(0)
         self.send(0x000, "8100")
-        self._wait_for(f"{0x700 + self.host.nodes[-1].node_id:03X}#00")
-        self.do(lambda host: [node.values.store.update({CYCLE_PERIOD: SYNC_PERIOD}) for node in host.nodes])
+        self._await_boot()
 
     def is_moving(self, node_id: int) -> bool:
         """As the drive's own bit 8 says."""
@@ -93,17 +100,26 @@ class Devices:
         deadline = time.monotonic() + LIMIT
         while True:
             while (message := self._listener.recv(quiet)) is not None:
-                frames.append(f"{message.arbitration_id:03X}#{bytes(message.data).hex().upper()}")
+                frames.append(_text(message))
             if not last or any(frame.startswith(last) for frame in frames):
                 return frames
             assert time.monotonic() < deadline, frames
 
-    def _wait_for(self, frame: str) -> None:
-        until(lambda: frame in self.frames(0))
+    def _await_boot(self) -> None:
+        """Wait for the boot-up of each device; nothing of before is in `frames` then."""
+        missing = {f"{0x700 + node.node_id:03X}#00" for node in self.host.nodes}
+        while missing:
+            message = self._listener.recv(LIMIT)
+            assert message is not None, missing
+            missing.discard(_text(message))
 
     def close(self) -> None:
         self._background.stop()
         self._listener.shutdown()
+
+
+def _text(message: can.Message) -> str:
+    return f"{message.arbitration_id:03X}#{bytes(message.data).hex().upper()}"
 
 
 @contextlib.asynccontextmanager
