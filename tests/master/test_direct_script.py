@@ -17,7 +17,10 @@ SCRIPT = """
 import os, signal, sys, threading, time
 import can
 from canopen_master import direct as canopen
+from canopen_master.direct import connection
+from tests.master.direct_world import patient
 
+connection.powerballs = patient
 BUS = "pythoncan:virtual:script"
 
 homes = threading.Event()
@@ -44,7 +47,7 @@ drives.__enter__()
 assert canopen.open_connection(BUS, sdo_timeout=10), canopen.last_error()
 canopen.init_nmt()
 assert canopen.init_device(12)
-assert canopen.set_sync_interval(12, 250)  # so that the drive does not miss a SYNC when this computer is busy
+assert canopen.set_sync_interval(12, 250)
 assert canopen.enable_ip_mode(12)
 for step in range(5):
     canopen.send_pos(12, 3000 + 100 * step)
@@ -88,7 +91,7 @@ def run(name: str) -> tuple[int, str, str]:
 
 @pytest.fixture(scope="module")
 def endings() -> dict[str, tuple[int, str, str]]:
-    """What became of each script. Not all run at once: drives that miss their SYNC stop by themselves."""
+    """What became of each script. Not all run at once: a computer is small."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         return dict(zip(ENDS, pool.map(run, ENDS), strict=True))
 
