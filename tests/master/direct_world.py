@@ -12,13 +12,14 @@ import can
 import pytest
 import trio
 
-from canopen_master import Host, simulate
+from canopen_master import Host, session, simulate
 from canopen_master.direct.background import Background
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive import following
 from canopen_proto.indices import COMMUNICATION_CYCLE_PERIOD
 from canopen_proto.machine import SECOND
+from canopen_proto.procedures.grip import Grip
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
@@ -28,6 +29,8 @@ LIMIT = 60.0
 """Seconds after which a test gives up."""
 PATIENT = 10.0
 """Seconds for an answer, for a computer that is busy with other things."""
+LOOSE = Grip(timeout=60 * SECOND)
+"""Drives wait so long for the heartbeat of a master that is late."""
 
 INTERVAL = 100
 """Milliseconds from SYNC to SYNC that drives and master are told: a busy computer is late."""
@@ -134,6 +137,7 @@ def devices(*node_ids: int, makers: Sequence[DeviceMaker] = ()) -> Iterator[Devi
     made = Devices(*node_ids, makers=makers)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(following, "SILENT_TIME", SILENT_TIME)
+        patch.setattr(session, "SHUTDOWN_TIME", PATIENT)
         try:
             yield made
         finally:

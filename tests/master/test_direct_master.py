@@ -30,7 +30,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_transports import TransportError
-from tests.master.direct_world import INTERVAL, LIMIT, PATIENT, Devices, devices, near_home, until
+from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices, near_home, until
 
 CHAINS = "arm joint1 can0 3 joint2 can0 12"
 
@@ -51,7 +51,7 @@ def session(arm: Devices) -> Iterator[Session]:
     with Session() as session:
         session.using_master_thread = True
         session.init_chain_map(text=CHAINS)
-        assert session.open_connection(arm.bus, sdo_timeout=PATIENT), session.last_error()
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE), session.last_error()
         session.init_nmt()
         session.init_listener_thread()
         yield session
@@ -272,7 +272,7 @@ def test_a_bus_that_fails_unnoticed_is_told_by_close(session: Session, arm: Devi
     until(lambda: not session._connection.is_open)
     with pytest.raises(BusError, match="the adapter is gone"):
         session.close_connection()
-    assert session.open_connection(arm.bus)
+    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE)
 
 
 def test_the_module_has_a_master_half_too() -> None:

@@ -165,7 +165,9 @@ def test_blocking_calls_take_names_and_units() -> None:
     with contextlib.ExitStack() as stack:
         left = stack.enter_context(devices(makers=near_home(3)))
         right = stack.enter_context(devices(makers=near_home(3)))
-        text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace("700ms", f"{PATIENT:g}s")
+        text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace(
+            "700ms", f'{PATIENT:g}s"\ngrip.timeout = "60s'
+        )
         text = text.replace("virtual:left", left.bus).replace("virtual:right", right.bus)
         session = stack.enter_context(Session())
         assert session.open_connection(machine=parse_machine(text)), session.last_error()
@@ -191,7 +193,9 @@ def test_blocking_chains_of_a_machine_are_in_units() -> None:
     with contextlib.ExitStack() as stack:
         left = stack.enter_context(devices(makers=near_home(3)))
         right = stack.enter_context(devices(makers=near_home(3)))
-        text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace("700ms", f"{PATIENT:g}s")
+        text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace(
+            "700ms", f'{PATIENT:g}s"\ngrip.timeout = "60s'
+        )
         text = text.replace("virtual:left", left.bus).replace("virtual:right", right.bus).replace("20ms", "100ms")
         session = stack.enter_context(Session())
         assert session.open_connection(machine=parse_machine(text.replace("heartbeat_timeout", "#"))), session.last_error()
