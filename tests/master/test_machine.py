@@ -161,6 +161,12 @@ async def test_a_joint_whose_drive_does_not_tell_its_scale_is_not_initialised(ce
             await master.chains["arm"].initialise()
 
 
+def patient_cell() -> str:
+    """CELL without its device, for real time: late answers and a late master are waited for."""
+    text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace("700ms", f"{PATIENT:g}s")
+    return text.replace("grip.node_id = 126", 'grip = { node_id = 126, timeout = "60s" }')
+
+
 def test_blocking_calls_take_names_and_units() -> None:
     with contextlib.ExitStack() as stack:
         left = stack.enter_context(devices(makers=near_home(3)))
