@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from canopen_master.motion.record_reader import Record as Record
     from canopen_master.motion.record_reader import read_record as read_record
     from canopen_master.motion.recording import Recorder as Recorder
+    from canopen_master.motion.target_motion import Jog as Jog
+    from canopen_master.motion.target_motion import Targets as Targets
     from canopen_master.node import Node as Node
     from canopen_master.node_pdos import PdoDiffers as PdoDiffers
     from canopen_master.session import MasterSession as MasterSession
@@ -93,6 +95,7 @@ else:
             "canopen_master.motion.record_format": "RecordError",
             "canopen_master.motion.record_reader": "Record read_record",
             "canopen_master.motion.recording": "Recorder",
+            "canopen_master.motion.target_motion": "Jog Targets",
             "canopen_master.node": "Node",
             "canopen_master.node_pdos": "PdoDiffers",
             "canopen_master.session": "MasterSession open_master",

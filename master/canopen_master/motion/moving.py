@@ -16,8 +16,10 @@ stops each joint by its own ramp: the others cannot wait for it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+import math
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -27,9 +29,16 @@ from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_check import check_path
 from canopen_master.motion.path_motion import LONGEST_STOP, Course, Follower, Motion, Torques
+from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamCourse, Targets
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
 from canopen_proto.trajectory.path_clock import check_override
+
+if TYPE_CHECKING:
+    from canopen_master.trajectories.target_stream import TargetStream
+
+ROUNDING: Final = 1e-9
+"""In cycles: 0.2 s are 20 cycles of 0.01 s, though 0.2 / 0.01 may be a little more."""
 
 
 class Member(Follower, Protocol):
@@ -132,17 +141,79 @@ class Moving:
         from canopen_master.trajectories.point_to_point import plan
 
         await self._begin_following("move")
-        self._require_movable("move")
-        limits = self.path_limits
-        start = self._present()
-        is_moving = any(start.velocities) or any(start.accelerations)
-        path = plan(start, targets, limits, speed_factor=speed)
-        await self._run(self._clock(path, limits, is_moving=is_moving), start, torques)
+        while True:
+            self._require_movable("move")
+            limits = self.path_limits
+            start, present = self._present(), self.present_motion
+            path = plan(start, targets, limits, speed_factor=speed)
+            try:
+                clock = self._clock(path, limits, is_moving=any(start.velocities) or any(start.accelerations))
+                break
+            except PathRefused:
+                if present is None:
+                    raise
+                await present.news.park()  # it changes its rate with all that its limits leave free: soon it will not
+        await self._run(clock, start, torques)
 
     @property
     def path_limits(self) -> list[JointLimits]:
         """The limits of each joint on paths. Those of its drive are known once it follows set-points."""
         return [device.limits.of_paths for device in self._devices]
+
+    # ---- by targets and velocities: see target_motion.py ----
+
+    @asynccontextmanager
+    async def jog(self, *, speed: float = 1.0, renew_within: float = DEAD_MAN) -> AsyncIterator[Jog]:
+        """Move at velocities that are given while the block runs: `async with arm.jog() as jog: jog.velocity([...])`.
+
+        speed: the share of each speed limit that is used. renew_within: seconds, counted in cycles. If neither a velocity nor
+        `renew` comes for so long, the joints brake, and the jog is over. The block is left when the joints stand. It may take
+        over from a motion under way, as `move` does. Needs the extra `motion` (ruckig). Raises as `move` does.
+        """
+        async with self._streaming("jog", speed, renew_within) as (stream, check):
+            yield Jog(stream, check)
+
+    @asynccontextmanager
+    async def stream(self, *, speed: float = 1.0, renew_within: float | None = None) -> AsyncIterator[Targets]:
+        """Move to targets that are given while the block runs: `async with arm.stream() as targets: targets.aim_at([...])`.
+
+        A new target may come at any time. renew_within: as for `jog`; None: the joints go to their last target and rest there,
+        whatever becomes of the caller. Else as `jog`.
+        """
+        async with self._streaming("take targets", speed, renew_within) as (stream, check):
+            yield Targets(stream, check)
+
+    @asynccontextmanager
+    async def _streaming(
+        self, what: str, speed: float, renew_within: float | None
+    ) -> AsyncIterator[tuple[TargetStream, Callable[[], None]]]:
+        from canopen_master.trajectories.point_to_point import RESERVE
+        from canopen_master.trajectories.target_stream import TargetStream
+
+        await self._begin_following(what)
+        self._require_movable(what)
+        renew_cycles = None if renew_within is None else max(1, math.ceil(renew_within / self._period - ROUNDING))
+        start = self._present()
+        limits = [_less(each, RESERVE) for each in self.path_limits]
+        stream = TargetStream(start, limits, self._period, speed_factor=speed, renew_cycles=renew_cycles)
+        motion = self._begin(StreamCourse(stream), start, None)
+        try:
+            yield stream, lambda: self._check_goes_on(motion, what)
+        finally:
+            motion.brake()
+            with trio.CancelScope(shield=True):
+                await motion.braked()
+        if not motion.was_replaced:
+            await self._check_end(motion)
+        if stream.failure is not None:
+            raise stream.failure
+
+    def _check_goes_on(self, motion: Motion, what: str) -> None:
+        """Raise if a motion is over that should not be."""
+        if motion.is_over:
+            self._raise_own_end(motion)
+            for member in self._members:
+                member.require_following(what)
 
     # ---- while it runs ----
 
@@ -235,11 +306,7 @@ class Moving:
     async def _run(self, course: Course, start: PathPoint, torques: Torques | None) -> None:
         motion = self._begin(course, start, torques)
         await motion.wait()
-        await self.check_end(motion)
-
-    def begin_course(self, course: Course) -> Motion:
-        """Let a course move the joints from now on, in place of what moves them at present."""
-        return self._begin(course, self._present(), None)
+        await self._check_end(motion)
 
     @enable_ki_protection
     def _begin(self, course: Course, start: PathPoint, torques: Torques | None) -> Motion:
@@ -257,8 +324,15 @@ class Moving:
         self._moved.unpark_all()
         return motion
 
-    async def check_end(self, motion: Motion) -> None:
+    async def _check_end(self, motion: Motion) -> None:
         """Raise if the end of a motion was not its course's own: an error, another motion, a halt, a fault."""
+        self._raise_own_end(motion)
+        errors = [error for member in self._members if (error := await member.why_stopped()) is not None]
+        if errors:
+            raise next((error for error in errors if isinstance(error, ChainFault)), errors[0])
+
+    def _raise_own_end(self, motion: Motion) -> None:
+        """Raise if a motion ended by an error, by the end of the master, or by another motion."""
         if motion.error is not None:
             raise motion.error
         self._members[0].check_open()
@@ -266,9 +340,6 @@ class Moving:
             names = ", ".join(member.name for member in self._members)
             failed, seen = f"chain {names} did not end its motion", "another motion took over, from where it was"
             raise MotionReplaced(CHAIN_FAILED, names, failed, seen=seen)
-        errors = [error for member in self._members if (error := await member.why_stopped()) is not None]
-        if errors:
-            raise next((error for error in errors if isinstance(error, ChainFault)), errors[0])
 
     async def next_news(self) -> None:
         """Wait until a motion begins, or goes on by a cycle, or ends."""
@@ -330,6 +401,13 @@ class Together(Moving):
         """Stop all joints, along their path if they move along one, and wait until they stand. See `Chain.halt`."""
         for member in self._members:
             await member.halt()
+
+
+def _less(limits: JointLimits, reserve: float) -> JointLimits:
+    """Return limits with a reserve of acceleration and jerk, so that a `move` can take over at any time, and stop on its path."""
+    acceleration = None if limits.acceleration is None else limits.acceleration * (1.0 - reserve)
+    jerk = None if limits.jerk is None else limits.jerk * (1.0 - reserve)
+    return JointLimits(limits.lowest, limits.highest, limits.speed, acceleration, jerk)
 
 
 def together(*chains: Member) -> Together:

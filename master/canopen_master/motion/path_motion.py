@@ -173,9 +173,10 @@ class Motion:
         """Go on to the next point, behind a SYNC. skipped: periods without a SYNC before it."""
         self.cycles += 1
         if self._at_rest:
-            if self._at_rest > LAG:
-                self.end()
             self._at_rest += 1
+            if self._at_rest > LAG + 1:
+                self.end()
+            self.news.unpark_all()
             return
         course = self.course
         try:

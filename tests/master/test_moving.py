@@ -1,0 +1,259 @@
+"""What moves a chain: plans, blends, the override, jogging, targets, several chains as one; and what is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import pytest
+import trio
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canopen_master import ChainError, ChainState, MotionReplaced, PathRefused, PlanRefused, Progress, together
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.trajectory import Path, PathError, Segment
+from tests.examples import examples
+from tests.master.path_world import AXIS, CYCLE, Record, arms, swing
+from tests.master.test_path_motion import ON_PATH, WITHIN, distance_from, moved
+from tests.master.world import virtual_time
+
+
+def assert_within_limits(record: Record) -> None:
+    assert record.largest(1) <= 1.0 + 1e-3
+    assert record.largest(2) <= 4.0 * WITHIN + 0.05
+    assert record.largest(3) <= 40.0 * WITHIN + 4.0
+
+
+targets = st.lists(st.floats(-3, 3), min_size=2, max_size=2)
+
+
+@examples(6)
+@given(st.lists(st.tuples(targets, st.floats(0.05, 2.5), st.floats(0.1, 1.0)), min_size=1, max_size=4))
+def test_moves_and_blends_keep_every_limit_and_arrive(moves: list[tuple[list[float], float, float]]) -> None:
+    @virtual_time
+    async def run() -> None:
+        async with arms(2) as (_, [arm], record):
+            async with trio.open_nursery() as nursery:
+
+                async def move(to: list[float], speed: float, is_last: bool) -> None:
+                    try:
+                        await arm.move(to, speed=speed)
+                    except MotionReplaced:
+                        assert not is_last
+
+                for number, (to, seconds, speed) in enumerate(moves, start=1):
+                    nursery.start_soon(move, to, speed, number == len(moves))
+                    await trio.sleep(seconds)
+            assert record.rows[-1] == pytest.approx(moves[-1][0], abs=2e-6)
+            assert_within_limits(record)
+
+    run()
+
+
+@examples(6)
+@given(st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.5, 0.9, 1.0]), st.floats(0.01, 0.6)), min_size=1, max_size=6))
+def test_the_override_changes_the_rate_on_the_path_and_within_the_limits(changes: list[tuple[float, float]]) -> None:
+    @virtual_time
+    async def run() -> None:
+        async with arms(2) as (_, [arm], record):
+            path = swing(0.5, -0.25, duration=1.0)
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(arm.follow, path)
+                for override, seconds in changes:
+                    arm.override = override
+                    await trio.sleep(seconds)
+                arm.override = 1.0
+            assert record.rows[-1] == pytest.approx([0.5, -0.25], abs=2e-6)
+            assert max(distance_from(path, row) for row in record.rows) < ON_PATH
+            assert_within_limits(record)
+
+    run()
+
+
+@virtual_time
+async def test_a_pause_stands_on_the_path_until_it_goes_on() -> None:
+    async with arms(2) as (_, [arm], record):
+        path = swing(0.5, -0.25, duration=2.0)
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(arm.follow, path)
+            await moved(arm, 0.8)
+            arm.pause()
+            await trio.sleep(2)
+            paused = list(record.rows[-1])
+            assert record.rows[-50] == pytest.approx(paused, abs=1e-9)
+            assert 0.2 < paused[0] < 0.45
+            assert arm.state is ChainState.FOLLOWING
+            arm.resume()
+        assert record.rows[-1] == pytest.approx([0.5, -0.25], abs=2e-6)
+        assert_within_limits(record)
+
+
+@virtual_time
+async def test_progress_tells_each_cycle_of_the_motion() -> None:
+    async with arms(2) as (_, [arm], _):
+        seen: list[Progress] = []
+        async with trio.open_nursery() as nursery:
+
+            async def watch() -> None:
+                seen.extend([progress async for progress in arm.progress()])
+
+            nursery.start_soon(watch)
+            await trio.sleep(0.1)
+            await arm.follow(swing(0.5, -0.25, duration=1.0))
+        assert [each.time for each in seen] == pytest.approx([CYCLE * number for number in range(1, len(seen) + 1)])
+        assert seen[-1].set_points == pytest.approx([0.5, -0.25], abs=2e-6)
+        assert seen[-1].positions == pytest.approx([0.5, -0.25], abs=1e-4)
+        assert all(0 <= each.override <= 1 for each in seen)
+        assert max(abs(error) for each in seen for error in each.following_errors) < 1e-3
+
+
+@virtual_time
+async def test_a_jog_moves_as_long_as_it_is_renewed_and_brakes_when_its_block_ends() -> None:
+    async with arms(2) as (_, [arm], record):
+        async with arm.jog() as jog:
+            for _ in range(20):
+                jog.velocity([0.4, -5.0])
+                await trio.sleep(0.05)
+            assert record.derivatives(1)[-1] == pytest.approx([0.4, -1.0], abs=1e-3)
+        await trio.sleep(2 * CYCLE)
+        at_end = record.rows[-1]
+        await trio.sleep(0.3)
+        assert record.rows[-1] == pytest.approx(at_end, abs=1e-6)
+        assert arm.state is ChainState.FOLLOWING
+        assert_within_limits(record)
+
+
+@virtual_time
+async def test_a_jog_whose_caller_hangs_brakes_by_its_dead_man() -> None:
+    async with arms(2) as (_, [arm], record):
+        async with arm.jog(renew_within=0.1) as jog:
+            jog.velocity([0.4, 0.0])
+            await trio.sleep(3)
+            begun = record.times[next(number for number, row in enumerate(record.derivatives(1)) if row[0] > 1e-6)]
+            stood = record.times[max(number for number, row in enumerate(record.derivatives(1)) if row[0] > 1e-6)]
+            assert stood - begun < 0.6
+            with pytest.raises(PlanRefused, match="was not renewed in time"):
+                jog.velocity([0.4, 0.0])
+        assert_within_limits(record)
+
+
+@pytest.mark.parametrize("way", ["cancelled", "failed"])
+@virtual_time
+async def test_a_jog_whose_caller_is_gone_brakes(way: str) -> None:
+    async with arms(2) as (_, [arm], record):
+        with trio.move_on_after(1), pytest.raises(KeyError) if way == "failed" else trio.CancelScope():
+            async with arm.jog(renew_within=100) as jog:
+                jog.velocity([0.4, -0.2])
+                await trio.sleep(0.5)
+                if way == "failed":
+                    raise KeyError("a bug of the user's")
+                await trio.sleep_forever()
+        await trio.sleep(2 * CYCLE)
+        assert record.derivatives(1)[-1] == pytest.approx([0, 0], abs=1e-3)
+        assert_within_limits(record)
+
+
+@virtual_time
+async def test_targets_may_come_at_any_time() -> None:
+    async with arms(2) as (_, [arm], record):
+        async with arm.stream() as stream:
+            for number in range(60):
+                stream.aim_at([0.5 * math.sin(0.1 * number), 0.01 * number])
+                await trio.sleep(0.03)
+            await trio.sleep(2)
+        assert record.rows[-1] == pytest.approx([0.5 * math.sin(5.9), 0.59], abs=2e-6)
+        assert_within_limits(record)
+
+
+@virtual_time
+async def test_a_jog_takes_over_from_a_move_and_a_move_from_a_jog() -> None:
+    async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+
+        async def move() -> None:
+            with pytest.raises(MotionReplaced):
+                await arm.move([3, 3])
+
+        nursery.start_soon(move)
+        await moved(arm, 1.0)
+        async with arm.jog() as jog:
+            jog.velocity([-0.5, 0.5])
+            await trio.sleep(0.15)
+            await arm.move([1.0, 2.0])
+        assert record.rows[-1] == pytest.approx([1.0, 2.0], abs=2e-6)
+        assert_within_limits(record)
+
+
+@virtual_time
+async def test_several_chains_move_as_one_and_stop_as_one() -> None:
+    async with arms(2, 1) as (_, [arm, leg], record):
+        both = together(arm, leg)
+        await both.move([0.3, -0.2, 0.1])
+        assert record.rows[-1] == pytest.approx([0.3, -0.2, 0.1], abs=2e-6)
+        first, last = record.rows[0], record.rows[-1]
+        for row in record.rows:  # a plan that is synchronised in time moves them at once, not in proportion
+            assert all(min(a, b) - 1e-6 <= x <= max(a, b) + 1e-6 for a, x, b in zip(first, row, last, strict=True))
+        async with trio.open_nursery() as nursery:
+
+            async def move() -> None:
+                with pytest.raises(ChainError, match="by halt()"):
+                    await both.move([0.0, 0.0, 0.0])
+
+            nursery.start_soon(move)
+            await moved(leg, 0.4)
+            with pytest.raises(ChainError, match="along a path"):
+                leg.hold()
+            await leg.halt()  # of one of them
+        assert arm.state is leg.state is ChainState.HALTED
+        assert_within_limits(record)
+        with pytest.raises(LocalProtocolError, match="a joint that is in two of them"):
+            together(arm, arm)
+
+
+def line(to: float, duration: float) -> Path:
+    return Path([[Segment(duration, (0.0, to / duration))], [Segment(duration, (0.0,))]])
+
+
+def parabola(acceleration: float) -> Path:
+    half = Segment(0.2, (0.0, 0.0, acceleration / 2)), Segment(0.2, (0.02 * acceleration, 0.2 * acceleration, -acceleration / 2))
+    return Path([half, [Segment(0.4, (0.0,))]])
+
+
+REFUSED = {
+    "begins elsewhere": (Path([[Segment(1.0, (0.2,))], [Segment(1.0, (0.0,))]]), "does not begin where j01 stands", "0.2"),
+    "too fast": (line(3.0, 2.0), "j01 beyond its limit of speed at 0 s", r"speed 1.5 per second, its limit is 1 per second"),
+    "too many joints": (swing(0.1, 0.1, 0.1), "the path has 3 joints, not 2", "j01, j02"),
+    "beyond": (swing(2.5, 0.0, duration=20.0), "j01 beyond its limit of position", r"its limit is 2: the settings"),
+    "no room to stop": (parabola(4.0), "cannot be followed", "leaves nothing free"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+@virtual_time
+async def test_a_path_is_refused_before_anything_moves(case: str) -> None:
+    path, failed, seen = REFUSED[case]
+    async with arms(2, axis=replace(AXIS, max_position=2.0, max_jerk=math.inf)) as (_, [arm], record):
+        with pytest.raises(PathRefused, match=failed) as caught:
+            await arm.follow(path)
+        assert re.search(seen, str(caught.value)), caught.value
+        await trio.sleep(0.3)
+        assert record.largest(1) == 0
+        assert arm.state is ChainState.FOLLOWING
+
+
+@virtual_time
+async def test_what_else_is_refused() -> None:
+    async with arms(2) as (_, [arm], record):
+        with pytest.raises(PathError, match="from 0"):
+            arm.override = 1.5
+        with pytest.raises(PlanRefused):
+            await arm.move([1.0])
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(arm.follow, swing(0.5, -0.25))
+            await moved(arm, 0.5)
+            with pytest.raises(ChainError, match="it moves along a path"):
+                await arm.follow(swing(0.1, 0.1))
+            with pytest.raises(ChainError, match="it moves along a path"):
+                arm.set_positions([0, 0])
+        assert record.rows[-1] == pytest.approx([0.5, -0.25], abs=2e-6)
