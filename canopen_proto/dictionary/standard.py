@@ -188,6 +188,8 @@ _DRIVE: Final = """
 6092      02    U32  rww   feed_constant:shaft_revolutions = 1
 6096      01    U32  rww   velocity_factor:numerator = 1
 6096      02    U32  rww   velocity_factor:divisor = 1
+6097      01    U32  rww   acceleration_factor:numerator = 1
+6097      02    U32  rww   acceleration_factor:divisor = 1
 6098      00    I8   rww   homing_method
 6099      01    U32  rww   homing_speeds:search_switch
 6099      02    U32  rww   homing_speeds:search_zero
@@ -197,6 +199,7 @@ _DRIVE: Final = """
 60A4      02    U32  rww   profile_jerk:profile_jerk_2
 60A8      00    U32  rw    si_unit_position
 60A9      00    U32  rw    si_unit_velocity
+60AA      00    U32  rw    si_unit_acceleration
 60B0      00    I32  rww   position_offset
 60B1      00    I32  rww   velocity_offset
 60B2      00    I16  rww   torque_offset

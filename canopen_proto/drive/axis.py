@@ -305,6 +305,12 @@ class Axis:
         """Counts per second in one velocity unit of the drive; None if it is not known."""
         return self.units.per_velocity if self._settings.velocity_unit is None else self._settings.velocity_unit
 
+    @property
+    def acceleration_unit(self) -> float | None:
+        """Counts per second² in one acceleration unit of the drive; None if it is not known."""
+        given = self._settings.acceleration_unit
+        return self.units.acceleration_unit(self.velocity_unit) if given is None else given
+
     def velocity_to_wire(self, velocity: float) -> int:
         """Convert a velocity in the user's unit per second to the drive's velocity unit, rounded to a whole number.
 
@@ -326,9 +332,15 @@ class Axis:
     def rate_to_wire(self, rate: float) -> int:
         """Convert an acceleration (0 or more) in the user's unit per second² to the drive's unit, rounded down. Raises
         LocalProtocolError as `velocity_to_wire`, unless the settings name the acceleration unit."""
-        unit = self._settings.acceleration_unit
+        unit = self.acceleration_unit
         if unit is None:
-            return self.speed_to_wire(rate)
+            origin = self.units.origins.get("per_acceleration")
+            if origin is None:
+                return self.speed_to_wire(rate)
+            raise LocalProtocolError(
+                f"the acceleration unit of drive {self.node.node_id} cannot be converted ({origin}), so it gets no acceleration. "
+                "Try: AxisSettings(acceleration_unit=...), in counts per second², by its manual"
+            )
         return math.floor(rate * self._scale / unit * _EXACT)
 
     def velocity_from_wire(self, number: float) -> float:

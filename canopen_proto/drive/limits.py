@@ -26,8 +26,8 @@ Nor does 0x607D if its minimum is not below its maximum (0 and 0 are no limits),
 that is 0 or beyond INTEGER32.
 
 Units. 0x607F and 0x6081 are in velocity units, 0x6080 in motor revolutions per minute (CiA 402-2). units.py converts both, unless
-`velocity_unit` of the settings says the first. 0x60C5 is in velocity units per second, unless `acceleration_unit` of the settings
-says otherwise. A limit is left out if its unit is not known or cannot be converted.
+`velocity_unit` of the settings says the first. 0x60C5 is in velocity units per second, unless the drive (0x60AA, 0x6097) or
+`acceleration_unit` of the settings says otherwise. A limit is left out if its unit is not known or cannot be converted.
 
 Source: IEC 61800-7-201 (CiA 402-2), software position limit 607Dh, max profile velocity 607Fh, max motor speed 6080h, max
 acceleration 60C5h, all from memory, and as the files of four makers have them.
@@ -199,7 +199,9 @@ def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure
         speeds.append(Limit(profile * per_velocity, f"0x607F {_OF_DRIVE}"))
     if motor is not None and units.per_motor_turn is not None:
         speeds.append(Limit(motor * units.per_motor_turn / 60, f"0x6080 {_OF_DRIVE}"))
-    per_acceleration = per_velocity if axis.settings.acceleration_unit is None else axis.settings.acceleration_unit
+    per_acceleration = axis.settings.acceleration_unit
+    if per_acceleration is None:
+        per_acceleration = units.acceleration_unit(per_velocity)
     told = DriveLimits(
         *_position_limits(lowest, highest),
         min(speeds, default=None),

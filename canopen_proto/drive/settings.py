@@ -40,7 +40,7 @@ class AxisSettings:
     counts_per_unit: counts on the wire per user's unit; None: no scale, so that the user's unit is the count. unit: the name of
     the user's unit. If it is given without counts_per_unit, the drive has to tell the scale (`drive.identity`).
     velocity_unit: counts per second in one velocity unit of the drive (0x60FF, 0x606C); None: as the drive tells (units.py).
-    acceleration_unit: counts per second² in one unit of 0x6083, 0x6084 and 0x609A; None: its velocity unit per second.
+    acceleration_unit: counts per second² in one unit of 0x6083, 0x6084, 0x609A and 0x60C5; None: as the drive tells (units.py).
     counts_per_motor_turn: for velocity mode (vl), which counts turns of the motor; None: as the drive tells.
     direction: 1, or -1 for a motor that is mounted the other way round. offset: counts at position 0.
     homing: how the drive homes; None: its vendor-ID decides. homing_method: written to 0x6098. homing_speed, homing_zero_speed:

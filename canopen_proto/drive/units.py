@@ -3,6 +3,7 @@
     position   0x60A8 if it names an angle or a length; else the feed constant 0x6092, in counts for a turn of the shaft; else the
                encoder 0x608F times the gear 0x6091; else millidegrees, if the vendor-ID is Schunk's, whose joints do not tell
     velocity   0x60A9; else the older 0x608C and 0x608B; else the velocity factor 0x6096; else a count per second
+    acceleration   0x60AA; else the acceleration factor 0x6097; else the velocity unit per second
     torque     per thousand of the rated torque 0x6076, which is in mN·m
     polarity   0x607E: bit 7 reverses positions, bit 6 velocities, bit 5 torques, inside the drive
     offset     0x607C: the position that a homing gives to the reference point
@@ -12,8 +13,9 @@ A "count" is the unit of 0x6064 and 0x607A, whatever it is in the drive. The sha
 A feed constant or an encoder of 1 counts as "not set": that is the default of files that leave the factor group alone. If two
 objects give different scales, the first in the table above is used, and `conflicts` names the other.
 
-A unit in 0x60A8 and 0x60A9 has four bytes: the power of ten, the unit, the unit below the fraction bar, 0. Of CiA 303-2's units
-these are known: 0x01 metre, 0x10 radian, 0x41 degree, 0xB4 turn, 0xB5 increment; 0x03 second, 0x47 minute.
+A unit in 0x60A8, 0x60A9 and 0x60AA has four bytes: the power of ten, the unit, the unit below the fraction bar, 0. Of CiA
+303-2's units these are known: 0x01 metre, 0x10 radian, 0x41 degree, 0xB4 turn, 0xB5 increment; 0x03 second, 0x47 minute, 0x57
+square second.
 
 Source: IEC 61800-7-201 (CiA 402-2), factor group; CiA 303-2; from memory, and as the manuals and files of six makers have them.
 """
@@ -38,14 +40,17 @@ _ANGLES: Final = {_RADIAN: ("radian", 2 * math.pi), _DEGREE: ("degree", 360.0), 
 _INCREMENT: Final = 0xB5
 _SECONDS: Final = {0x03: 1, 0x47: 60}
 """Each unit of time, in seconds."""
+_SQUARE_SECONDS: Final = {0x57: 1}
 _REVOLUTIONS_PER_MINUTE: Final = 0xA4
 """In the older 0x608C."""
 
 _RATIOS: Final = (
     objects.POSITION_ENCODER_RESOLUTION, objects.GEAR_RATIO, objects.FEED_CONSTANT, objects.VELOCITY_FACTOR,
+    objects.ACCELERATION_FACTOR,
 )  # fmt: skip
 FACTOR_GROUP: Final = (
-    objects.SI_UNIT_POSITION, objects.SI_UNIT_VELOCITY, objects.VELOCITY_DIMENSION_INDEX, objects.VELOCITY_NOTATION_INDEX,
+    objects.SI_UNIT_POSITION, objects.SI_UNIT_VELOCITY, objects.SI_UNIT_ACCELERATION,
+    objects.VELOCITY_DIMENSION_INDEX, objects.VELOCITY_NOTATION_INDEX,
     *(Mux(key + part) for key in _RATIOS for part in (0, 1)),
     objects.POLARITY, objects.HOME_OFFSET, objects.MOTOR_RATED_TORQUE, objects.VENDOR_ID,
 )  # fmt: skip
@@ -66,7 +71,8 @@ class DriveUnits:
     """The units of a drive, as it tells them; None: it does not tell.
 
     per_turn: counts for a turn of the shaft. per_motor_turn: counts for a turn of the motor. per_metre: counts, of a drive that
-    positions a length. per_velocity: counts per second in one velocity unit. rated_torque: N·m.
+    positions a length. per_velocity: counts per second in one velocity unit. per_acceleration: counts per second² in one unit of
+    0x6083, 0x6084, 0x609A and 0x60C5, if the drive has one of its own: see `acceleration_unit`. rated_torque: N·m.
     reversed: of "position", "velocity" and "torque", those that the drive reverses. home_offset: counts.
     origins: by the name of a field, the objects that it was computed from, in words. conflicts: in words.
     """
@@ -80,6 +86,7 @@ class DriveUnits:
     home_offset: int = 0
     origins: Mapping[str, str] = field(default_factory=dict)
     conflicts: tuple[str, ...] = ()
+    per_acceleration: float | None = None
 
     def counts_per(self, unit: Unit) -> float | None:
         """Return the counts in one unit of position, for `AxisSettings.counts_per_unit`; None if the drive does not tell."""
@@ -87,6 +94,13 @@ class DriveUnits:
             return None if self.per_metre is None else self.per_metre / 1000
         parts = {Unit.RADIAN: 2 * math.pi, Unit.DEGREE: 360.0, Unit.TURN: 1.0}[unit]
         return None if self.per_turn is None else self.per_turn / parts
+
+    def acceleration_unit(self, velocity_unit: float | None) -> float | None:
+        """Return the counts per second² in one unit of an acceleration: the drive's own, else one velocity unit per second.
+
+        velocity_unit: counts per second, None: not known. None: not known, or the drive has a unit that cannot be converted.
+        """
+        return self.per_acceleration if "per_acceleration" in self.origins else velocity_unit
 
     def torque(self, per_thousand: float) -> float | None:
         """Return a torque of 0x6071 or 0x6077 in N·m; None if the drive does not tell its rated torque."""
@@ -137,6 +151,7 @@ def units_of(values: Mapping[Mux, int]) -> DriveUnits:
             "" if gear == 1 or "0x6091" in origins["per_turn"] else f", {_said(values, objects.GEAR_RATIO)}"
         )
     per_velocity = _velocity(values, per_turn, per_motor_turn, per_metre, origins)
+    per_acceleration = _acceleration(values, per_turn, per_metre, origins)
     rated = values.get(objects.MOTOR_RATED_TORQUE) or None
     if rated is not None:
         origins["rated_torque"] = f"0x6076 = {rated} mN·m"
@@ -151,6 +166,7 @@ def units_of(values: Mapping[Mux, int]) -> DriveUnits:
         values.get(objects.HOME_OFFSET, 0),
         origins,
         tuple(conflicts),
+        per_acceleration,
     )
 
 
@@ -193,12 +209,8 @@ def _velocity(
     """Return the counts per second in one velocity unit; None if it is not known, or cannot be converted."""
     unit, dimension = values.get(objects.SI_UNIT_VELOCITY, 0), values.get(objects.VELOCITY_DIMENSION_INDEX, 0) & 0xFF
     if unit:
-        power, numerator, denominator, _ = unit.to_bytes(4, "big")
         origins["per_velocity"] = f"0x60A9 = 0x{unit:08X}"
-        parts = _ANGLES[numerator][1] if numerator in _ANGLES else 1.0
-        whole = {_METRE: per_metre, _INCREMENT: 1.0}.get(numerator, per_turn if numerator in _ANGLES else None)
-        seconds = _SECONDS.get(denominator)
-        return None if whole is None or seconds is None else whole / parts / seconds * 10.0 ** _exponent(power)
+        return _si_rate(unit, _SECONDS, per_turn, per_metre)
     if dimension:
         power = values.get(objects.VELOCITY_NOTATION_INDEX, 0) & 0xFF
         origins["per_velocity"] = f"0x608C = 0x{dimension:02X}, 0x608B = {_exponent(power)}"
@@ -208,6 +220,29 @@ def _velocity(
     factor = _ratio(values, objects.VELOCITY_FACTOR)
     origins["per_velocity"] = "the default" if factor == 1 else _said(values, objects.VELOCITY_FACTOR)
     return 1 / factor
+
+
+def _acceleration(
+    values: Mapping[Mux, int], per_turn: float | None, per_metre: float | None, origins: dict[str, str]
+) -> float | None:
+    """Return the counts per second² in one unit of an acceleration; None if the drive names none, or it cannot be converted."""
+    unit, factor = values.get(objects.SI_UNIT_ACCELERATION, 0), _ratio(values, objects.ACCELERATION_FACTOR)
+    if unit:
+        origins["per_acceleration"] = f"0x60AA = 0x{unit:08X}"
+        return _si_rate(unit, _SQUARE_SECONDS, per_turn, per_metre)
+    if factor != 1:
+        origins["per_acceleration"] = _said(values, objects.ACCELERATION_FACTOR)
+        return 1 / factor
+    return None
+
+
+def _si_rate(unit: int, times: Mapping[int, int], per_turn: float | None, per_metre: float | None) -> float | None:
+    """Return the counts per second (or second²) in one unit of 0x60A9 (0x60AA); None if it is not known."""
+    power, numerator, denominator, _ = unit.to_bytes(4, "big")
+    parts = _ANGLES[numerator][1] if numerator in _ANGLES else 1.0
+    whole = {_METRE: per_metre, _INCREMENT: 1.0}.get(numerator, per_turn if numerator in _ANGLES else None)
+    time = times.get(denominator)
+    return None if whole is None or time is None else whole / parts / time * 10.0 ** _exponent(power)
 
 
 def _exponent(byte: int) -> int:

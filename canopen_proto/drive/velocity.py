@@ -167,7 +167,16 @@ class _Run:
             if axis.velocity_unit is None:
                 raise DriveError(axis, "does not tell its velocity unit", remedy="AxisSettings(velocity_unit=...)", looks=False)
             self._unit = axis.velocity_unit
-            self._ramp_unit = axis.settings.acceleration_unit or self._unit
+            ramp_unit = axis.acceleration_unit
+            if ramp_unit is None:  # how far it runs until it stands, and its ramps, depend on it
+                raise DriveError(
+                    axis,
+                    "has an acceleration unit that cannot be converted",
+                    reason=axis.units.origins.get("per_acceleration", ""),
+                    remedy="AxisSettings(acceleration_unit=...), by its manual",
+                    looks=False,
+                )
+            self._ramp_unit = ramp_unit
             return
         turn = axis.settings.counts_per_motor_turn or units.per_motor_turn
         if turn is None:

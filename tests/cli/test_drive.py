@@ -140,6 +140,7 @@ def test_units_and_which_objects_say_so(run: Run, monkeypatch: pytest.MonkeyPatc
         "a turn of the motor 2000 counts 0x608F = 2000 / 1, 0x6091 = 50 / 1",
         "a degree 277.7777778 counts",
         "a velocity of 1 1 count per second the default",
+        "an acceleration of 1 1 count per second² the velocity unit per second",
         "a torque of 1 0.00127 N·m 0x6076 = 1270 mN·m",
         "reversed position 0x607E",
         "the home position -500 counts 0x607C",

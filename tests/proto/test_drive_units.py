@@ -9,10 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import FACTOR_GROUP, DriveUnits, Unit, read_units, units_of
+from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.simulated_drive.settings import Shape
 from tests.proto.object_answers import run_against
+from tests.proto.rig import Rig
 
 ENCODER = {mux(0x608F, 1): 2000, mux(0x608F, 2): 1}
 GEAR = {mux(0x6091, 1): 100, mux(0x6091, 2): 1}
@@ -93,6 +97,39 @@ def test_a_velocity_unit(case: str) -> None:
     assert units_of(values).per_velocity == (expected if expected is None else pytest.approx(expected))
 
 
+SI_ACCELERATION = mux(0x60AA)
+ACCELERATIONS: dict[str, tuple[dict[Mux, int], float | None]] = {
+    "by default the velocity unit per second": ({mux(0x6096, 1): 60, mux(0x6096, 2): 65536}, 65536 / 60),
+    "increments": ({SI_ACCELERATION: 0x00B55700, SI_VELOCITY: 0x00B44700} | ENCODER, 1),
+    "degrees": ({SI_ACCELERATION: 0x00415700} | FEED, 1000),
+    "millimetres of a slide in micrometres": ({SI_ACCELERATION: 0xFD015700, SI_POSITION: 0xFA010000}, 1000),
+    "metres without a length": ({SI_ACCELERATION: 0x00015700} | ENCODER, None),
+    "not over square seconds": ({SI_ACCELERATION: 0x00B44700} | ENCODER, None),
+    "the acceleration factor": ({mux(0x6097, 1): 1, mux(0x6097, 2): 1000}, 1000),
+    "an acceleration factor of 1": ({mux(0x6097, 1): 1, mux(0x6097, 2): 1}, 1),
+    "the name before the factor": ({SI_ACCELERATION: 0x00B55700, mux(0x6097, 1): 1, mux(0x6097, 2): 1000}, 1),
+}
+
+
+@pytest.mark.parametrize("case", ACCELERATIONS)
+def test_an_acceleration_unit(case: str) -> None:
+    values, expected = ACCELERATIONS[case]
+    units = units_of(values)
+    assert units.acceleration_unit(units.per_velocity) == (expected if expected is None else pytest.approx(expected))
+
+
+def test_accelerations_go_in_the_drives_own_unit() -> None:
+    rig = Rig(Shape.STANDARD, pdos=False)
+    rig.axis.settings = AxisSettings(counts_per_unit=1000.0)
+    rig.axis.units = units_of({mux(0x6097, 1): 1, mux(0x6097, 2): 100})
+    assert (rig.axis.rate_to_wire(5.0), rig.axis.speed_to_wire(5.0)) == (50, 5000)
+    rig.axis.units = units_of({SI_ACCELERATION: 0x00B44700} | ENCODER)
+    with pytest.raises(LocalProtocolError, match=r"cannot be converted \(0x60AA = 0x00B44700\)"):
+        rig.axis.rate_to_wire(5.0)
+    rig.axis.settings = AxisSettings(counts_per_unit=1000.0, acceleration_unit=10.0)
+    assert rig.axis.rate_to_wire(5.0) == 500
+
+
 def test_torque_polarity_and_offset() -> None:
     units = units_of({mux(0x6076): 1270, mux(0x607E): 0xA0, mux(0x607C): -500})
     assert units.torque(500) == pytest.approx(0.635)
@@ -131,7 +168,14 @@ def test_drives_as_they_are_delivered(maker: str) -> None:
 @given(st.dictionaries(st.sampled_from(FACTOR_GROUP), st.integers(0, 0xFFFF_FFFF)))
 def test_whatever_a_drive_says_is_no_error(values: dict[Mux, int]) -> None:
     units = units_of(values)
-    for scale in (units.per_turn, units.per_motor_turn, units.per_metre, units.per_velocity, units.rated_torque):
+    for scale in (
+        units.per_turn,
+        units.per_motor_turn,
+        units.per_metre,
+        units.per_velocity,
+        units.per_acceleration,
+        units.rated_torque,
+    ):
         assert scale is None or (scale > 0 and math.isfinite(scale))
     for name in ("per_turn", "per_metre", "rated_torque"):
         assert (name in units.origins) is (getattr(units, name) is not None)
