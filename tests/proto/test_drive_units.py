@@ -168,14 +168,8 @@ def test_drives_as_they_are_delivered(maker: str) -> None:
 @given(st.dictionaries(st.sampled_from(FACTOR_GROUP), st.integers(0, 0xFFFF_FFFF)))
 def test_whatever_a_drive_says_is_no_error(values: dict[Mux, int]) -> None:
     units = units_of(values)
-    for scale in (
-        units.per_turn,
-        units.per_motor_turn,
-        units.per_metre,
-        units.per_velocity,
-        units.per_acceleration,
-        units.rated_torque,
-    ):
+    rates = units.per_velocity, units.per_acceleration
+    for scale in (units.per_turn, units.per_motor_turn, units.per_metre, *rates, units.rated_torque):
         assert scale is None or (scale > 0 and math.isfinite(scale))
     for name in ("per_turn", "per_metre", "rated_torque"):
         assert (name in units.origins) is (getattr(units, name) is not None)
