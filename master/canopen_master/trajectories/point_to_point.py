@@ -14,9 +14,17 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from canopen_master.errors import PlanRefused
-from canopen_master.trajectories.ruckig_joints import RuckigJoint, check_values, load_ruckig, ruckig_joints, ruckig_refused
+from canopen_master.trajectories.scaled_joints import (
+    ScaledJoint,
+    beyond_limit,
+    check_values,
+    limit_exceeded,
+    load_ruckig,
+    position_excess,
+    ruckig_refused,
+    scaled_joints,
+)
 from canopen_proto.trajectory import JointLimits, Path, PathPoint, Segment
-from canopen_proto.trajectory.polynomial import extremes_of
 
 RESERVE: Final = 0.2
 """The part of acceleration and jerk that a plan leaves free, so that it can be slowed down and stopped on its own path."""
@@ -24,8 +32,6 @@ STANDSTILL: Final = 1e-3
 """Seconds that a plan takes whose joints are all at their targets already: a path must take some time."""
 _SHORTEST: Final = 1e-12
 """Phases that are shorter, in seconds, are rounding errors and are left out."""
-_POSITION_TOLERANCE: Final = 1e-9
-"""How far beyond a position limit is still a rounding error, in seconds at full speed."""
 
 
 class _State(NamedTuple):
@@ -66,12 +72,12 @@ def plan(
     Raises PlanRefused (with joint, value and limit) for a target beyond a position limit, for a start that is too fast to stop
     before one, for values that are not finite or not one for each joint, and if ruckig fails; PackageMissing without ruckig.
     """
-    joints = ruckig_joints(start, limits, reserve=reserve, speed_factor=speed_factor)
+    joints = scaled_joints(start, limits, reserve=reserve, speed_factor=speed_factor)
     check_values(targets, len(joints), "target")
     for number, (target, joint) in enumerate(zip(targets, joints, strict=True)):
-        limit = _limit_exceeded(target, joint)
+        limit = limit_exceeded(target, joint)
         if limit is not None:
-            raise _beyond(number, target, limit, f"joint {number} cannot go to {target:g}", "a target within its limits")
+            raise beyond_limit(number, target, limit, f"joint {number} cannot go to {target:g}", "a target within its limits")
     if not (math.isfinite(minimum_duration) and minimum_duration >= 0.0):
         raise PlanRefused("minimum_duration must be 0 s or more", value=minimum_duration, seen=repr(minimum_duration))
     ruckig = load_ruckig("planning a motion")
@@ -79,20 +85,20 @@ def plan(
     if minimum_duration:
         request.minimum_duration = minimum_duration
     segments = _calculated(ruckig, request, joints, start, targets)
-    if beyond := [number for number, each in enumerate(joints) if _excess(segments[number], each) is not None]:
+    if beyond := [number for number, each in enumerate(joints) if position_excess(segments[number], each) is not None]:
         synchronization = ruckig.Synchronization
         request.per_dof_synchronization = [
             synchronization.No if number in beyond else synchronization.Time for number in range(len(joints))
         ]
         segments = _calculated(ruckig, request, joints, start, targets)
         for number in beyond:
-            if (excess := _excess(segments[number], joints[number])) is not None:
+            if (excess := position_excess(segments[number], joints[number])) is not None:
                 failed = f"joint {number} moves too fast to stop before its limit"
-                raise _beyond(number, *excess, failed, "stop on the path under way, then plan")
+                raise beyond_limit(number, *excess, failed, "stop on the path under way, then plan")
     return Path(segments)
 
 
-def _request(ruckig: Any, joints: Sequence[RuckigJoint], start: PathPoint, targets: Sequence[float]) -> Any:
+def _request(ruckig: Any, joints: Sequence[ScaledJoint], start: PathPoint, targets: Sequence[float]) -> Any:
     """Return the input of ruckig, in its units."""
     request = ruckig.InputParameter(len(joints))
     request.current_position = [0.0] * len(joints)
@@ -106,7 +112,7 @@ def _request(ruckig: Any, joints: Sequence[RuckigJoint], start: PathPoint, targe
 
 
 def _calculated(
-    ruckig: Any, request: Any, joints: Sequence[RuckigJoint], start: PathPoint, targets: Sequence[float]
+    ruckig: Any, request: Any, joints: Sequence[ScaledJoint], start: PathPoint, targets: Sequence[float]
 ) -> list[list[Segment]]:
     """Let ruckig calculate, and return the segments of each joint."""
     trajectory = ruckig.Trajectory(len(joints))
@@ -121,35 +127,6 @@ def _calculated(
         _segments(profile, state, target, joint.unit, trajectory.duration)
         for profile, state, target, joint in zip(trajectory.profiles[0], states, targets, joints, strict=True)
     ]
-
-
-def _excess(segments: Sequence[Segment], joint: RuckigJoint) -> tuple[float, float] | None:
-    """Return a position that the joint reaches on its way, and the limit that it exceeds there; None if it keeps both.
-
-    The extremes that ruckig offers (`position_extrema`) miss some: those of 0.19.4 are wrong by up to a fifth of a second at full
-    speed, with or without a phase that brakes.
-    """
-    if math.isinf(joint.lowest) and math.isinf(joint.highest):
-        return None
-    for duration, coefficients in segments:
-        low, _, high, _ = extremes_of(coefficients, duration)
-        for position in (low, high):
-            limit = _limit_exceeded(position, joint, _POSITION_TOLERANCE * joint.unit)
-            if limit is not None:
-                return position, limit
-    return None
-
-
-def _limit_exceeded(position: float, joint: RuckigJoint, tolerance: float = 0.0) -> float | None:
-    if position < joint.lowest - tolerance:
-        return joint.lowest
-    return joint.highest if position > joint.highest + tolerance else None
-
-
-def _beyond(number: int, position: float, limit: float, failed: str, remedy: str) -> PlanRefused:
-    name = "lowest" if position < limit else "highest"
-    seen = f"position {position:g}, its {name} is {limit:g}"
-    return PlanRefused(failed, joint=number, value=position, limit=limit, seen=seen, tries=(remedy,))
 
 
 def _segments(profile: Any, start: _State, target: float, unit: float, duration: float) -> list[Segment]:

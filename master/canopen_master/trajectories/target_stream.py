@@ -17,7 +17,7 @@ from enum import Enum, auto
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from canopen_master.errors import PlanRefused
-from canopen_master.trajectories.ruckig_joints import RuckigJoint, check_values, load_ruckig, ruckig_joints, ruckig_refused
+from canopen_master.trajectories.scaled_joints import ScaledJoint, check_values, load_ruckig, ruckig_refused, scaled_joints
 from canopen_proto.trajectory import JointLimits, PathPoint
 from canopen_proto.trajectory.speed_change import SpeedChange
 
@@ -67,7 +67,7 @@ class TargetStream:
         speed_factor: float = 1.0,
         renew_cycles: int | None = None,
     ) -> None:
-        self._joints = ruckig_joints(start, limits, speed_factor=speed_factor)
+        self._joints = scaled_joints(start, limits, speed_factor=speed_factor)
         if not (math.isfinite(cycle_time) and cycle_time > 0.0):
             raise PlanRefused("cycle_time must be above 0 s", value=cycle_time, seen=repr(cycle_time))
         if renew_cycles is not None and renew_cycles < 1:
@@ -250,12 +250,12 @@ class TargetStream:
         return lowest - _TOLERANCE <= self._reaches[number].low and self._reaches[number].high <= highest + _TOLERANCE
 
 
-def _range(joint: RuckigJoint) -> tuple[float, float]:
+def _range(joint: ScaledJoint) -> tuple[float, float]:
     """Return the position limits in the units of ruckig."""
     return (joint.lowest - joint.origin) / joint.unit, (joint.highest - joint.origin) / joint.unit
 
 
-def _reach(state: _State, joint: RuckigJoint) -> _Reach:
+def _reach(state: _State, joint: ScaledJoint) -> _Reach:
     """Return the range that a joint cannot help to cover: its stop from this state, as fast as the limits allow."""
     position, velocity, acceleration = state
     jerk, greatest = joint.jerk, max(joint.acceleration, abs(acceleration))

@@ -1,0 +1,217 @@
+"""`through_points`: a path through waypoints without times, as fast as the limits allow on the smooth curve through them.
+
+The curve is a cubic spline, whose parameter is the time that the joint with the longest way needs at full speed. path_speed.py
+finds how fast to go along it. The result is laid through quintic polynomials, with the curve's positions, and the speeds and
+accelerations of the motion, at many knots; all waypoints are knots. Where such a path asks for more than the limits, the pace is
+lowered there, some times over; in the end the whole path is stretched by what is left, and checked.
+
+It is no optimum, but with a few points faster than to stop at each, and much faster with many. A path of two points is a straight
+line; `plan` is faster, as it lets each joint take its own way.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import Final
+
+from canopen_master.errors import PlanRefused
+from canopen_master.trajectories.path_speed import Bend, SmoothedMotion, fastest_profile
+from canopen_master.trajectories.point_to_point import RESERVE
+from canopen_master.trajectories.scaled_joints import ScaledJoint, beyond_limit, check_values, position_excess, scaled_joints
+from canopen_proto.trajectory import JointLimits, Path, PathPoint
+from canopen_proto.trajectory.interpolation import cubic, quintic
+from canopen_proto.trajectory.limit_check import demands_of
+from canopen_proto.trajectory.polynomial import derivative_of, value_at
+
+PLACES: Final = 240
+"""On the whole curve, at least: where its limits are looked at."""
+KNOTS: Final = 4
+"""Segments of the path in one window of the average."""
+MAX_KNOTS: Final = 3000
+WINDOWS: Final = (2.0, 1.0, 0.5, 0.25, 0.125)
+"""Windows that are tried, in parts of the time that the slowest joint needs for its full acceleration."""
+ROUNDS: Final = 8
+"""How often the pace is lowered where a limit is exceeded, with the window that was best at first."""
+
+
+def through_points(
+    points: Sequence[Sequence[float]],
+    limits: Sequence[JointLimits],
+    *,
+    reserve: float = RESERVE,
+    speed_factor: float = 1.0,
+) -> Path:
+    """Return a path from rest at the first point through all others to rest at the last one, within all limits.
+
+    points: two or more; each one position for each joint, and no two equal ones in a row. limits, reserve, speed_factor: as of
+    `plan`. The path goes exactly through the points, along a cubic spline; between them it may swing beyond them, and so beyond a
+    position limit, which is refused: points that are closer together keep it nearer.
+
+    Raises PlanRefused with the joint, and value and limit where there are such; the first point may be beyond a position limit.
+    """
+    if len(points) < 2:
+        raise PlanRefused("a path needs at least two points", seen=f"{len(points)}")
+    start = PathPoint(list(points[0]), [0.0] * len(points[0]), [0.0] * len(points[0]))
+    joints = scaled_joints(start, limits, reserve=reserve, speed_factor=speed_factor)
+    for number, point in enumerate(points):
+        check_values(point, len(joints), f"position in point {number}")
+    places = _places(points, joints)
+    curve = cubic(places, points, natural=True)
+    for number, (row, joint) in enumerate(zip(curve.segments, joints, strict=True)):
+        if (excess := position_excess(row, joint)) is not None:
+            failed = f"joint {number} would leave its limits on the curve through the points"
+            raise beyond_limit(number, *excess, failed, "points within the limits, and closer together near them")
+    fine = _refined(places)
+    bends = [_bends(curve, places, place, joints) for place in fine]
+    searches = [_Search(curve, points, places, joints, fine, bends, window) for window in _windows(joints)]
+    for each in searches:
+        each.go_on(1)
+    best = min(searches, key=lambda each: each.duration)
+    best.go_on(ROUNDS)
+    return best.path.stretched(_exact_stretch(best.path, joints))
+
+
+def _places(points: Sequence[Sequence[float]], joints: Sequence[ScaledJoint]) -> list[float]:
+    """Return the curve's parameter at each point: the sum of the times that the slowest joint needs at full speed."""
+    steps = [
+        max(abs(q - p) / joint.unit for p, q, joint in zip(before, after, joints, strict=True))
+        for before, after in itertools.pairwise(points)
+    ]
+    for number, step in enumerate(steps):
+        if not step > 0.0:
+            raise PlanRefused(
+                f"points {number} and {number + 1} are the same (counted from 0)",
+                cause="a path through points does not stop at them",
+                tries=("leave one of them out", "for a stop there: two paths, one after the other"),
+            )
+    return list(itertools.accumulate(steps, initial=0.0))
+
+
+def _windows(joints: Sequence[ScaledJoint]) -> list[float]:
+    slowest = max(joint.acceleration / joint.jerk for joint in joints)
+    return [part * slowest for part in WINDOWS]
+
+
+class _Search:
+    """The search for the best path with one window: round by round, the pace is lowered where limits are exceeded."""
+
+    def __init__(
+        self, curve: Path, points: Sequence[Sequence[float]], marks: Sequence[float], joints: Sequence[ScaledJoint],
+        places: Sequence[float], bends: Sequence[Sequence[Bend]], window: float,
+    ) -> None:  # fmt: skip
+        self._curve, self._points, self._marks, self._joints = curve, points, marks, joints
+        self._places, self._bends, self._window = places, bends, window
+        self._pace = [1.0] * len(places)
+        self.duration = math.inf
+        """Of the best path, once it is stretched so that it keeps all limits."""
+        self.path: Path
+
+    def go_on(self, rounds: int) -> None:
+        """Try so many times, and keep the best path of all."""
+        for _ in range(rounds):
+            motion = SmoothedMotion(self._places, fastest_profile(self._places, self._bends, self._pace), self._window)
+            knots = _knots(motion, self._marks, self._window)
+            path = _path(self._curve, motion, knots, self._points)
+            stretches = _stretches(path, self._joints)
+            duration = path.duration * max(stretches)
+            if duration < self.duration:
+                self.duration, self.path = duration, path
+            _slow_down(self._pace, self._places, motion, [*itertools.chain(*knots)], stretches)
+
+
+def _refined(marks: Sequence[float]) -> list[float]:
+    """Return the places between the points where limits are looked at; closer and closer together at both ends."""
+    parts = max(4, math.ceil(PLACES / (len(marks) - 1)))
+    places = [
+        begin + (end - begin) * part / parts for begin, end in itertools.pairwise(marks) for part in range(parts)
+    ]  # fmt: skip
+    first, last = places[1], marks[-1] - places[-1]
+    closer = [0.5**power for power in range(12, 0, -1)]
+    return [
+        0.0, *[first * part for part in closer], *places[1:],
+        *[marks[-1] - last * part for part in reversed(closer)], marks[-1],
+    ]  # fmt: skip
+
+
+def _bends(curve: Path, marks: Sequence[float], place: float, joints: Sequence[ScaledJoint]) -> list[Bend]:
+    """Return what the curve asks of each joint at a place; at a point the larger one of both sides."""
+    after = min(bisect_right(marks, place), len(marks) - 1) - 1
+    sides = (after - 1, after) if after and place == marks[after] else (after,)
+    found = []
+    for row, joint in zip(curve.segments, joints, strict=True):
+        amounts = [0.0, 0.0, 0.0]
+        for side in sides:
+            coefficients: Sequence[float] = row[side].coefficients
+            for order in range(3):
+                coefficients = derivative_of(coefficients)
+                amounts[order] = max(amounts[order], abs(value_at(coefficients, place - marks[side])) / joint.unit)
+        slope, curvature, twist = amounts
+        found.append(Bend(slope, curvature, twist, 1.0, joint.acceleration, joint.jerk))
+    return found
+
+
+def _knots(motion: SmoothedMotion, marks: Sequence[float], window: float) -> list[list[float]]:
+    """Return the times of the knots from each point to the next, without that of the latter."""
+    times = [0.0, *[motion.time_at(mark) for mark in marks[1:-1]], motion.duration]
+    gap = max(window / KNOTS, motion.duration / MAX_KNOTS)
+    knots = []
+    for begin, end in itertools.pairwise(times):
+        count = math.ceil((end - begin) / gap)
+        knots.append([begin + (end - begin) * part / count for part in range(count)])
+    return knots
+
+
+def _path(curve: Path, motion: SmoothedMotion, knots: Sequence[Sequence[float]], points: Sequence[Sequence[float]]) -> Path:
+    times, positions, velocities, accelerations = [], [], [], []
+    for row, point in zip([*knots, [motion.duration]], points, strict=True):
+        for number, time in enumerate(row):
+            place, rate, change = motion.at(time)
+            there, slopes, curvatures = curve.at(place)
+            times.append(time)
+            positions.append(there if number else point)
+            velocities.append([slope * rate for slope in slopes])
+            accelerations.append(
+                [curvature * rate * rate + slope * change for slope, curvature in zip(slopes, curvatures, strict=True)]
+            )
+    return quintic(times, positions, velocities, accelerations)
+
+
+def _stretches(path: Path, joints: Sequence[ScaledJoint]) -> list[float]:
+    """Return for each segment by which factor it would have to be slower, for all joints; nearly, by a few samples."""
+    factors = [0.0] * len(path.segments[0])
+    for row, joint in zip(path.segments, joints, strict=True):
+        for number, (time, (_, c1, c2, c3, c4, c5)) in enumerate(row):
+            jerks = (6.0 * c3, 6.0 * c3 + time * (12.0 * c4 + time * 15.0 * c5), 6.0 * c3 + time * (24.0 * c4 + time * 60.0 * c5))
+            factors[number] = max(factors[number], _factor(abs(c1), 2.0 * abs(c2), max(map(abs, jerks)), joint))
+    return factors
+
+
+def _exact_stretch(path: Path, joints: Sequence[ScaledJoint]) -> float:
+    """Return by which factor the path has to be stretched, from the extremes of its polynomials."""
+    factor = 0.0
+    for number, joint in enumerate(joints):
+        for _, *peaks in demands_of(path, number, path.duration):
+            speed, acceleration, jerk = (max(-peak.low, peak.high) for peak in peaks)
+            factor = max(factor, _factor(speed, acceleration, jerk, joint))
+    return factor
+
+
+def _factor(speed: float, acceleration: float, jerk: float, joint: ScaledJoint) -> float:
+    """Return by which factor a joint with these amounts would have to be slower."""
+    unit = joint.unit
+    return max(speed / unit, math.sqrt(acceleration / unit / joint.acceleration), math.cbrt(jerk / unit / joint.jerk))
+
+
+def _slow_down(
+    pace: list[float], places: Sequence[float], motion: SmoothedMotion, times: Sequence[float], stretches: Sequence[float]
+) -> None:
+    """Lower the pace at all places that have a share in a segment that is too fast."""
+    before = tuple(pace)
+    for begin, end, stretch in zip(times, [*times[1:], motion.duration], stretches, strict=True):
+        if stretch > 1.0:
+            first, last = motion.places_of(begin, end)
+            for number in range(max(bisect_right(places, first) - 1, 0), min(bisect_right(places, last) + 1, len(places))):
+                pace[number] = min(pace[number], before[number] / stretch)
