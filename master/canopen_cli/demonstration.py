@@ -110,7 +110,7 @@ class Demonstration:
     """One run. recording: commanded and actual positions; it is filled while the joints move."""
 
     def __init__(
-        self, screen: Screen, plan: Plan, record: Callable[[Chain], contextlib.AbstractAsyncContextManager[None]]
+        self, screen: Screen, plan: Plan, record: Callable[[Chain], contextlib.AbstractAsyncContextManager[object]]
     ) -> None:
         """record: records what the chain does while its block runs."""
         self._record_chain = record

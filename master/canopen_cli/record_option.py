@@ -15,6 +15,7 @@ from canopen_cli.screen import Screen, counted, escape
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.record_files import pyarrow_modules
 from canopen_master.motion.record_format import PARQUET, RecordError
+from canopen_master.motion.recording import Recorder
 
 record_option = click.option(
     "--record",
@@ -24,7 +25,7 @@ record_option = click.option(
 
 
 def check_record(settings: Settings, screen: Screen, path: Path | None) -> None:
-    """Raise a Problem or RecordError, before anything moves, if no recording could be written, or nobody wants it overwritten."""
+    """Raise a Problem or PackageMissing, before anything moves, if no recording can be written, or is wanted."""
     if path is not None:
         check_new_file(settings, screen, path)
         if path.suffix.lower() == PARQUET:
@@ -32,16 +33,22 @@ def check_record(settings: Settings, screen: Screen, path: Path | None) -> None:
 
 
 @asynccontextmanager
-async def recorded(settings: Settings, screen: Screen, chain: Chain, path: Path | None) -> AsyncIterator[None]:
-    """Record a chain while the block runs, if `path` is given. A recording that is not complete is told after the results."""
+async def recorded(
+    settings: Settings, screen: Screen, chain: Chain, path: Path | None, *, told: bool = True
+) -> AsyncIterator[Recorder | None]:
+    """Record a chain while the block runs, if `path` is given. A recording that is not complete is told after the results.
+
+    told: say how much was recorded.
+    """
     if path is None:
-        yield
+        yield None
         return
     try:
         async with chain.record(path) as recorder:
             try:
-                yield
+                yield recorder
             finally:
-                screen.say(f"[dim]{counted(recorder.rows, 'cycle')} recorded: {escape(str(path))}[/]")
+                if told:
+                    screen.say(f"[dim]{counted(recorder.rows, 'cycle')} recorded: {escape(str(path))}[/]")
     except RecordError as error:
         settings.late = problem_of(error)

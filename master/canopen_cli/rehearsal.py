@@ -78,7 +78,7 @@ class Likeness:
             drive.write(*split_mux(objects.CONTROLWORD), word.to_bytes(2, "little"), now)
 
 
-class _Frames:
+class Frames:
     """Keeps what is recorded: a `LogWriter` without a file."""
 
     def __init__(self) -> None:
@@ -108,17 +108,17 @@ def rehearse(
 
     async def look() -> Session:
         async with open_session(settings, screen) as session:
-            likenesses.extend([await session.master.run(_likeness_of(session.node(node_id))) for node_id in node_ids])
+            likenesses.extend([await session.master.run(likeness_of(session.node(node_id))) for node_id in node_ids])
             return session
 
     session = run(settings, screen, look)
-    frames = _Frames()
+    frames = Frames()
     clock = trio.testing.MockClock(autojump_threshold=0)
     apart = replace(settings, bus=LOCATOR, trace=None, clock=clock)
 
     async def perform() -> None:
         async with simulated_devices({LOCATOR: [each.make for each in likenesses]}) as fleet:
-            _prepare(fleet, likenesses)
+            prepare(fleet, likenesses)
             async with open_session(apart, screen) as rehearsal:
                 frames.records.clear()
                 with trio.move_on_after(float("inf") if ends else INTERRUPTED_AFTER):
@@ -128,16 +128,17 @@ def rehearse(
         with recording(frames):
             run(apart, screen, perform)
     finally:
-        _show(settings, screen, frames.records, Decoder(session.dictionary_of))
+        show_frames(settings, screen, frames.records, Decoder(session.dictionary_of))
     screen.say("nothing of this was sent: a simulated drive with the values of yours has answered. Yours may answer otherwise")
 
 
-def _prepare(fleet: Fleet, likenesses: Sequence[Likeness]) -> None:
+def prepare(fleet: Fleet, likenesses: Sequence[Likeness]) -> None:
+    """Lead the simulated drives of a fleet, which have just booted, to the states that were read."""
     for each in likenesses:
         fleet.change(each.node_id, each.prepare)
 
 
-def _likeness_of(node: Node) -> Procedure[Likeness]:
+def likeness_of(node: Node) -> Procedure[Likeness]:
     """Read a drive. Raises a Problem if no simulated drive can stand for it."""
     yield from awake(node)
     known = drive_dictionary()
@@ -174,7 +175,7 @@ def _likeness_of(node: Node) -> Procedure[Likeness]:
     )
 
 
-def _show(settings: Settings, screen: Screen, records: Sequence[Record], decoder: Decoder) -> None:
+def show_frames(settings: Settings, screen: Screen, records: Sequence[Record], decoder: Decoder) -> None:
     """Show the frames that we would send. Reads are counted, or shown with -v; a repeated heartbeat is shown once."""
     rows: list[tuple[Time, Frame, str, str]] = []
     reads = 0

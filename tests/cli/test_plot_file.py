@@ -89,8 +89,8 @@ def test_what_cannot_be_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.Monk
     assert "CO344" in outcome.err
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     outcome = run("demo", *TWO, "--record", str(tmp_path / "run.parquet"))
-    assert outcome.status == ExitCode.BAD_FILE
-    assert "CO345" in outcome.err
+    assert outcome.status == ExitCode.USAGE
+    assert "CO141" in outcome.err
     monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
     assert "CO140" in run("plot", str(file)).err
 

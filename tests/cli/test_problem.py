@@ -82,7 +82,6 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
         (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
         (RecordError("CO344", "cannot read the recording x"), ExitCode.BAD_FILE, "CO344"),
-        (RecordError("CO345", "x: Parquet needs pyarrow"), ExitCode.BAD_FILE, "CO345"),
         (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),
         (StateFileError(Path("state.json"), "it is not JSON"), ExitCode.BAD_FILE, "CO333"),
         (ValueRangeError("too large"), ExitCode.USAGE, "CO304"),

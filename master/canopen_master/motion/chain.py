@@ -251,11 +251,11 @@ class Chain(ChainView, Moving):
         """Record what the chain does while an `async with` block runs: a row for each SYNC, see record_format.py.
 
         path: of the file, Parquet if it ends in ".parquet", else CSV; an older one is overwritten. Rows begin once the chain is
-        initialised. Raises OSError, and RecordError without pyarrow for Parquet; at the end RecordError if rows are missing. If
-        the block ends by an error or is cancelled, its end waits for nothing: `Recorder.wait` does.
+        initialised. Raises OSError; PackageMissing without pyarrow for Parquet; at the end RecordError if rows are missing. A
+        block that ends by an error or is cancelled waits for nothing: `Recorder.wait` does.
         """
         followed = self._participant, self.name, self.devices, self._set_points
-        return recording(lambda: Recorder(*followed, lambda: self.state is not ChainState.OFF, path))
+        return recording(lambda: Recorder(*followed, lambda: self.state is not ChainState.OFF, lambda: self.motion, path))
 
     # ---- along a path: see path_motion.py and moving.py ----
 

@@ -15,7 +15,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any, Final, Protocol
 
-from canopen_master.motion.record_format import NO_PYARROW, PARQUET, RecordError, RecordHead, Row, is_whole
+from canopen_master.errors import PackageMissing
+from canopen_master.motion.record_format import PARQUET, RecordHead, Row, is_whole
 
 MARK: Final = "# canopen recording"
 """How a CSV recording begins."""
@@ -75,7 +76,7 @@ class ParquetFile:
     """A recording as Parquet: 64-bit floating point, and 32-bit whole numbers."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        """Raises RecordError if pyarrow is not installed."""
+        """Raises PackageMissing without pyarrow."""
         self._pyarrow, self._parquet = pyarrow_modules(PARQUET)
         self.chunk = _CHUNK_OF_PARQUET
         self._file = file
@@ -107,7 +108,7 @@ class ParquetFile:
 
 
 def open_record(path: str | Path) -> RecordFile:
-    """Open a file for a recording, as its ending says. An older file is overwritten. Raises OSError, RecordError."""
+    """Open a file for a recording, as its ending says. An older file is overwritten. Raises OSError, PackageMissing."""
     is_parquet = Path(path).suffix.lower() == PARQUET
     if is_parquet:
         pyarrow_modules(str(path))  # before an older file is emptied
@@ -116,11 +117,10 @@ def open_record(path: str | Path) -> RecordFile:
 
 
 def pyarrow_modules(what: str) -> tuple[Any, Any]:
-    """Return the modules `pyarrow` and `pyarrow.parquet`. what: the file, for the message. Raises RecordError without them."""
+    """Return the modules `pyarrow` and `pyarrow.parquet`. what: the file, for the message. Raises PackageMissing without them."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError as missing:
-        tries = ("pip install 'canopen-proto[parquet]'", "a name that ends in .csv, which needs nothing")
-        raise RecordError(NO_PYARROW, f"{what}: Parquet needs pyarrow, which is not installed", tries=tries) from missing
+        raise PackageMissing("pyarrow", "parquet", f"a Parquet file ({what})", missing) from missing
     return pyarrow, pyarrow.parquet

@@ -38,7 +38,6 @@ NEEDED: Final = ("cycle", "time")
 """The columns without which a file is no recording; any other may be missing."""
 INCOMPLETE: Final = "CO343"
 UNREADABLE: Final = "CO344"
-NO_PYARROW: Final = "CO345"
 PARQUET: Final = ".parquet"
 """The ending of a file that is written as Parquet; every other one is CSV."""
 
@@ -47,7 +46,7 @@ Row: TypeAlias = tuple[Value, ...]
 
 
 class RecordError(Explained, Exception):
-    """A recording cannot be written as its name asks for, is not complete, or cannot be read; see Explained for the fields."""
+    """A recording is not complete, or cannot be read; see Explained for the fields."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,14 @@ import trio
 from canopen_master.dispatch import Watcher
 from canopen_master.motion.cycles import SetPoints
 from canopen_master.motion.device import Device
+from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.record_files import open_record
 from canopen_master.motion.record_format import INCOMPLETE, RecordedJoint, RecordError, RecordHead, Row, Value
 from canopen_master.participant import Participant
 from canopen_proto.drive.settings import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.sync import SyncSent
+from canopen_proto.trajectory import PathClock
 
 MAX_WAITING: Final = 1_000_000
 """Values that wait to be written: some 30 MB, or half a minute of six joints at 1 ms while a disk does nothing."""
@@ -46,9 +48,13 @@ class Recorder:
         devices: Sequence[Device],
         set_points: SetPoints,
         has_begun: Callable[[], bool],
+        motion: Callable[[], Motion | None],
         path: str | Path,
     ) -> None:
-        """has_begun: whether the chain is initialised; no rows before. Raises OSError, RecordError if no file can be made."""
+        """has_begun: whether the chain is initialised; no rows before. motion: what moves the chain at present.
+
+        Raises OSError, PackageMissing if no file can be made.
+        """
         self.path = Path(path)
         self.rows = 0
         self.lost = 0
@@ -58,6 +64,7 @@ class Recorder:
         self._devices = devices
         self._set_points = set_points
         self._has_begun = has_begun
+        self._motion = motion
         self._file = open_record(path)
         self._begun: Time | None = None  # when the first row began
         self._now: Row | None = None  # the chain's columns of the row that is open
@@ -118,7 +125,9 @@ class Recorder:
         missed = set_points.missed_cycles - self._missed_before
         self._missed_before = set_points.missed_cycles
         skipped = sync.skipped if self._cycle else 0
-        self._now = self._cycle, (now - self._begun) / SECOND, skipped, int(missed > 0), None
+        motion = self._motion()
+        rate = motion.course.rate if motion is not None and isinstance(motion.course, PathClock) else None
+        self._now = self._cycle, (now - self._begun) / SECOND, skipped, int(missed > 0), rate
         sent: Sequence[float | None] = set_points.sent or [None] * len(self._devices)
         self._sent = [(point, int(device.axis.controlword)) for point, device in zip(sent, self._devices, strict=True)]
 

@@ -1,0 +1,225 @@
+"""`canopen move`: a chain moves to a target, or along a path of a file, within the limits of its joints."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path as FilePath
+
+import click
+import trio
+
+from canopen_cli.chain_session import ChosenChain, choose_chain, open_chain
+from canopen_cli.courses import courses_of_record
+from canopen_cli.demo_view import DemoView, JointView, Step
+from canopen_cli.motion_plot import write_motion_plot
+from canopen_cli.move_plan import Legs, legs_of, targets_of, told_legs
+from canopen_cli.move_rehearsal import rehearse_move
+from canopen_cli.new_files import check_new_file
+from canopen_cli.options import FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.plot import check_plot
+from canopen_cli.problem import ExitCode, Problem, usage
+from canopen_cli.record_option import check_record, record_option, recorded
+from canopen_cli.running import run
+from canopen_cli.screen import Screen, counted, escape
+from canopen_data import text_of
+from canopen_data.path_file import PathFile, read_path
+from canopen_master.errors import MasterError
+from canopen_master.motion.chain import Chain
+from canopen_master.motion.record_format import RecordError
+from canopen_master.motion.record_reader import read_record
+from canopen_master.motion.recording import Recorder
+
+REFRESH = 0.1
+"""Seconds between two updates of what is shown."""
+
+
+@click.command()
+@click.argument("files", metavar="[MACHINE.toml] [PATH.csv]", nargs=-1)
+@click.option("--to", metavar="A,B,...", help="The target: a position for each joint, or JOINT=POSITION for some of them.")
+@click.option("--chain", metavar="NAME", help="Which chain of the machine.  [default: the first]")
+@click.option("--home", is_flag=True, help="Home the joints first that have no reference.")
+@click.option(
+    "--override",
+    type=FiniteRange(0.01, 1),
+    default=1.0,
+    show_default=True,
+    help="The rate of the path: 0.3 is a third of its speed.",
+)
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=FilePath), help="Draw what it did, as .png, .svg or .pdf.")
+@record_option
+@enabling
+@commanding
+@common
+@click.pass_obj
+def move(
+    settings: Settings,
+    files: tuple[str, ...],
+    to: str | None,
+    chain: str | None,
+    home: bool,
+    override: float,
+    plot: FilePath | None,
+    record: FilePath | None,
+) -> None:
+    """Move a chain to a target, or along a path. IT MOVES. Ctrl-C brakes on the path; then it stands, with power.
+
+    A target is planned: as fast as the limits of the joints allow, all arrive together (this needs ruckig). PATH.csv has a
+    column `time` in seconds, and one for each joint; the chain first moves to its start. All of it is checked before it moves.
+    Positions are in the units of the machine file. At the end the drives have no power.
+
+    With --dry-run the drives are only read. Simulated ones with the same values move in their place, and the check and the
+    frames of the first cycle are shown.
+
+    \b
+    canopen move -b demo --to 10,-20,30,0,0,0             a simulated arm, in degrees
+    canopen move cell.toml --to elbow=30 --dry-run
+    canopen move cell.toml path.csv --override 0.3 --plot run.png
+    """
+    screen = settings.screen()
+    path_name = _take_files(settings, files)
+    if (to is None) == (path_name is None):
+        raise usage("CO001", "where to? --to, or the CSV file of a path", tries=("--to 10,20,30", "path.csv"))
+    chosen = choose_chain(settings, chain)
+    path = None if path_name is None else read_path(_text(path_name), path_name, joints=chosen.joints)
+    targets = None if to is None else targets_of(to, chosen.joints)
+    if settings.dry_run:
+        rehearse_move(settings, screen, chosen, targets, path, override)
+        return
+    if plot is not None:
+        check_plot(plot)
+        check_new_file(settings, screen, plot)
+    check_record(settings, screen, record)
+    with tempfile.TemporaryDirectory() as folder:
+        moved = _Move(settings, screen, chosen, targets, path, home, override)
+        moved.told = record is not None
+        file = record if record is not None or plot is None else FilePath(folder) / "move.csv"
+        try:
+            run(settings, screen, lambda: moved.run(file), story=moved.story)
+        finally:
+            if plot is not None and file is not None:
+                _draw(screen, plot, file, moved.recorder)
+    moved.show()
+
+
+def _take_files(settings: Settings, files: Sequence[str]) -> str | None:
+    """Take the machine file among the arguments as if -m named it; return the other one, the file of a path."""
+    machines = [name for name in files if name.lower().endswith(".toml")]
+    others = [name for name in files if name not in machines]
+    if len(machines) > 1 or len(others) > 1:
+        raise usage("CO001", f"one machine file and one path, not {counted(len(files), 'file')}")
+    if machines:
+        settings.machine = FilePath(machines[0])
+    return others[0] if others else None
+
+
+def _text(name: str) -> str:
+    text = text_of(FilePath(name), name)
+    if text is None:
+        raise Problem(ExitCode.BAD_FILE, "CO330", f"there is no file {name}", tries=("its path",))
+    return text
+
+
+class _Move:
+    """One run of the command."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        screen: Screen,
+        chosen: ChosenChain,
+        targets: dict[str, float] | None,
+        path: PathFile | None,
+        home: bool,
+        override: float,
+    ) -> None:
+        self.settings, self.screen, self.chosen = settings, screen, chosen
+        self.targets, self.path, self.home, self.override = targets, path, home, override
+        self.recorder: Recorder | None = None
+        self.told = True  # that it is recorded
+        self._told = "nothing had moved"
+        self._result: list[tuple[str, float, float]] = []
+
+    async def run(self, file: FilePath | None) -> None:
+        """Open the machine, move its chain, and take the power away."""
+        async with open_chain(self.settings, self.chosen) as (_, arm):
+            with DemoView(self.screen, f"{arm.name}: {counted(len(arm.devices), 'joint')}", range=180) as view:
+                view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
+                step = view.begin("enable", "NMT, PDOs, fault reset, enable")
+                await arm.initialise()
+                view.done(step, f"{counted(len(arm.devices), 'drive')} in operation enabled")
+                if self.home:
+                    self._told = "the joints were homing"
+                    step = view.begin("home", "the joints look for their reference")
+                    await arm.home(if_needed=True)
+                    view.done(step, "all joints have their reference")
+                await arm.follow()
+                try:
+                    legs = legs_of(arm, self.targets, self.path)
+                except MasterError:
+                    await arm.shut_down()  # nothing is going to move
+                    raise
+                told_legs(self.screen, arm, legs)
+                arm.override = self.override
+                async with recorded(self.settings, self.screen, arm, file, told=self.told) as self.recorder:
+                    await self._move(arm, legs, view)
+                self._told = "it had arrived"
+                self._result = [
+                    (device.name, position, device.largest_following_error)
+                    for device, position in zip(arm.devices, arm.positions, strict=True)
+                ]
+                await arm.shut_down()
+
+    async def _move(self, arm: Chain, legs: Legs, view: DemoView) -> None:
+        for device in arm.devices:
+            device.following.largest_error = 0.0
+        for name, path in legs:
+            step = view.begin("move", name, progress=0.0)
+            failure: Exception | None = None
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(self._show, arm, view, step, path.duration)
+                try:
+                    await arm.follow(path)
+                except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
+                    failure = error
+                nursery.cancel_scope.cancel()
+            if failure is not None:
+                raise failure
+            view.done(step, f"{name}, {path.duration:.2f} s")
+
+    async def _show(self, arm: Chain, view: DemoView, step: Step, duration: float) -> None:
+        async for progress in arm.progress():
+            self._told = f"it had been moving for {progress.time:.1f} s, and stands on its path"
+            step.progress = min(1.0, progress.time * self.override / duration) if duration else 1.0
+            for joint, device, position in zip(view.joints, arm.devices, progress.positions, strict=True):
+                joint.state, joint.position = str(device.state), position
+            view.refresh()
+            await trio.sleep(REFRESH)
+
+    def story(self, confirmed: bool) -> list[str]:
+        """Tell what was done if it did not come to its end."""
+        halted = "halted" if confirmed else "told to halt"
+        return [self._told, f"the joints were {halted}; `canopen drive NODE disable` takes the power"]
+
+    def show(self) -> None:
+        """Show where the joints are."""
+        columns = ("joint", "stands at", "largest following error")
+        if self.settings.json:
+            names = ("joint", "position", "largest_following_error")
+            self.screen.json([dict(zip(names, row, strict=True)) for row in self._result])
+        else:
+            rows = [(escape(name), f"{position:.6g}", f"{error:.3g}") for name, position, error in self._result]
+            self.screen.table(columns, rows, right=columns[1:])
+
+
+def _draw(screen: Screen, picture: FilePath, file: FilePath, recorder: Recorder | None) -> None:
+    """Draw what was recorded, also after a failure."""
+    if recorder is None:
+        return
+    with suppress(RecordError):  # told already
+        recorder.wait()
+    record = read_record(file)
+    if len(record):
+        write_motion_plot(picture, courses_of_record(record))
+        screen.say(f"Drawn: [bold]{escape(str(picture))}[/]")

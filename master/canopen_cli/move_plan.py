@@ -1,0 +1,91 @@
+"""What `canopen move` is to do: the target, the way there, and the check of it against the limits of each joint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TypeAlias
+
+from canopen_cli.problem import usage
+from canopen_cli.screen import Screen, escape
+from canopen_data.path_file import PathFile
+from canopen_master.motion.chain import Chain
+from canopen_master.motion.path_check import check_path
+from canopen_proto.dictionary.model import did_you_mean
+from canopen_proto.trajectory import Path, PathPoint
+from canopen_proto.trajectory.limit_check import demands_of
+
+Legs: TypeAlias = list[tuple[str, Path]]
+"""Parts of a motion, at rest between them: what each is, for people, and its path."""
+COLUMNS = "joint", "from", "to", "lowest", "highest", "speed", "of", "acceleration", "of ", "jerk", "of  "
+_CLOSE = 1e-9
+
+
+def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
+    """Return the targets that --to names, by joint. Raises a Problem."""
+    parts = [part.strip() for part in text.split(",")]
+    if not any("=" in part for part in parts):
+        if len(parts) != len(joints):
+            seen, tries = f"the joints are {','.join(joints)}", ("--to JOINT=POSITION",)
+            raise usage("CO001", f"--to has {len(parts)} positions", seen=seen, tries=tries)
+        parts = [f"{joint}={part}" for joint, part in zip(joints, parts, strict=True)]
+    found: dict[str, float] = {}
+    for part in parts:
+        name, equals, number = (each.strip() for each in part.partition("="))
+        if name not in joints or not equals or name in found:
+            raise usage("CO001", f"--to: {part!r} is no JOINT=POSITION of its own{did_you_mean(name, joints)}")
+        try:
+            found[name] = float(number)
+        except ValueError:
+            found[name] = math.nan
+        if not math.isfinite(found[name]):
+            raise usage("CO001", f"--to: {number!r} is not a finite number", seen=f"the position of {name}")
+    return found
+
+
+def legs_of(arm: Chain, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
+    """Return the way of a chain that stands and follows set-points: to the targets, or to the start of a path and along it.
+
+    Raises PathRefused for a path beyond a limit, PlanRefused, PackageMissing.
+    """
+    here = arm.desired_positions
+    if path is None:
+        assert targets is not None
+        there = [targets.get(device.name, position) for device, position in zip(arm.devices, here, strict=True)]
+        return [("to the target", planned(arm, here, there))]
+    check_path(arm.devices, path.path, path.path.start, arm.path_limits, arm.settings.cycle_time)
+    begin = path.path.start.positions
+    along = ("along the path", path.path)
+    if all(abs(a - b) <= device.axis.amount_from_counts(1) for device, a, b in zip(arm.devices, here, begin, strict=True)):
+        return [along]
+    return [("to the start of the path", planned(arm, here, begin)), along]
+
+
+def planned(arm: Chain, here: Sequence[float], there: Sequence[float]) -> Path:
+    """Return the fastest way from rest to rest."""
+    from canopen_master.trajectories.point_to_point import plan
+
+    rest = [0.0] * len(here)
+    return plan(PathPoint(list(here), rest, rest), there, arm.path_limits)
+
+
+def told_legs(screen: Screen, arm: Chain, legs: Legs) -> None:
+    """Show each part of the motion, with what it asks of each joint, and the limits."""
+    if screen.json_output:
+        return
+    for name, path in legs:
+        screen.data(f"[bold]{name}[/]: {path.duration:.3g} s, within all limits")
+        rows = []
+        for number, (device, limits) in enumerate(zip(arm.devices, arm.path_limits, strict=True)):
+            demands = list(demands_of(path, number, arm.settings.cycle_time))
+            lowest, highest = min(each.position.low for each in demands), max(each.position.high for each in demands)
+            asked = [max(getattr(each, kind).magnitude for each in demands) for kind in ("speed", "acceleration", "jerk")]
+            most = [limits.speed, limits.acceleration, limits.jerk]
+            pairs = [cell for pair in zip(map(_shown, asked), map(_shown, most), strict=True) for cell in pair]
+            ends = path.start.positions[number], path.end.positions[number]
+            rows.append((escape(device.name), *map(_shown, (*ends, lowest, highest)), *pairs))
+        screen.table(COLUMNS, rows, right=COLUMNS[1:])
+
+
+def _shown(value: float | None) -> str:
+    return "any" if value is None or math.isinf(value) else f"{0.0 if abs(value) < _CLOSE else value:.4g}"

@@ -1,0 +1,167 @@
+"""`canopen move`: to a target, along a path of a file, as a rehearsal; and its ends. In virtual time, with simulated joints."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+from pathlib import Path
+
+import pytest
+
+from canopen_cli.fleet import Fleet
+from canopen_cli.problem import ExitCode
+from canopen_master import read_record
+from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_proto.cia402.states import State
+from tests.cli.cli_support import Alarm, Run, stands
+from tests.master.test_recording import wait_for_file
+
+pytest.importorskip("ruckig", reason="a planned motion needs the extra `motion`")
+
+DEMO = ("move", "-b", "demo")
+START = [-14, 9, 21, -7, 16, -22]
+CELL = """
+[buses.left]
+locator = "virtual:left"
+[buses.right]
+locator = "virtual:right"
+[nodes]
+shoulder = { bus = "left", id = 3 }
+elbow = { bus = "right", id = 3 }
+[defaults.joints]
+unit = "degree"
+max_speed = 20
+[joints]
+shoulder = { max_position = 40 }
+elbow = {}
+[chains.arm]
+joints = ["shoulder", "elbow"]
+"""
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> str:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL)
+    return str(path)
+
+
+def degrees(fleet: Fleet) -> list[float]:
+    return [float(drive.values[POSITION_ACTUAL_VALUE]) / 1000 for drive in fleet.drives.values()]  # type: ignore[arg-type]
+
+
+def test_to_a_target(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
+    file, picture = tmp_path / "run.csv", tmp_path / "run.png"
+    outcome = run(*DEMO, "--to", "10,-20,30,0,0,5", "--record", str(file), "--plot", str(picture))
+    assert outcome.status == 0, outcome.err
+    assert degrees(fleets[0]) == pytest.approx([10, -20, 30, 0, 0, 5], abs=0.02)
+    assert all(drive.drive.state is State.SWITCH_ON_DISABLED for drive in fleets[0].drives.values())
+    assert "to the target: 1.69 s, within all limits" in outcome.out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    record = read_record(file)
+    assert {rate for rate in record["rate"] if rate == rate} <= {0.0, 1.0}
+    assert record["joint2.set_point"][-1] == pytest.approx(-20)
+
+
+def test_some_joints_and_json(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run(*DEMO, "--to", "joint3=25, joint1=-10", "--json", "-q")
+    assert degrees(fleets[0]) == pytest.approx([-10, 9, 25, -7, 16, -22], abs=0.02)
+    assert [joint["joint"] for joint in outcome.json] == [f"joint{number}" for number in range(1, 7)]
+    assert outcome.json[2]["position"] == pytest.approx(25, abs=0.02)
+
+
+def test_a_path_of_a_file_from_its_start_on(run: Run, fleets: list[Fleet], cell: str, tmp_path: Path) -> None:
+    path, file = tmp_path / "path.csv", tmp_path / "run.csv"
+    path.write_text("time,elbow,shoulder\n0,10,0\n2,0,5\n4,10,-5\n")
+    outcome = run("move", cell, str(path), "-b", "demo", "--override", "0.5", "--record", str(file))
+    assert outcome.status == 0, outcome.err
+    assert "to the start of the path: " in outcome.out
+    assert "along the path: 4 s" in outcome.out
+    record = read_record(file)
+    assert [joint.unit for joint in record.head.joints] == ["degree", "degree"]
+    assert (record["shoulder.set_point"][-1], record["elbow.set_point"][-1]) == pytest.approx((-5, 10))
+    assert max(rate for rate in record["rate"] if rate == rate) == pytest.approx(0.5)
+    assert record["time"][-1] > 8  # at half its speed
+
+
+def test_a_rehearsal_moves_nothing_and_shows_the_first_cycle(run: Run, fleets: list[Fleet], cell: str) -> None:
+    outcome = run("move", cell, "-b", "demo", "--to", "30,20", "--dry-run")
+    assert outcome.status == 0, outcome.err
+    assert "within all limits" in outcome.out
+    frames = [line.split() for line in outcome.out.splitlines() if "ms" not in line and ("080#" in line or "203#" in line)]
+    assert len(frames) == 4  # a SYNC and an RPDO on each bus
+    assert "nothing of this was sent" in outcome.err
+    assert [float(drive.values[POSITION_ACTUAL_VALUE]) for drive in fleets[0].drives.values()] == [-14_000]  # type: ignore[arg-type]
+    refused = run("move", cell, "-b", "demo", "--to", "50,20", "--dry-run")
+    assert refused.status == ExitCode.USAGE
+
+
+@pytest.mark.parametrize("arguments", [("--to", "50,20"), ("PATH",)])
+def test_what_is_beyond_a_limit_is_refused_before_it_moves(
+    run: Run, fleets: list[Fleet], cell: str, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    path = tmp_path / "path.csv"
+    path.write_text("time,shoulder,elbow\n0,0,0\n4,50,0\n")
+    outcome = run("move", cell, "-b", "demo", *[str(path) if each == "PATH" else each for each in arguments])
+    assert outcome.status == ExitCode.USAGE, outcome.err
+    assert "40" in outcome.err
+    (drive, *_) = fleets[0].drives.values()
+    assert drive.values[POSITION_ACTUAL_VALUE] == -14_000
+    assert drive.drive.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("at", [0.5, 1.2, 1.9])
+def test_ctrl_c_brakes_on_the_path(run: Run, fleets: list[Fleet], alarm: Alarm, tmp_path: Path, at: float) -> None:
+    file = tmp_path / "run.csv"
+    alarm.set((at, signal.SIGINT))
+    outcome = run(*DEMO, "--to", "80,9,21,-7,16,-22", "--record", str(file))
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "stands on its path" in outcome.err
+    assert "the joints were halted" in outcome.err
+    assert all(stands(drive) for drive in fleets[0].drives.values())
+    wait_for_file()
+    record = read_record(file)
+    points = [point for point in record["joint1.set_point"] if point == point]
+    steps = [100 * (b - a) for a, b in itertools.pairwise(points)]
+    assert -14 < points[-1] < 80
+    assert steps[-1] == pytest.approx(0, abs=0.2)  # it came to rest by its set-points, not by a halt
+    assert max(abs(b - a) for a, b in itertools.pairwise(steps)) * 100 <= 60 * 1.01
+    assert degrees(fleets[0])[0] == pytest.approx(points[-1], abs=0.1)
+
+
+def test_home_first(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run(*DEMO, "--home", "--to", "1,2,3,4,5,6")
+    assert outcome.status == 0
+    assert "all joints have their reference" in outcome.err
+    assert degrees(fleets[0]) == pytest.approx([1, 2, 3, 4, 5, 6], abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ((), "where to?"),
+        (("--to", "1,2"), "--to has 2 positions"),
+        (("--to", "1,2,3,4,5,x"), "'x' is not a finite number"),
+        (("--to", "joint9=1"), "joint9=1"),
+        (("--to", "joint1=1,joint1=2"), "is no JOINT=POSITION of its own"),
+        (("a.csv", "b.csv"), "one machine file and one path"),
+        (("--to", "1", "path.csv"), "where to?"),
+        (("--chain", "x", "--to", "1"), "has no chain 'x'"),
+        (("--to", "1,2,3,4,5,6", "--override", "0"), "0"),
+    ],
+)
+def test_wrong_words(run: Run, fleets: list[Fleet], arguments: tuple[str, ...], text: str) -> None:
+    outcome = run(*DEMO, *arguments)
+    assert outcome.status == ExitCode.USAGE
+    assert text in outcome.err
+    assert not fleets
+
+
+def test_files_that_cannot_be_used(run: Run, tmp_path: Path, cell: str) -> None:
+    assert run(*DEMO, "none.csv").status == ExitCode.BAD_FILE
+    (tmp_path / "path.csv").write_text("time,joint1\n0,0\n0,x\n")
+    outcome = run(*DEMO, str(tmp_path / "path.csv"))
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "CO301" in outcome.err
+    assert "CO121" in run("move", "--to", "1").err
+    assert "on the buses left, right" in run("move", cell, "-b", "virtual:x", "--to", "1,2").err
