@@ -183,12 +183,16 @@ def _command(view: DriveView) -> list[Reason]:
     if is_ours or sent is None or (view.state is State.OPERATION_ENABLED and not enables_operation(word)):
         return []  # some drives do not show in 0x6040 what came by PDO
     differs = f"its controlword is {command_text(word)}, not the {command_text(sent)} that it was sent"
+    if view.rpdo is not None:
+        what = f"its RPDO {view.rpdo}, which carries the controlword, does not reach it: {differs}"
+        remedy = (
+            "start it (NMT), as it may have left Operational when it missed its master's heartbeat; "
+            "or compare the RPDO's CAN-ID and mapping with those of the drive (canopen info)"
+        )
+        return [Reason(what, remedy)]
     if word & ControlBit.HALT:
         return [Reason(f"its controlword commands a halt (bit 8): {differs}", "find the other master that halts it")]
-    if view.rpdo is None:
-        return [Reason(differs, "find the other master that commands it")]
-    what = f"its RPDO {view.rpdo}, which carries the controlword, does not reach it: {differs}"
-    return [Reason(what, "compare the RPDO's CAN-ID and mapping with those of the drive (canopen info), or define them again")]
+    return [Reason(differs, "find the other master that commands it")]
 
 
 def _mode(view: DriveView) -> list[Reason]:

@@ -404,6 +404,19 @@ def test_an_rpdo_that_does_not_reach_the_drive() -> None:
     told(caught.value, "its RPDO 1, which carries the controlword, does not reach it: its controlword is 0x0000", "mapping")
 
 
+def test_a_drive_that_has_left_operational_unheard() -> None:
+    """As one whose master's heartbeat came too late: it takes no RPDO, and still has the halt that came by SDO."""
+    rig = Rig(Shape.SCHUNK_POWERBALL)
+    rig.run(drive.enable(rig.axis))
+    rig.start_sync()
+    rig.bus.send("000#8005")
+    with pytest.raises(drive.DriveTimeout) as caught:
+        rig.run(drive.start_interpolation(rig.axis, CYCLE))
+    told(
+        caught.value, "its RPDO 1, which carries the controlword, does not reach it: its controlword is 0x010F", "start it (NMT)"
+    )
+
+
 def test_what_agrees_with_us_or_is_long_ago_is_no_reason() -> None:
     rig, foreign = rig_in_motion()
     rig.run(drive.select_standing_mode(rig.axis))
