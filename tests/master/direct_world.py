@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import can
@@ -14,6 +15,7 @@ import trio
 
 from canopen_master import Host, session, simulate
 from canopen_master.direct.background import Background
+from canopen_master.direct.drive import COUNTS
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive import following
@@ -138,6 +140,7 @@ def devices(*node_ids: int, makers: Sequence[DeviceMaker] = ()) -> Iterator[Devi
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(following, "SILENT_TIME", SILENT_TIME)
         patch.setattr(session, "SHUTDOWN_TIME", PATIENT)
+        patch.setattr("canopen_master.direct.session.COUNTS", replace(COUNTS, state_timeout=20 * SECOND))
         try:
             yield made
         finally:
