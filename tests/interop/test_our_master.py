@@ -179,7 +179,7 @@ def test_pdos_as_the_device_has_them(rig: Rig) -> None:
     driver.do(lambda now: remote.enable_rpdo(1, now))
     remote.values.store[OUTPUT << 8] = 77
     driver.do(remote.rpdos[1].trigger)
-    assert device.rpdo[1].wait_for_reception(timeout=20) is not None
+    driver.wait(lambda: device.rpdo[1].is_received)
     assert device.rpdo[1][OUTPUT].raw == 77
 
 
@@ -194,7 +194,7 @@ def test_a_pdo_defined_by_us_is_read_by_the_peer(rig: Rig) -> None:
     driver.do(lambda now: remote.enable_rpdo(1, now))
     remote.values.store.update({LIMITED << 8: 17, OUTPUT << 8: -2})
     driver.do(remote.rpdos[1].trigger)
-    assert device.rpdo[1].wait_for_reception(timeout=20) is not None
+    driver.wait(lambda: device.rpdo[1].is_received)
     assert (device.rpdo[1][LIMITED].raw, device.rpdo[1][OUTPUT].raw) == (17, -2)
 
 
@@ -214,6 +214,6 @@ def test_a_synchronous_rpdo_leaves_behind_our_sync(rig: Rig) -> None:
     remote.values.store[OUTPUT << 8] = 5
     driver.do(lambda now: remote.enable_rpdo(2, now))
     driver.do(rig.sync.send)
-    assert device.rpdo[2].wait_for_reception(timeout=20) is not None
+    driver.wait(lambda: device.rpdo[2].is_received)
     assert device.rpdo[2][OUTPUT].raw == 5
     assert syncs == [0x80]
