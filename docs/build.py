@@ -1,15 +1,21 @@
-"""Draw the pictures of docs/modes: each page's example runs on a simulated drive in virtual time, and its motion is drawn.
+"""Draw the pictures of the pages: each page's example runs on simulated drives in virtual time, and its motion is drawn.
 
     python docs/build.py [--into FOLDER] [PAGE ...]
 
-An example is the first Python block of a page. It defines `main(master, joint)`: an open master, and the `Device` of one drive
-whose unit is the degree (1000 counts). PICTURES has what belongs to each page. Needs the extra `plot`.
+docs/modes: an example is the first Python block of a page. It defines `main(master, joint)`: an open master, and the `Device` of
+one drive whose unit is the degree (1000 counts). PICTURES has what belongs to each page.
+
+docs/move-an-arm.md: each function of its Python blocks runs alone; ARM_EXAMPLE is drawn from its own recording.
+
+Needs the extras `plot` and `motion`.
 """
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
+import tempfile
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -21,15 +27,18 @@ import trio.testing
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from canopen_cli.courses import courses_of_record
 from canopen_cli.fleet import simulated_devices
+from canopen_cli.motion_plot import write_motion_plot
 from canopen_data.configured import configure
-from canopen_master import Master, open_master
+from canopen_master import Chain, ChainSettings, Master, open_master, read_record
 from canopen_master.motion.device import Device
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import describe_status
 from canopen_proto.cia402.states import POWERED, state_of
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive.settings import AxisSettings
+from canopen_proto.drive.units import Unit
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
@@ -38,6 +47,8 @@ from canopen_proto.simulated_drive.plant import Mechanics
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
 
 PAGES: Final = Path(__file__).parent / "modes"
+ARM_PAGE: Final = Path(__file__).parent / "move-an-arm.md"
+ARM_EXAMPLE: Final = "to_a_target"
 BUS: Final = "virtual:docs"
 NODE_ID: Final = 5
 COUNTS: Final = 1000
@@ -206,6 +217,68 @@ async def _watch(drive: DriveNode, samples: list[Sample], pause: float) -> None:
         await trio.sleep(pause)
 
 
+ARM_AXIS: Final = replace(
+    AXIS, min_position=-170.0, max_position=170.0, max_acceleration=360.0, max_jerk=3600.0, unit=Unit.DEGREE
+)
+ARM_JOINT: Final = DriveSettings(position=0.0, track=Track(negative_limit=-180_000.0, positive_limit=180_000.0))
+ARM_NAMES: Final = """
+import contextlib, math
+import trio
+from canopen_data.path_file import read_path
+from canopen_master import Chain, MotionReplaced, PathRefused, together
+from canopen_master.trajectories.through_points import through_points
+from canopen_proto.trajectory import cubic, from_function
+"""
+"""What the blocks of the page find there."""
+
+ArmExample = Callable[..., Awaitable[None]]
+
+
+def arm_examples() -> dict[str, ArmExample]:
+    """Return the functions of the page that take chains, by their names; `begin` is for all of them."""
+    scope: dict[str, Any] = {}
+    exec(ARM_NAMES, scope)
+    code = "\n".join(re.findall(r"```python\n(.*?)```", ARM_PAGE.read_text(encoding="utf-8"), re.DOTALL))
+    exec(compile(code, ARM_PAGE.name, "exec"), scope)
+    return {name: scope[name] for name in re.findall(r"^async def (\w+)\(arm", code, re.MULTILINE)}
+
+
+def run_on_arms(example: ArmExample, recording: Path) -> None:
+    """Run an example on simulated arms in virtual time, with a recording of `arm`."""
+    trio.run(_run_on_arms, example, recording, clock=trio.testing.MockClock(autojump_threshold=0))
+
+
+async def _run_on_arms(example: ArmExample, recording: Path) -> None:
+    dictionary = drive_dictionary()
+    chains = {"arm": (BUS, (1, 2)), "leg": ("virtual:leg", (1,))}
+    fleet = {
+        bus: [partial(DriveNode, node_id=each, settings=ARM_JOINT, dictionary=dictionary) for each in nodes]
+        for bus, nodes in chains.values()
+    }
+    async with simulated_devices(fleet), open_master(buses={bus: bus for bus in fleet}, dictionary=dictionary) as master:
+        given: dict[str, Chain] = {}
+        for name in inspect.signature(example).parameters:
+            bus, nodes = chains[name]
+            text = f"{name} " + " ".join(f"joint{node} {bus} {node}" for node in nodes)
+            settings = ChainSettings(cycle_time=0.01, own_pdos=True)
+            given[name] = master.load_chains(text=text, settings=settings, axes=ARM_AXIS)[name]
+            await arm_examples()["begin"](given[name])
+        async with given["arm"].record(recording):
+            await example(**given)
+        for chain in given.values():
+            await chain.shut_down()
+
+
+def draw_arm(path: Path) -> str:
+    """Draw the motion of ARM_EXAMPLE; return how far the arm went, for people."""
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / f"{ARM_EXAMPLE}.csv"
+        run_on_arms(arm_examples()[ARM_EXAMPLE], recording)
+        courses = courses_of_record(read_record(recording))
+    write_motion_plot(path, courses)
+    return ", ".join(f"{each.name} up to {max(map(abs, each.actual)):.1f} {each.unit}" for each in courses.joints)
+
+
 def draw(picture: Picture, samples: Sequence[Sample], path: Path) -> None:
     """Draw the motion, from the moment at which the drive has power."""
     powered = [each for each in samples if state_of(each.values[objects.STATUSWORD]) in POWERED]
@@ -243,12 +316,18 @@ def _dress(axes: Axes) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
-    parser.add_argument("pages", metavar="PAGE", nargs="*", help=f"one of {', '.join(PICTURES)}; by default all of them")
-    parser.add_argument("--into", type=Path, default=PAGES, metavar="FOLDER")
+    parser.add_argument(
+        "pages", metavar="PAGE", nargs="*", help=f"one of {', '.join((*PICTURES, ARM_PAGE.stem))}; by default all"
+    )
+    parser.add_argument("--into", type=Path, metavar="FOLDER", help="by default beside each page")
     arguments = parser.parse_args()
-    for page in arguments.pages or PICTURES:
+    for page in arguments.pages or (*PICTURES, ARM_PAGE.stem):
+        if page == ARM_PAGE.stem:
+            path = (arguments.into or ARM_PAGE.parent) / f"{page}.png"
+            print(f"{path}: {draw_arm(path)}")
+            continue
         run = run_example(page)
-        path = arguments.into / f"{page}.png"
+        path = (arguments.into or PAGES) / f"{page}.png"
         draw(PICTURES[page], run.samples, path)
         end = run.samples[-1].values
         print(f"{path}: {'; '.join(describe_status(end[objects.STATUSWORD], end[objects.MODES_OF_OPERATION_DISPLAY]))}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 from types import ModuleType
@@ -13,21 +12,15 @@ from canopen_proto.cia402.homing_methods import HOMING_METHODS, homing_name
 from canopen_proto.cia402.modes import Mode, mode_name
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary.standard import find_standard
+from tests.docs_build import DOCS, load_build
 
-DOCS = Path(__file__).parents[1] / "docs"
 PAGES = sorted(path.stem for path in (DOCS / "modes").glob("*.md"))
 SHORT = {re.search(r"\((\w+)\)", mode_name(mode))[1] for mode in Mode if mode}  # type: ignore[index]
 
 
 @pytest.fixture(scope="module")
 def build() -> ModuleType:
-    pytest.importorskip("matplotlib")
-    spec = importlib.util.spec_from_file_location("docs_build", DOCS / "build.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_build()
 
 
 def test_each_mode_has_a_page_and_a_picture(build: ModuleType) -> None:
