@@ -1,0 +1,158 @@
+"""What ends a motion on a path from outside: a joint in trouble, the end of the master, Ctrl-C, a process that stalls."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+import trio
+from hypothesis import example, given
+from hypothesis import strategies as st
+from trio.lowlevel import enable_ki_protection
+from trio.testing import MockClock
+
+from canopen_master import ChainFault, ChainState, MasterClosed
+from tests.examples import examples
+from tests.master.path_world import AXIS, COUNTS, Record, arms, swing
+from tests.master.test_moving import assert_within_limits
+from tests.master.test_path_motion import ON_PATH, distance_from, moved
+from tests.master.world import drives, virtual_time
+
+PATH = swing(0.5, -0.25, duration=2.0)
+
+
+def assert_on_path(record: Record) -> None:
+    assert max(distance_from(PATH, row) for row in record.rows) < ON_PATH
+    assert_within_limits(record)
+
+
+@virtual_time
+async def test_a_joint_that_falls_behind_stops_all_on_the_path() -> None:
+    async with arms(2, axis=replace(AXIS, following_error_limit=0.02)) as (_, [arm], record):
+        for node in drives(record.hosts[0]):
+            node.values.store[0x6065_00] = 0xFFFF_FFFF  # no fault because of it
+        async with trio.open_nursery() as nursery:
+
+            async def follow() -> None:
+                with pytest.raises(ChainFault, match="j02 .* off its path"):
+                    await arm.follow(PATH)
+
+            nursery.start_soon(follow)
+            await moved(arm, 0.6)
+            node = drives(record.hosts[0])[1]
+            node.block(True, record.hosts[0].now())
+        node.block(False, record.hosts[0].now())
+        assert arm.state is ChainState.FAULT
+        assert_on_path(record)  # what the drives were told, the blocked one, too
+        assert 0.1 < record.rows[-1][0] < 0.5
+
+
+@virtual_time
+async def test_a_fault_stops_each_joint_by_its_own_ramp() -> None:
+    async with arms(2) as (_, [arm], record):
+        async with trio.open_nursery() as nursery:
+
+            async def follow() -> None:
+                with pytest.raises(ChainFault, match="j02 .* fell into fault"):
+                    await arm.follow(PATH)
+
+            nursery.start_soon(follow)
+            await moved(arm, 1.0)
+            host = record.hosts[0]
+            drives(host)[1].raise_fault(0x3220, host.now())
+            host.pump()
+            failed = trio.current_time()
+        assert arm.state is ChainState.FAULT
+        moving = [time for time, row in zip(record.times, record.derivatives(1), strict=False) if abs(row[0]) > 1e-3]
+        assert moving[-1] - failed < 0.2  # by its ramp: from full speed in 0.1 s
+
+
+@virtual_time
+async def test_the_end_of_the_master_is_a_stop_on_the_path() -> None:
+    async with trio.open_nursery() as nursery, arms(2) as (_, [arm], record):
+
+        async def follow() -> None:
+            with pytest.raises(MasterClosed):
+                await arm.follow(PATH)
+
+        nursery.start_soon(follow)
+        await moved(arm, 0.6)
+    assert 0.1 < record.rows[-1][0] < 0.5
+    assert record.rows[-1] == record.rows[-3]
+    assert_on_path(record)
+
+
+@virtual_time
+async def test_ctrl_c_is_a_stop_on_the_path() -> None:
+    @enable_ki_protection
+    async def press() -> None:
+        await moved(arm, 0.6)
+        signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(BaseExceptionGroup) as caught:
+        async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+            nursery.start_soon(press)
+            await arm.follow(PATH)
+    assert caught.group_contains(KeyboardInterrupt)
+    assert 0.1 < record.rows[-1][0] < 0.5
+    assert_on_path(record)
+
+
+delays = st.lists(st.tuples(st.booleans(), st.floats(0.0, 0.2), st.floats(0.0, 0.2)), min_size=1, max_size=8)
+"""Whether it stops the whole process, with the master in it; for how long; and how long nothing is late before."""
+
+
+@example([(True, 0.009, 0.2), (True, 0.045, 0.2), (True, 0.015, 0.1), (True, 0.095, 0.2)])
+@examples(6)
+@given(delays)
+def test_whatever_is_late_no_joint_exceeds_its_speed(turns: Sequence[tuple[bool, float, float]]) -> None:
+    """The drives limit their speed (0x607F), as drives do. What the process is late, the path is late; no joint catches up."""
+
+    @virtual_time
+    async def run() -> None:
+        async with arms(2) as (_, [arm], record):
+            for node in drives(record.hosts[0]):
+                node.values.store[0x607F_00] = 1_000_000
+            path = swing(1.8, -0.9, duration=4.0)
+            stalls = any(blocks for blocks, _, _ in turns)
+
+            async def follow() -> None:
+                try:
+                    await arm.follow(path)
+                except ChainFault:
+                    assert stalls  # a drive that was without SYNC for 100 ms follows no longer
+                    return
+                assert record.rows[-1] == pytest.approx([1.8, -0.9], abs=2e-6)
+
+            speeds: list[float] = []
+
+            async def measure() -> None:
+                while True:
+                    for node in drives(record.hosts[0]):
+                        node.drive.refresh(record.hosts[0].now())
+                        speeds.append(abs(node.drive._servo.demand_velocity) / COUNTS)
+                    await trio.sleep(0.002)
+
+            async with trio.open_nursery() as nursery, trio.open_nursery() as others:
+                others.start_soon(measure)
+                nursery.start_soon(follow)
+                await moved(arm, 1.7)
+                for blocks, late, pause in turns:
+                    if blocks:
+                        clock = trio.lowlevel.current_clock()
+                        assert isinstance(clock, MockClock)
+                        clock.jump(late)
+                    else:
+                        await trio.sleep(late)
+                    await trio.sleep(pause)
+                while arm.motion is not None:
+                    await trio.sleep(0.1)
+                others.cancel_scope.cancel()
+            assert max(speeds) <= 1.0 + 1e-6
+            if not stalls:
+                assert max(distance_from(path, row) for row in record.rows) < ON_PATH
+                assert_within_limits(record)
+
+    run()
