@@ -8,7 +8,7 @@ A drive that stops following shows that in its next PDO, or sends none: the mast
     bit 12             "interpolation active", or "follows the command", is 0
     bit 13             "following error" is 1
     bit 11             "internal limit" is 1 in two statuswords in a row: a drive may cut a single step; in more of them
-                       (`catches_up`) if it limits its acceleration, and cuts steps until it has caught up after a late SYNC
+                       (`catches_up`) if it limits its acceleration; not for CATCH_UP_TIME after a SYNC at the wrong time
     following error    the position is further off the set-points than the limit
     silence            a value sent at SYNCs did not come for SILENT_SYNCS of them in a row, and for SILENT_TIME at least
     NMT state          a heartbeat shows that the node is no longer Operational
@@ -72,9 +72,12 @@ SILENT_SYNCS: Final = 3
 """More than one: a drive is not lost because a frame is."""
 SILENT_TIME: Final = 20 * MILLISECOND
 """An adapter may hold frames back this long (a serial one over USB: 16 ms by default)."""
+CATCH_UP_TIME: Final = 200 * MILLISECOND
+"""A drive that limits its speed gets back to its set-points in this time, if a SYNC came at the wrong time."""
 
 _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated position and in the cyclic synchronous modes alike
+_OWN_LIMITS: Final = "(position 0x607D, speed, torque or current)"
 _NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
 _NAMES: Final[dict[Mux, str]] = {
     objects.STATUSWORD: "statusword",
@@ -128,16 +131,19 @@ class Following:
         "_catches_up",
         "_cyclic",
         "_flawless",
+        "_forgiven",
         "_has_bit_12",
         "_is_answered",
         "_is_on",
         "_lag",
+        "_last_sync",
         "_limit",
         "_limited",
         "_mode",
         "_nmt_state",
         "_old_bits",
         "_pdo",
+        "_period",
         "_points",
         "_silent_syncs",
         "_syncs_to_turn",
@@ -169,6 +175,8 @@ class Following:
         self._old_bits = 0
         self._flawless: int | None = None  # a statusword in which nothing was found
         self._limited = 0  # statuswords in a row with bit 11
+        self._period, self._forgiven = 0, 0  # SYNCs until bit 11 counts again
+        self._last_sync: Time | None = None
         self._catches_up = 1
         self._syncs_to_turn = 0  # 0: no turn is awaited
         self._turn_not_before: Time = 0
@@ -197,16 +205,19 @@ class Following:
         slack: int = UNCERTAIN,
         catches_up: int = 1,
         silent_syncs: int = SILENT_SYNCS,
+        period: Time = 0,
     ) -> None:
         """Watch the drive from now on. It must already follow set-points (bit 12), and stand at the present one.
 
         limit: of the following error, in the user's unit. mode: the mode of operation that 0x6061 has to show. cyclic: as for
         `expect`. lag: SYNCs from sending a set-point to reaching it. slack: further SYNCs that the drive may be behind;
         more than UNCERTAIN for a drive with a profile of its own. catches_up: statuswords in a row in which bit 11 is no finding.
-        silent_syncs: unanswered SYNCs in a row that make the drive count as silent.
+        silent_syncs: unanswered SYNCs in a row that make the drive count as silent. period: ns from SYNC to SYNC; behind one that
+        comes at another time, bit 11 is no finding for CATCH_UP_TIME. 0: not known.
         """
         self._limit, self._lag, self._bounds, self._catches_up = limit, lag, None, catches_up
         self._begin(mode, cyclic, silent_syncs, _WATCHED)
+        self._period, self._last_sync = period, None
         self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + slack + 1)
 
     def begin_within(
@@ -237,7 +248,7 @@ class Following:
         self._nmt_state = self._axis.node.nmt_state
         self._old_bits = self._axis.statusword & _NO_NEWS
         self._flawless = None
-        self._limited = 0
+        self._limited = self._forgiven = self._period = 0
         self.error = 0.0
         self._is_on = True
 
@@ -302,7 +313,7 @@ class Following:
             return
         self._old_bits &= word
         news = word & ~self._old_bits if self._bounds is None else 0
-        is_limited = bool(news & StatusBit.INTERNAL_LIMIT)
+        is_limited = bool(news & StatusBit.INTERNAL_LIMIT) and not self._forgiven
         if axis.state is not State.OPERATION_ENABLED:
             self.lose(f"left operation enabled by itself: {axis.state}")
         elif not word & _FOLLOWS and self._has_bit_12:
@@ -310,10 +321,9 @@ class Following:
         elif news & ModeStatus.FOLLOWING_ERROR:
             self.lose("reports a following error: bit 13 of its statusword is 1", still_follows=True)
         elif is_limited and self._limited >= self._catches_up:
-            limit = "(position 0x607D, speed, torque or current)"
-            self.lose(f"is held by a limit of its own: bit 11 of its statusword is 1 {limit}", still_follows=True)
+            self.lose(f"is held by a limit of its own: bit 11 of its statusword is 1 {_OWN_LIMITS}", still_follows=True)
         self._limited = self._limited + 1 if is_limited else 0
-        self._flawless = None if is_limited else word
+        self._flawless = None if news & StatusBit.INTERNAL_LIMIT else word
 
     def _judge_bounds(self, excess: str) -> None:
         if excess:
@@ -352,6 +362,8 @@ class Following:
             self._unanswered.clear()
         else:
             self._judge_silence(now)
+        if self._period:
+            self._judge_period(now)
         self._points.append(self._axis.set_point_counts)  # this SYNC takes it along
         if self._bounds is not None:
             self._judge_bounds(self._bounds.on_sync())
@@ -360,6 +372,14 @@ class Following:
         elif self._syncs_to_turn and now >= self._turn_not_before:
             self._syncs_to_turn = 0
             self._axis.node.out.events.append(TurnToRead(self._axis.node.node_id, self._axis.number))
+
+    def _judge_period(self, now: Time) -> None:
+        """See whether the SYNC came at another time than the drive expects: it has to get back to its set-points then."""
+        before, self._last_sync = self._last_sync, now
+        if before is not None and abs(now - before - self._period) > self._period // 4:
+            self._forgiven = -(-CATCH_UP_TIME // self._period)
+        elif self._forgiven:
+            self._forgiven -= 1
 
     def _judge_silence(self, now: Time) -> None:
         """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""

@@ -158,6 +158,15 @@ class PathClock:
         self._is_stopping = False
         self._aim_at(self._override)
 
+    def start_again(self) -> None:
+        """Go on from the present point at the rate 0, and gather speed again: the joints have come to rest by themselves.
+
+        Drives do that if a SYNC stays away. They would have to jump to the speed of the path otherwise.
+        """
+        if not self.is_finished:
+            self._origin, self._elapsed, self._is_ending = self._time, 0.0, False
+            self._change = SpeedChange(0.0, 0.0, self._change.wanted, self._max_change, self._max_onset)
+
     def advance(self, cycle_time: float) -> PathPoint:
         """Let one cycle pass, and return where the joints have to be at its end, in real time.
 

@@ -24,8 +24,8 @@ CYCLE = 0.01
 AXIS = AxisSettings(counts_per_unit=COUNTS, max_speed=1.0, max_acceleration=4.0, max_jerk=40.0)
 LIMITS = JointLimits(speed=1.0, acceleration=4.0, jerk=40.0)
 DRIVE = DriveSettings(position=0.0, track=Track(negative_limit=-math.inf, positive_limit=math.inf), lag=0)
-RAMPS = {0x6085_00: 10_000_000, 0x605D_00: 1, 0x6084_00: 10_000_000}
-"""A drive that stops by itself within 0.05 s from full speed: at 10 units per second²."""
+RAMPS = {0x6065_00: 100_000, 0x6085_00: 10_000_000, 0x605D_00: 1, 0x6084_00: 10_000_000}
+"""A drive that may be 0.1 units off, and stops by itself within 0.05 s from full speed: at 10 units per second²."""
 
 
 class Record:

@@ -173,7 +173,7 @@ class Chain(ChainView, Moving):
             self._release_joints()
             raise
         self._set_points.begin()
-        self._supervision.begin_following(followed, self.settings.max_silent_cycles)
+        self._supervision.begin_following(followed, self.settings.max_silent_cycles, cycle_time)
         self.state, self._followed = ChainState.FOLLOWING, True
 
     async def halt(self) -> None:

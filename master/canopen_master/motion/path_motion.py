@@ -4,6 +4,9 @@ A *course* (`Course`) gives the points of the motion, a period after a period: a
 (`canopen_proto.trajectory.PathClock`), or a stream of targets. A motion asks it behind each SYNC, in the pump's turn. Each chain
 takes its joints' part of the point (`Lane`). SYNC is one for all buses, so all chains are at the same point.
 
+**Late cycles.** A period without a SYNC is a period in which the course stands still. Drives brake by themselves then, so behind
+it the course goes on from rest, where it is.
+
 **The end of a motion** comes when its course is finished, or is at rest after `brake`, and the joints had the time to get there.
 The joints then stand at the last set-points, and their chains go on to follow these. A course that is not at rest LONGEST_STOP
 after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp.
@@ -39,6 +42,9 @@ class Course(Protocol):
 
     def stop(self) -> object:
         """Begin to brake to rest, within the limits of the joints, and along the path if there is one."""
+
+    def start_again(self) -> None:
+        """Go on from rest: the drives have braked by themselves."""
 
     @property
     def is_finished(self) -> bool:
@@ -180,6 +186,8 @@ class Motion:
             return
         course = self.course
         try:
+            if skipped:
+                course.start_again()
             self.point = course.advance(self._period)
             if self._torques is not None:
                 self.torques = self._torques(self.point)

@@ -28,7 +28,7 @@ from canopen_proto.drive.slow_position import feed_targets
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
 from canopen_proto.procedures.steps import all_of
 
 RECENT: Final = 1 * SECOND
@@ -60,11 +60,20 @@ class Supervision:
             kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeGuardingLost, NodeBooted)
             device.node.watch(kinds, partial(self._on_event, device))
 
-    def begin_following(self, followed: Sequence[Followed], silent_cycles: int) -> None:
-        """Watch joints that now follow set-points, and give the slow ones their targets. silent_cycles: see ChainSettings."""
+    def begin_following(self, followed: Sequence[Followed], silent_cycles: int, cycle_time: Time) -> None:
+        """Watch joints that now follow set-points, and give the slow ones their targets. silent_cycles: see ChainSettings.
+
+        cycle_time: ns from SYNC to SYNC.
+        """
         for device, (limit, mode, catches_up, slack) in zip(self._devices, followed, strict=True):
             device.following.begin(
-                limit, mode, cyclic=device.cyclic, slack=slack, catches_up=catches_up, silent_syncs=silent_cycles
+                limit,
+                mode,
+                cyclic=device.cyclic,
+                slack=slack,
+                catches_up=catches_up,
+                silent_syncs=silent_cycles,
+                period=cycle_time,
             )
         slow = [device.following for device, each in zip(self._devices, followed, strict=True) if each.mode is _SLOW]
         reading = read_unsent([device.following for device in self._devices])

@@ -46,6 +46,9 @@ class StreamCourse:
         """See Course."""
         self._stream.stop()
 
+    def start_again(self) -> None:
+        """See Course. A stream goes on as it is: its caller sees that the joints have stood, and says what is to be."""
+
     @property
     def is_finished(self) -> bool:
         """Whether the stream has ended, and the joints stand."""
