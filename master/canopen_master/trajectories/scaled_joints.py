@@ -100,10 +100,19 @@ def position_excess(segments: Sequence[Segment], joint: ScaledJoint) -> tuple[fl
     """
     if math.isinf(joint.lowest) and math.isinf(joint.highest):
         return None
+    tolerance = _TOLERANCE * joint.unit
     for duration, coefficients in segments:
-        low, _, high, _ = extremes_of(coefficients, duration)
-        for position in (low, high):
-            limit = limit_exceeded(position, joint, _TOLERANCE * joint.unit)
+        low = high = coefficients[0]
+        power = 1.0
+        for coefficient in coefficients[1:]:
+            power *= duration
+            low += min(0.0, coefficient * power)
+            high += max(0.0, coefficient * power)
+        if low >= joint.lowest and high <= joint.highest:
+            continue  # its terms cannot add up to more: as nearly always, and quicker than its extremes
+        extremes = extremes_of(coefficients, duration)
+        for position in (extremes.low, extremes.high):
+            limit = limit_exceeded(position, joint, tolerance)
             if limit is not None:
                 return position, limit
     return None

@@ -80,7 +80,11 @@ class TargetStream:
         self._is_stopping = False
         self._point = start
         states = self._states(start)
-        self._reaches = [_reach(state, joint) for state, joint in zip(states, self._joints, strict=True)]
+        self._ranges = [
+            ((joint.lowest - joint.origin) / joint.unit, (joint.highest - joint.origin) / joint.unit) for joint in self._joints
+        ]
+        self._reaches = self._reaches_of(states)
+        self._is_given = False  # ruckig has the goal
         self.failure: PlanRefused | None = None
         """Why ruckig failed; the stream has then stopped. None as long as all is well."""
         count = len(self._joints)
@@ -119,7 +123,7 @@ class TargetStream:
         ended.
         """
         self._check("target", targets)
-        self._goal = _Goal.POSITIONS
+        self._goal, self._is_given = _Goal.POSITIONS, False
         self._wanted = [
             (min(max(target, joint.lowest), joint.highest) - joint.origin) / joint.unit
             for target, joint in zip(targets, self._joints, strict=True)
@@ -132,7 +136,7 @@ class TargetStream:
         A joint that comes to a position limit rests there. Raises as `aim_at` does.
         """
         self._check("velocity", velocities)
-        self._goal = _Goal.VELOCITIES
+        self._goal, self._is_given = _Goal.VELOCITIES, False
         self._wanted = [
             min(max(velocity / joint.unit, -1.0), 1.0) for velocity, joint in zip(velocities, self._joints, strict=True)
         ]
@@ -145,7 +149,7 @@ class TargetStream:
     def stop(self) -> None:
         """Brake each joint to rest as fast as its limits allow. This ends the stream."""
         self._is_stopping = True
-        self._goal = _Goal.STANDSTILL
+        self._goal, self._is_given = _Goal.STANDSTILL, False
         self._wanted = [0.0] * len(self._joints)
 
     def step(self) -> PathPoint:
@@ -165,8 +169,8 @@ class TargetStream:
             self.failure = failure
             self.stop()
             states = self._stepped({*range(len(self._joints))}, set())
+            self._reaches = self._reaches_of(states)
         self._output.pass_to_input(self._request)
-        self._reaches = [_reach(state, joint) for state, joint in zip(states, self._joints, strict=True)]
         self._point = PathPoint(
             [joint.origin + position * joint.unit for (position, _, _), joint in zip(states, self._joints, strict=True)],
             [velocity * joint.unit for (_, velocity, _), joint in zip(states, self._joints, strict=True)],
@@ -193,28 +197,40 @@ class TargetStream:
         stopped: set[int] = set()
         to_limits: set[int] = set()
         states = self._stepped(stopped, to_limits)
-        if self._goal is _Goal.STANDSTILL:
-            return states
-        while unsafe := self._unsafe(states) - stopped:
+        reaches = self._reaches_of(states)
+        while self._goal is not _Goal.STANDSTILL and (unsafe := self._unsafe(reaches) - stopped):
             if self._goal is _Goal.VELOCITIES and not to_limits:
-                to_limits = {number for number in unsafe if self._can_stop_in_time(number)}
+                to_limits = {number for number in unsafe if self._wanted[number] and self._can_stop_in_time(number)}
                 stopped = unsafe - to_limits
             else:
                 stopped |= unsafe
             states = self._stepped(stopped, to_limits)
+            reaches = self._reaches_of(states)
+        self._reaches = reaches
         return states
 
     def _stepped(self, stopped: Set[int], to_limits: Set[int]) -> list[_State]:
         """Return the states one cycle on. stopped, to_limits: joints that brake, or go to their limit, instead of to the goal."""
+        if stopped or to_limits or not self._is_given:
+            self._give(stopped, to_limits)
+            self._is_given = not (stopped or to_limits)
+        request, output = self._request, self._output
+        try:
+            self._generator.update(request, output)
+        except (self._ruckig.RuckigError, ValueError) as error:
+            raise ruckig_refused(error, "motion") from error
+        return list(zip(output.new_position, output.new_velocity, output.new_acceleration, strict=True))
+
+    def _give(self, stopped: Set[int], to_limits: Set[int]) -> None:
+        """Hand ruckig what `_stepped` is asked for."""
         interfaces = self._ruckig.ControlInterface
         positions, velocities, fastest, used = [], [], [], []
-        for number, (wanted, joint) in enumerate(zip(self._wanted, self._joints, strict=True)):
+        for number, (wanted, limits) in enumerate(zip(self._wanted, self._ranges, strict=True)):
             position, velocity, speed, interface = 0.0, 0.0, 1.0, interfaces.Velocity
             if number in stopped:
                 pass
             elif number in to_limits:
-                limit = joint.highest if wanted > 0.0 else joint.lowest
-                position = (limit - joint.origin) / joint.unit
+                position = limits[1] if wanted > 0.0 else limits[0]
                 speed = max(abs(wanted), self._reaches[number].speed)
                 interface = interfaces.Position
             elif self._goal is _Goal.POSITIONS:
@@ -225,43 +241,34 @@ class TargetStream:
             velocities.append(velocity)
             fastest.append(speed)
             used.append(interface)
-        request, output = self._request, self._output
+        request = self._request
         request.target_position, request.target_velocity, request.max_velocity = positions, velocities, fastest
         request.per_dof_control_interface = used
-        try:
-            self._generator.update(request, output)
-        except (self._ruckig.RuckigError, ValueError) as error:
-            raise ruckig_refused(error, "motion") from error
-        return list(zip(output.new_position, output.new_velocity, output.new_acceleration, strict=True))
 
-    def _unsafe(self, states: Sequence[_State]) -> set[int]:
+    def _reaches_of(self, states: Sequence[_State]) -> list[_Reach]:
+        return [_reach(*each) for each in zip(states, self._joints, self._ranges, strict=True)]
+
+    def _unsafe(self, reaches: Sequence[_Reach]) -> set[int]:
         """Return the joints that could no longer stop before a limit after this step, or would stop further beyond it."""
-        found = set()
-        for number, (state, before, joint) in enumerate(zip(states, self._reaches, self._joints, strict=True)):
-            after = _reach(state, joint)
-            lowest, highest = _range(joint)
-            if after.low < min(lowest, before.low) - _TOLERANCE or after.high > max(highest, before.high) + _TOLERANCE:
-                found.add(number)
-        return found
+        return {
+            number
+            for number, (after, before, (lowest, highest)) in enumerate(zip(reaches, self._reaches, self._ranges, strict=True))
+            if after.low < min(lowest, before.low) - _TOLERANCE or after.high > max(highest, before.high) + _TOLERANCE
+        }
 
     def _can_stop_in_time(self, number: int) -> bool:
         """Return whether a joint that brakes now stays within its position limits."""
-        lowest, highest = _range(self._joints[number])
+        lowest, highest = self._ranges[number]
         return lowest - _TOLERANCE <= self._reaches[number].low and self._reaches[number].high <= highest + _TOLERANCE
 
 
-def _range(joint: ScaledJoint) -> tuple[float, float]:
-    """Return the position limits in the units of ruckig."""
-    return (joint.lowest - joint.origin) / joint.unit, (joint.highest - joint.origin) / joint.unit
-
-
-def _reach(state: _State, joint: ScaledJoint) -> _Reach:
+def _reach(state: _State, joint: ScaledJoint, limits: tuple[float, float]) -> _Reach:
     """Return the range that a joint cannot help to cover: its stop from this state, as fast as the limits allow."""
     position, velocity, acceleration = state
     jerk, greatest = joint.jerk, max(joint.acceleration, abs(acceleration))
     speed = abs(velocity) + acceleration * acceleration / (2.0 * jerk)
     distance = speed * (abs(acceleration) / jerk + (greatest / jerk + speed / greatest) / 2.0)
-    lowest, highest = _range(joint)
+    lowest, highest = limits
     if lowest <= position - distance and position + distance <= highest:
         return _Reach(position - distance, position + distance, speed)  # more than it needs, and quickly found: as nearly always
     end = position + SpeedChange(velocity, acceleration, 0.0, greatest, jerk).distance
