@@ -34,6 +34,7 @@ from collections.abc import Collection
 from typing import TYPE_CHECKING, Final, Protocol
 
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.axes import axis_of
 from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
@@ -479,6 +480,14 @@ class Axis:
         """Return the numbers of the RPDOs, live or not, that are exchanged with the node and carry one of these objects."""
         places = [self.node.on_device(mux) for mux in muxes]
         return [number for number, rpdo in self.node.rpdos.items() if any(mux in rpdo.mapping.muxes for mux in places)]
+
+    def own_rpdos(self) -> list[int]:
+        """Return the numbers of the RPDOs that are exchanged with the node and carry nothing for another axis of it."""
+        carried = {
+            number: {place for mux in rpdo.mapping.muxes if (place := axis_of(mux)) is not None}
+            for number, rpdo in self.node.rpdos.items()
+        }
+        return [number for number, axes in carried.items() if (axes or {0}) == {self.number}]
 
     def _command(self, *muxes: Mux) -> None:
         """Count objects as commanded by us: see `RemoteNode.commanded`."""

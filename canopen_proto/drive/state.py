@@ -225,7 +225,7 @@ def shut_down(axis: Axis) -> Procedure[None]:
     elif state is not State.FAULT:
         yield from change_state(axis, State.SWITCH_ON_DISABLED)
     now = yield from current_time()
-    for number in axis.node.rpdos:
+    for number in axis.own_rpdos():
         axis.node.enable_rpdo(number, now, False)
     if axis.grip is not None:
         yield from axis.grip.let_go()

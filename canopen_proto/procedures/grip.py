@@ -31,9 +31,11 @@ from typing import Final
 
 from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.cia402.axes import swapped
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.guarding import MAX_LIFE_TIME_FACTOR, GuardingAnswered
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time, check_node_id
+from canopen_proto.multiplexer import index_of, mux
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, Wait, act, download, upload
 from canopen_proto.remote_node import RemoteNode
 
@@ -92,13 +94,15 @@ class NotHeldError(ProcedureError):
 
 
 class Hold:
-    """The hold on one drive. before: the old bytes of changed objects, by (index, subindex), in the order of the changes.
-    gap: why the drive will not stop by itself; "" if it will. is_taken: `take_hold` has ended. guards: the guarding is ours."""
+    """The hold on the drives of one node. axes: those that react to a lost master. before: the old bytes of changed objects,
+    by (index, subindex), in the order of the changes. gap: why the drive will not stop by itself; "" if it will.
+    is_taken: `take_hold` has ended. guards: the guarding is ours."""
 
-    __slots__ = ("before", "gap", "guards", "is_taken", "node")
+    __slots__ = ("axes", "before", "gap", "guards", "is_taken", "node")
 
-    def __init__(self, node: RemoteNode) -> None:
+    def __init__(self, node: RemoteNode, axis: int = 0) -> None:
         self.node = node
+        self.axes = {axis}
         self.before: dict[tuple[int, int], bytes] = {}
         self.gap = ""
         self.guards = False
@@ -215,7 +219,8 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
 
 
 def _set_reaction(hold: Hold, grip: Grip) -> Procedure[None]:
-    yield from _set(hold, ABORT_CONNECTION, 0, grip.abort_connection, 2)
+    for axis in sorted(hold.axes):
+        yield from _set(hold, index_of(swapped(mux(ABORT_CONNECTION), axis)), 0, grip.abort_connection, 2)
 
 
 def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Procedure[None]:
@@ -280,4 +285,5 @@ def _show(data: bytes | None) -> str:
 
 
 def _label(index: int, subindex: int) -> str:
-    return f"0x{index:04X}:{subindex:02X} ({_NAMES[index]})" if subindex else f"0x{index:04X} ({_NAMES[index]})"
+    name = _NAMES.get(index, _NAMES[ABORT_CONNECTION])  # that of a further axis
+    return f"0x{index:04X}:{subindex:02X} ({name})" if subindex else f"0x{index:04X} ({name})"

@@ -22,7 +22,7 @@ def assemble(master: Master, machine: MachineFile, dictionaries: Dictionaries | 
         node.name = entry.name
         master.nodes[entry.name] = node
     for joint in machine.joints.values():
-        master.joints[joint.name] = master.device(master.nodes[joint.node], joint.name, joint.settings)
+        master.joints[joint.name] = master.device(master.nodes[joint.node], joint.name, joint.settings, axis=joint.axis)
     for chain in machine.chains.values():
         axes = {name: machine.joints[name].settings for name in chain.joints}
         master.chain(described(chain, machine), chain.settings, axes=axes)
@@ -30,6 +30,6 @@ def assemble(master: Master, machine: MachineFile, dictionaries: Dictionaries | 
 
 def described(chain: ChainEntry, machine: MachineFile) -> ChainDescription:
     """Return a chain of a machine as a chain file would describe it."""
-    nodes = {name: machine.nodes[machine.joints[name].node] for name in chain.joints}
-    joints = tuple(JointDescription(name, node.bus, node.node_id) for name, node in nodes.items())
+    places = {name: (machine.nodes[(joint := machine.joints[name]).node], joint.axis) for name in chain.joints}
+    joints = tuple(JointDescription(name, node.bus, node.node_id, axis=axis) for name, (node, axis) in places.items())
     return ChainDescription(chain.name, joints, machine.source)

@@ -31,11 +31,13 @@ from canopen_master.participant import Participant
 from canopen_master.peer import Peer
 from canopen_master.plain_text import clean
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
-from canopen_proto.machine import SECOND, Event
+from canopen_proto.machine import MILLISECOND, SECOND, Event
 from canopen_proto.procedures.grip import Grip, Hold, not_held, release, take_hold
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
 
 LOGGER: Final = logging.getLogger("canopen_master")
+LOOK: Final = 10 * MILLISECOND
+"""Between two looks whether another axis of the same node has been taken hold of."""
 PERIODS_HEARD: Final = 2
 """Another master with the same node-ID and period is heard within one."""
 
@@ -74,20 +76,21 @@ class Grips:
                 bus.network.attach(heartbeat)
                 participant.watch((ForeignHeartbeat,), lambda _, bus=bus: self._on_foreign(bus), bus)  # type: ignore[misc]
 
-    def hold(self, node: Peer) -> Procedure[None]:
-        """Have the drive on a node watch over this master. If it should do so already, its objects are read once more: its
-        boot-up may have been lost.
+    def hold(self, node: Peer, axis: int = 0) -> Procedure[None]:
+        """Have the drive on an axis of a node watch over this master. If it should do so already, its objects are read once more:
+        its boot-up may have been lost.
 
         A drive that does not answer counts as one that cannot watch. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
         """
         settings = self.settings
         if settings is None:
             return
-        hold = self._hold_of(node)
+        hold = self._hold_of(node, axis)
         bus = self._participant.bus(node.bus)
         heartbeat = self._heartbeats[bus]
         if not heartbeat.period:
             yield from self._check_node_id(bus, settings)
+        yield from self._turn_of(node)
         self._under_way.add(node)
         try:
             yield from act(lambda now: heartbeat.start(settings.period, now))
@@ -101,31 +104,41 @@ class Grips:
             self._under_way.discard(node)
             self._tell(node, hold)
 
-    def hold_beside(self, node: Peer) -> None:
+    def hold_beside(self, node: Peer, axis: int = 0) -> None:
         """Take hold of a drive that may be enabled at any moment; a failure is logged."""
         is_needed = self.settings is not None and not self._participant.is_closed  # the halts write controlwords, too
-        if is_needed and not self.holds(node) and node not in self._under_way:
-            self._participant.launch(self._hold_or_tell(node))
+        if is_needed and not self.holds(node, axis) and (node not in self._under_way or axis not in self._holds[node].axes):
+            self._participant.launch(self._hold_or_tell(node, axis))
 
-    def _hold_or_tell(self, node: Peer) -> Procedure[None]:
+    def _hold_or_tell(self, node: Peer, axis: int) -> Procedure[None]:
         try:
-            yield from self.hold(node)
+            yield from self.hold(node, axis)
         except ProcedureError as error:
             LOGGER.warning("%s", clean(str(error)))
 
-    def holds(self, node: Peer) -> bool:
-        """Return whether the drive on a node is held: `hold` was called, and no boot of it was heard since."""
-        return node in self._holds and self._holds[node].is_taken
+    def holds(self, node: Peer, axis: int = 0) -> bool:
+        """Return whether the drive on an axis of a node is held: `hold` was called, and no boot of it was heard since."""
+        hold = self._holds.get(node)
+        return hold is not None and hold.is_taken and axis in hold.axes
 
     def drives_held(self) -> list[Peer]:
         """Return the nodes with objects that are still to be restored."""
         return [node for node, hold in self._holds.items() if hold.before]
 
-    def let_go(self, node: Peer) -> Procedure[None]:
-        """Restore the objects that `hold` changed, as far as the drive lets us; does nothing if the drive is not held."""
+    def let_go(self, node: Peer, axis: int | None = None) -> Procedure[None]:
+        """Restore the objects that `hold` changed, as far as the drive lets us; does nothing if the drive is not held.
+
+        axis: the only one that is let go: nothing is restored while another axis of the node is held. None: all of them.
+        """
         hold = self._holds.get(node)
         if hold is None:
             return
+        hold.axes.difference_update(hold.axes.copy() if axis is None else {axis})
+        if hold.axes:
+            return
+        yield from self._turn_of(node)
+        if hold.axes:
+            return  # it has been taken hold of meanwhile
         try:
             yield from release(hold)
         except ProcedureError as error:
@@ -137,10 +150,17 @@ class Grips:
         if not any(self._participant.bus(each.bus) is bus for each in watching):
             yield from act(self._heartbeats[bus].stop)
 
-    def _hold_of(self, node: Peer) -> Hold:
+    def _turn_of(self, node: Peer) -> Procedure[None]:
+        """Wait until no other procedure takes hold of a drive on this node."""
+        while node in self._under_way:
+            yield from sleep(LOOK)
+
+    def _hold_of(self, node: Peer, axis: int) -> Hold:
         hold = self._holds.get(node)
-        if hold is None:
-            hold = self._holds[node] = Hold(node.remote)
+        if hold is not None:
+            hold.axes.add(axis)
+        else:
+            hold = self._holds[node] = Hold(node.remote, axis)
             node.remote.add_listener(on_boot=hold.forget)  # called before a procedure can enable the drive again
         return hold
 
@@ -182,12 +202,13 @@ class Grips:
 class NodeGrip:
     """The grip of one drive, as its Axis uses it; see canopen_proto.drive.axis.AxisGrip."""
 
-    def __init__(self, grips: Grips, node: Peer) -> None:
+    def __init__(self, grips: Grips, node: Peer, axis: int) -> None:
         self._grips = grips
         self._node = node
+        self._axis = axis
 
     def hold(self) -> Procedure[None]:
-        return self._grips.hold(self._node)
+        return self._grips.hold(self._node, self._axis)
 
     def let_go(self) -> Procedure[None]:
-        return self._grips.let_go(self._node)
+        return self._grips.let_go(self._node, self._axis)

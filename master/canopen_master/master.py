@@ -5,6 +5,7 @@ Made by `open_master` (session.py). A node is (bus, node-ID): the same node-ID m
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -19,7 +20,7 @@ from canopen_master.grip import Grips, NodeGrip
 from canopen_master.motion.chain import Chain, ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
 from canopen_master.motion.device import Device
-from canopen_master.motion.halting import Halt
+from canopen_master.motion.halting import Halt, halt_node
 from canopen_master.motion.path_motion import LONGEST_STOP
 from canopen_master.node import Node
 from canopen_master.participant import Participant, nanoseconds
@@ -44,7 +45,7 @@ _LOOK = 0.01
 class Master(Participant):
     """See this module's text. Participant says what it does on its buses.
 
-    devices: the drives by their nodes. chains: those made so far, by name. nodes, joints: those of the machine file, by name.
+    devices: the drives by node and axis. chains: those made so far, by name. nodes, joints: those of the machine file, by name.
     halts: once the master was left, the halts of its drives. Times are in seconds here, as everywhere in trio.
     """
 
@@ -65,7 +66,7 @@ class Master(Participant):
         self._dictionary = dictionary
         self._nodes: dict[tuple[Bus, int], Node] = {}
         self._files: dict[str, ObjectDictionary] = {}
-        self.devices: dict[Node, Device] = {}
+        self.devices: dict[tuple[Node, int], Device] = {}
         self.chains: dict[str, Chain] = {}
         self.nodes: dict[str, Node] = {}
         self.joints: dict[str, Device] = {}
@@ -123,22 +124,24 @@ class Master(Participant):
         return node
 
     @enable_ki_protection
-    def device(self, node: Node, name: str = "", settings: AxisSettings | None = None) -> Device:
+    def device(self, node: Node, name: str = "", settings: AxisSettings | None = None, *, axis: int = 0) -> Device:
         """Return the drive on a node; the same object each time. If it is enabled when the master is left, it is halted.
 
-        name: for people, by default "node 12". settings: units and habits of the drive; by default those of CiA 402, or those of
-        Schunk's joints if the vendor-ID is Schunk's. Sends nothing. Raises LocalProtocolError if the drive is in use with other
-        settings; it names the differences.
+        name: for people, by default "node 12". axis: 0..7, of a node with several drives: the objects of axis k are those
+        of the first one plus k * 0x800; its dictionary must have them. settings: units and habits of the drive; by
+        default those of CiA 402, or those of Schunk's joints if the vendor-ID is Schunk's. Sends nothing. Raises
+        LocalProtocolError if the drive is in use with other settings (it names the differences), and for an axis
+        that the dictionary does not have.
         """
-        device = self.devices.get(node)
+        device = self.devices.get((node, axis))
         if device is None:
-            axis = Axis(node.remote, AxisSettings() if settings is None else settings)
-            axis.grip = NodeGrip(self.grips, node)
-            device = self.devices[node] = Device(name, node, axis)
+            drive = Axis(node.remote, AxisSettings() if settings is None else settings, axis)
+            drive.grip = NodeGrip(self.grips, node, axis)
+            device = self.devices[node, axis] = Device(name, node, drive)
         else:
             if settings is not None:
                 device.axis.check_settings(settings)
-            node.name = name or node.name
+            device.name = name
         return device
 
     def chain(
@@ -160,7 +163,7 @@ class Master(Participant):
         for joint in description.joints:
             axis = axes.get(joint.name) if isinstance(axes, Mapping) else axes
             node = self.node(joint.node_id, dictionary, bus=joint.bus)
-            devices.append(self.device(node, joint.name, axis))
+            devices.append(self.device(node, joint.name, axis, axis=joint.axis))
         settings = ChainSettings() if settings is None else settings
         chain = Chain(self, description.name, devices, settings, self._heartbeat_timeout, self.chains.values())
         self.chains[chain.name] = chain
@@ -203,9 +206,11 @@ class Master(Participant):
         await self._brake_along_paths(scope, in_a_hurry)
         self.end_all()
         self.halts.extend(self._halts_needed())
-        halted = {halt.node for halt in self.halts}
+        halted: dict[Node, list[Halt]] = defaultdict(list)
+        for halt in self.halts:
+            halted[halt.node].append(halt)
         disabled = [node for node in self.grips.drives_held() if node not in halted and not node.bus_has_failed]
-        halts = (halt.run_and_let_go(self.grips) for halt in self.halts if not halt.node.bus_has_failed)
+        halts = (halt_node(each, self.grips) for node, each in halted.items() if not node.bus_has_failed)
         self.launch(all_of(*halts, *map(self.grips.let_go, disabled)))
         await self.finish(scope, longest, in_a_hurry)
 
@@ -237,9 +242,11 @@ class Master(Participant):
     def _halts_needed(self) -> Iterator[Halt]:
         """Return the halts of all drives that move, or that a command under way may enable, even if enabled by hand."""
         for node in self._nodes.values():
-            try:
-                device = self.device(node) if node.was_enabled else self.devices.get(node)
-            except LocalProtocolError:  # its dictionary has none of what a drive has
-                device = None
-            if node.was_enabled or (device is not None and (device.may_move or device.may_be_enabled)):
-                yield Halt(node, device)
+            for axis in sorted({*node.axes, *node.axes_enabled}):
+                was_enabled = node.was_axis_enabled(axis)
+                try:
+                    device = self.device(node, axis=axis) if was_enabled else self.devices.get((node, axis))
+                except LocalProtocolError:  # its dictionary has none of what a drive has
+                    device = None
+                if was_enabled or (device is not None and (device.may_move or device.may_be_enabled)):
+                    yield Halt(node, device)

@@ -19,11 +19,13 @@ from canopen_master.peer import Peer
 from canopen_master.silence import missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.subscription import Subscription
+from canopen_proto.cia402.axes import axes_of, axis_of, swapped
 from canopen_proto.cia402.names import names_in_mode
 from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
 from canopen_proto.cia402.states import Command, enables_operation
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
+from canopen_proto.drive.axis import Axis
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
@@ -42,7 +44,8 @@ BOOT_TIME = 5.0
 
 
 class Node(Peer):
-    """A device as its master sees it. remote: the core's view of it, with all known values (`remote.values`).
+    """A device as its master sees it. remote: the core's view of it, with all known values (`remote.values`). axes: its drives
+    that this master has used so far (`Master.device`), by number.
 
     Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing use SDO. If
     the task is cancelled, the transfer is aborted on the bus. Raises ObjectNotFound for an unknown name, SdoTimeout, SdoRefused,
@@ -55,8 +58,10 @@ class Node(Peer):
     def __init__(self, participant: Participant, bus: Bus, remote: RemoteNode, grips: Grips) -> None:
         super().__init__(participant, bus, remote)
         self._grips = grips
-        remote.commanded.add(CONTROLWORD)  # a drive that somebody else has enabled is not ours to halt
-        self._enabled_by_hand = False  # a write may be executed though no task has waited for its confirmation
+        self._controlwords = {swapped(CONTROLWORD, axis): axis for axis in axes_of(remote.dictionary) or (0,)}
+        remote.commanded.update(self._controlwords)  # a drive that somebody else has enabled is not ours to halt
+        self._enabled_by_hand: set[int] = set()  # axes; a write may be executed though no task has waited for its confirmation
+        self.axes: dict[int, Axis] = {}
         self._pdos: NodePdos | None = None
         self.watch((SdoDownloaded,), self._on_written)
 
@@ -74,8 +79,18 @@ class Node(Peer):
 
     @property
     def was_enabled(self) -> bool:
-        """Whether the drive may move: the last controlword known, or written here, enables operation."""
-        return self._enabled_by_hand or any(map(enables_operation, self.remote.may_hold(CONTROLWORD)))
+        """Whether one of its drives may move: the last controlword known, or written here, enables operation."""
+        return bool(self.axes_enabled)
+
+    @property
+    def axes_enabled(self) -> tuple[int, ...]:
+        """The axes whose drives may move, as `was_enabled` says."""
+        return tuple(axis for axis in self._controlwords.values() if self.was_axis_enabled(axis))
+
+    def was_axis_enabled(self, axis: int) -> bool:
+        """Return whether the drive on an axis may move, as `was_enabled` says."""
+        held = self.remote.may_hold(swapped(CONTROLWORD, axis))
+        return axis in self._enabled_by_hand or any(map(enables_operation, held))
 
     def supervise_heartbeat(self, timeout: float) -> None:
         """Report HeartbeatLost when no heartbeat came for `timeout` seconds, from the first one on; 0 ends this."""
@@ -105,8 +120,9 @@ class Node(Peer):
         except ValueRangeError as error:
             raise self._unexpected(variable, uploaded, error) from error
         constants = message.constants
-        if variable.mux == STATUSWORD and constants != names_in_mode(constants, None):
-            constants = names_in_mode(constants, await self._active_mode())
+        axis = axis_of(variable.mux)
+        if axis is not None and variable.mux == swapped(STATUSWORD, axis) and constants != names_in_mode(constants, None):
+            constants = names_in_mode(constants, await self._active_mode(axis))
         return replace(message, timestamp=self.remote.heard_at.get(variable.mux), constants=constants)
 
     async def write(self, key: Key, value: Value, *, block: Block = False) -> None:
@@ -159,7 +175,7 @@ class Node(Peer):
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
         """Write bytes to any object, in the dictionary or not. For controlwords, see `write`."""
-        is_controlword = (index, subindex, len(data)) == (index_of(CONTROLWORD), 0, 2)
+        is_controlword = mux(index, subindex) in self._controlwords and len(data) == 2
         if is_controlword and self.dictionary.get(index) is not None:
             await self.write((index, subindex), int.from_bytes(data, "little"), block=block)
             return
@@ -219,8 +235,9 @@ class Node(Peer):
         enable a drive: the master takes hold of the drive beside it (`hold` does so before it). Raises NotHeldError if the drive
         has to be held first (`Grip.required`).
         """
-        if enabled and number in self.remote.rpdos and CONTROLWORD in self.remote.rpdos[number].mapping.muxes:
-            self._may_enable()
+        if enabled and number in self.remote.rpdos:
+            for key in self._controlwords.keys() & set(self.remote.rpdos[number].mapping.muxes):
+                self._may_enable(self._controlwords[key])
         self.remote.enable_rpdo(number, self.now(), enabled)
         self._participant.pump.pump()
 
@@ -231,22 +248,25 @@ class Node(Peer):
         For controlwords, see `enable_rpdo`.
         """
         variable, meant, _ = self.remote.encode(key, value)
-        if variable.mux == CONTROLWORD and enables_operation(meant):
-            self._may_enable()
-            self._enabled_by_hand = True
+        axis = self._controlwords.get(variable.mux)
+        if axis is not None and enables_operation(meant):
+            self._may_enable(axis)
+            self._enabled_by_hand.add(axis)
         is_sent = self.remote.send_mpdo(number, key, value, self.now())
         self._participant.pump.pump()
         return is_sent
 
     # ---- network management ----
 
-    async def hold(self) -> None:
+    async def hold(self, axis: int = 0) -> None:
         """Have the drive on this node watch over this master, and stop by itself when the master falls silent; see grip.py.
+
+        axis: of the node, 0 for its first one.
 
         Commands that enable a drive do so by themselves; call this before you send controlwords by RPDO. Raises NodeIdTaken,
         NotHeldError.
         """
-        await self._participant.run(self._grips.hold(self))
+        await self._participant.run(self._grips.hold(self, axis))
 
     async def start(self) -> None:
         """Start the node (NMT, to Operational). If its file is known, wait before until its PDOs are exchanged, so that none is
@@ -304,37 +324,41 @@ class Node(Peer):
         variable = self.dictionary.variable(key)
         return variable.index, variable.subindex
 
-    async def _active_mode(self) -> int | None:
-        """Read 0x6061; None if the node does not have it, or does not answer."""
+    async def _active_mode(self, axis: int) -> int | None:
+        """Read 0x6061 of an axis; None if the node does not have it, or does not answer."""
         with suppress(SdoError):
-            data = await self.read_bytes(index_of(MODES_OF_OPERATION_DISPLAY))
+            data = await self.read_bytes(index_of(swapped(MODES_OF_OPERATION_DISPLAY, axis)))
             return int.from_bytes(data, "little", signed=True)
         return None
 
     @asynccontextmanager
     async def _commanding(self, mux: Mux, value: Value) -> AsyncIterator[None]:
         """Wrap a write. The drive counts as enabled from before the command on, and as disabled once it has confirmed that."""
-        if mux != CONTROLWORD:
+        axis = self._controlwords.get(mux)
+        if axis is None:
             yield
             return
         enables = enables_operation(value)
-        if enables and not self.was_enabled:
-            await self.hold()
-        self._enabled_by_hand = self._enabled_by_hand or enables
+        if enables and not self.was_axis_enabled(axis):
+            await self.hold(axis)
+        if enables:
+            self._enabled_by_hand.add(axis)
         yield
-        self._enabled_by_hand = enables
+        if not enables:
+            self._enabled_by_hand.discard(axis)
 
-    def _may_enable(self) -> None:
+    def _may_enable(self, axis: int) -> None:
         """Take hold of the drive beside the next frame, which may enable it and cannot wait."""
         settings = self._grips.settings
-        if settings is not None and settings.required and not self._grips.holds(self):
+        if settings is not None and settings.required and not self._grips.holds(self, axis):
             raise NotHeldError(f"{self.where} is not held, and Grip.required says that it must; try `await node.hold()` before")
-        self._grips.hold_beside(self)
+        self._grips.hold_beside(self, axis)
 
     def _on_written(self, report: SdoDownloaded) -> None:
         """Take hold of a drive that was enabled past `write`: by `remote.write`, or a procedure of the core."""
-        if mux(report.index, report.subindex) == CONTROLWORD and self.was_enabled:
-            self._grips.hold_beside(self)
+        axis = self._controlwords.get(mux(report.index, report.subindex))
+        if axis is not None and self.was_axis_enabled(axis):
+            self._grips.hold_beside(self, axis)
 
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:
         outcome = await self.request(submit)

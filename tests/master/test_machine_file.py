@@ -191,7 +191,7 @@ ERRORS = [
 JOINTS = "[buses.can0]\n[nodes.a]\nid = 5\n[nodes.b]\nid = 6\n[joints.a]\n"  # the next line is the seventh
 ERRORS_OF_JOINTS = [
     ("node = 'c'", "m.toml:7:1: error: joints.a: node: there is no node 'c'; there are a, b"),
-    ("[joints.c]\nnode = 'a'", "m.toml:7:2: error: joints.c: it has the node of 'a'"),
+    ("[joints.c]\nnode = 'a'", "m.toml:7:2: error: joints.c: it has node and axis of 'a'"),
     ("node = 'b'", "m.toml:6:2: error: joints.a: there is a node 'a' too, which is another drive"),
     ("unitt = 'degree'", "m.toml:7:1: error: joints.a: there is no entry 'unitt'; did you mean unit?"),
     ("unit = 'deg'", "m.toml:7:1: error: joints.a: unit: 'radian' or 'degree' or 'turn' or 'millimetre' is expected, not 'deg'"),

@@ -72,7 +72,7 @@ class Session:
         self.chain_map: dict[str, ChainCalls] = {}
         self._rpdo, self._tpdo = rpdo, tpdo
         self._connection = Connection()
-        self._drives: dict[Node, DirectDrive] = {}  # of the open connection; used in the master's thread
+        self._drives: dict[tuple[Node, int], DirectDrive] = {}  # of the open connection; used in the master's thread
         self._chain_source: tuple[str | Path, str | None] = "", None
         self._chains: tuple[ChainDescription, ...] = ()
         self._queues_pdos = True
@@ -419,13 +419,15 @@ class Session:
 
     def _drive(self, master: Master, node_id: int | str) -> DirectDrive:
         node = self._node(master, node_id)
-        drive = self._drives.get(node)
+        named = master.joints.get(node_id) if isinstance(node_id, str) else None
+        axis = 0 if named is None else named.axis.number
+        drive = self._drives.get((node, axis))
         if drive is None:
-            device = master.devices.get(node)
+            device = master.devices.get((node, axis))
             in_counts = self._machine is None or device is None
             if device is None:
                 device = master.device(node, settings=COUNTS)
-            drive = self._drives[node] = DirectDrive(master, device, self._rpdo, self._tpdo, in_counts)
+            drive = self._drives[node, axis] = DirectDrive(master, device, self._rpdo, self._tpdo, in_counts)
         return drive
 
     def _on_pdo(self, report: PdoReceived) -> None:

@@ -49,11 +49,12 @@ class NodeEntry:
 
 @dataclass(frozen=True, slots=True)
 class JointEntry:
-    """`[joints.NAME]`: a drive. node: the name of its node."""
+    """`[joints.NAME]`: a drive. node: the name of its node. axis: of the node, 0 for its first one."""
 
     name: str
     node: str
     settings: AxisSettings = field(default_factory=AxisSettings)
+    axis: int = 0
 
     @property
     def has_unit(self) -> bool:
@@ -100,9 +101,10 @@ class MachineFile:
         joint = self.joints.get(name)
         return self.nodes.get(name if joint is None else joint.node)
 
-    def joint_on(self, node: NodeEntry | None) -> JointEntry | None:
-        """Return the joint whose drive a node is, or None."""
-        return None if node is None else next((each for each in self.joints.values() if each.node == node.name), None)
+    def joint_on(self, node: NodeEntry | None, axis: int = 0) -> JointEntry | None:
+        """Return the joint whose drive is an axis of a node, or None."""
+        name = None if node is None else node.name
+        return next((each for each in self.joints.values() if (each.node, each.axis) == (name, axis)), None)
 
     def node_at(self, bus: str, node_id: int) -> NodeEntry | None:
         """Return the node with this node-ID on a bus, or None."""

@@ -18,6 +18,7 @@ from canopen_master.machine_file.kinds import DURATION, names_of, take_settings
 from canopen_master.machine_file.model import BusEntry, ChainEntry, JointEntry, MachineFile, MasterEntry, NodeEntry
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.plant import DEVICE_KEYS, FILE, device_of, is_node_id
+from canopen_proto.cia402.axes import MAX_AXES
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drive.settings import AxisSettings
@@ -44,6 +45,7 @@ _WITHOUT_RATE: Final = "udp_multicast"
 _NUMBER: Final = re.compile("0[xX].*|[0-9].*")
 _PER_TURN: Final = "counts_per_turn"
 _NODE_ID: Final = Kind(f"a node-ID of 1..{MAX_NODE_ID}", is_node_id, lambda value: (value,))
+_AXIS: Final = Kind(f"an axis of 0..{MAX_AXES - 1}", lambda value: type(value) is int and 0 <= value < MAX_AXES, int)
 _GRIP: Final = Kind("false, or a table", lambda value: value is False or isinstance(value, dict))
 _CYCLE: Final = DURATION._replace(fits=lambda value: DURATION.fits(value) and DURATION.convert(value) > 0)
 
@@ -194,6 +196,7 @@ class _Reader:
             known = f"; [nodes.{name}] is missing, or node = ..." if not table.has("node") else did_you_mean(node, self._nodes)
             if f"nodes.{node}" not in self._reading.blamed:
                 table.error(f"there is no node {node!r}{known}", "node" if table.has("node") else "")
+        axis = table.take("axis", _AXIS) or 0
         settings = take_settings(table, AxisSettings)
         per_turn = table.take(_PER_TURN, _POSITIVE)
         if settings is not None and not table.has("unit") and settings.counts_per_unit is None:
@@ -206,7 +209,7 @@ class _Reader:
                 table.error(f"it needs unit = {' or '.join(repr(str(each)) for each in Unit if each != 'millimetre')}", _PER_TURN)
             else:
                 settings = replace(settings, counts_per_unit=DriveUnits(per_turn=per_turn).counts_per(settings.unit))
-        return JointEntry(name, node or "", settings or AxisSettings())
+        return JointEntry(name, node or "", settings or AxisSettings(), axis)
 
     def _chain(
         self, table: TomlTable, master: MasterEntry, nodes: dict[str, NodeEntry], joints: dict[str, JointEntry]
@@ -237,7 +240,7 @@ class _Reader:
     ) -> None:
         self._once("buses", "has the locator of", ((each.name, each.locator) for each in buses.values()))
         self._once("nodes", "has bus and id of", ((each.name, (each.bus, each.node_id)) for each in nodes.values()))
-        self._once("joints", "has the node of", ((each.name, each.node) for each in joints.values()))
+        self._once("joints", "has node and axis of", ((each.name, (each.node, each.axis)) for each in joints.values()))
         for name, joint in joints.items():
             if name in nodes and joint.node in nodes and joint.node != name:
                 self._reading.error(f"joints.{name}", f"there is a node {name!r} too, which is another drive", ("joints", name))
@@ -285,7 +288,7 @@ _JOINTS: Final = texts("a list of joints")._replace(
 KEYS: Final[dict[str, tuple[str, ...]]] = {
     "buses": ("locator", "bitrate"),
     "nodes": ("bus", *DEVICE_KEYS),
-    "joints": ("node", _PER_TURN, *names_of(AxisSettings)),
+    "joints": ("node", "axis", _PER_TURN, *names_of(AxisSettings)),
     "chains": ("joints", *names_of(ChainSettings, "cycle_time")),
 }
 _IN_UNITS: Final = (
@@ -293,5 +296,5 @@ _IN_UNITS: Final = (
     "homing_speed", "homing_zero_speed", "homing_acceleration", "home_position",
 )  # fmt: skip
 """The keys of a joint whose values are in its unit."""
-_OF_ONE: Final = ("id", "node", "joints")
+_OF_ONE: Final = ("id", "node", "axis", "joints")
 """Keys that no default can have: they make an entry what it is."""

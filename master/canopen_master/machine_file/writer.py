@@ -28,7 +28,9 @@ def machine_tables(machine: MachineFile) -> dict[str, Any]:
         "buses": {name: _bus(each) for name, each in machine.buses.items()},
         "nodes": {name: _node(each) for name, each in machine.nodes.items()},
         "joints": {
-            name: ({} if each.node == name else {"node": each.node}) | settings_table(each.settings)
+            name: ({} if each.node == name else {"node": each.node})
+            | ({"axis": each.axis} if each.axis else {})
+            | settings_table(each.settings)
             for name, each in machine.joints.items()
         },
         "chains": {name: _chain(each, machine) for name, each in machine.chains.items()},

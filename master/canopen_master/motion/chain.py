@@ -63,6 +63,7 @@ from canopen_master.motion.recording import Recorder, recording
 from canopen_master.motion.supervision import Supervision
 from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode, short_name
+from canopen_proto.cia402.states import POWERED
 from canopen_proto.drive import home, home_if_needed
 from canopen_proto.machine import SECOND, RequestId, Time
 from canopen_proto.pdo.settings import place_of
@@ -115,6 +116,7 @@ class Chain(ChainView, Moving):
         self._culprit: tuple[Device, str, str] | None = None  # the joint that stopped it, why, and the likely cause
         self._why_halted = ""
         buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
+        self._nodes = tuple(dict.fromkeys(device.node for device in devices))
         participant.watch((SyncSent,), self._on_sync, buses[0])
 
     # ---- what it does ----
@@ -133,8 +135,8 @@ class Chain(ChainView, Moving):
         self._end_following(ChainState.OFF)
         self._culprit, self._why_halted = None, ""
         await self._for_all("initialise", self._prepare)
-        for device in self.devices:
-            await participant.nmt_start(device.node.node_id, bus=device.node.bus)
+        for node in self._nodes:
+            await participant.nmt_start(node.node_id, bus=node.bus)
         if participant.sync_period != round(settings.cycle_time * SECOND):
             participant.sync_start(settings.cycle_time)
         await self._for_all("initialise", reset_and_enable)
@@ -203,6 +205,8 @@ class Chain(ChainView, Moving):
     async def shut_down(self) -> None:
         """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop). SYNC ends with the last chain.
 
+        A node on which another drive of this master has power, as another axis, is not stopped.
+
         Every joint is tried. Raises ChainError, which names a joint that was not shut down.
         """
         self._participant.check_open()
@@ -212,8 +216,11 @@ class Chain(ChainView, Moving):
         await self._joints_stopped()
         self._end_following(ChainState.OFF)
         failures = await self._for_all("shut down", lambda device: quietly(device, power_down(device)))
-        for device in self.devices:
-            await self._participant.nmt_stop(device.node.node_id, bus=device.node.bus)
+        mine = [device.axis for device in self.devices]
+        for node in self._nodes:
+            others = [axis for axis in node.axes.values() if axis not in mine]
+            if not any(axis.state in POWERED or node.was_axis_enabled(axis.number) for axis in others):
+                await self._participant.nmt_stop(node.node_id, bus=node.bus)
         if all(chain.state is ChainState.OFF for chain in self._chains):
             self._participant.sync_stop()
         self._raise_first("shut down", failures)
@@ -322,7 +329,7 @@ class Chain(ChainView, Moving):
     def _prepare(self, device: Device) -> Procedure[None]:
         dictionary, settings = device.node.dictionary, self.settings
         has_pdos = any(place_of(index) is not None for index in dictionary.objects)
-        if settings.mode is None or (settings.own_pdos and has_pdos):
+        if settings.mode is None or (settings.own_pdos and has_pdos) or device.axis.number:  # PDOs.csv is about the first axis
             exchange = exchange_own(device, round(settings.cycle_time * SECOND), settings.mode)
         else:
             device.plan = None

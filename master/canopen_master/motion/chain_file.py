@@ -29,13 +29,17 @@ _Word = tuple[int, str]  # column, text
 
 @dataclass(frozen=True, slots=True)
 class JointDescription:
-    """One joint of a chain. bus: as the file names it. line, column: its place in the file, 0 without a file."""
+    """One joint of a chain. bus: as the file names it. line, column: its place in the file, 0 without a file.
+
+    axis: of the node, 0 for its first one; a chain file knows no other.
+    """
 
     name: str
     bus: str
     node_id: int
     line: int = 0
     column: int = 0
+    axis: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +114,10 @@ def same_nodes(chains: Iterable[ChainDescription], real_names: Mapping[str, str]
     real_names: the bus by its name in the file, if several names mean one bus.
     """
     problems = []
-    taken: dict[tuple[str, int], str] = {}
+    taken: dict[tuple[str, int, int], str] = {}
     for chain in chains:
         for joint in chain.joints:
-            place = ((real_names or {}).get(joint.bus, joint.bus), joint.node_id)
+            place = ((real_names or {}).get(joint.bus, joint.bus), joint.node_id, joint.axis)
             if place in taken:
                 text = f"node {joint.node_id} on {joint.bus} is {taken[place]} already"
                 problems.append((joint.line, joint.column, text))

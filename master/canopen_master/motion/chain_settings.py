@@ -19,9 +19,10 @@ class ChainSettings:
     """cycle_time: seconds between two SYNCs.
 
     rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have them declared to the devices
-    (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the joint's own dictionary (an EDS, a
-    DCF) has PDOs for, by a plan (canopen_proto.drive.motion_plan), and set the device up like that where it is not; a joint whose
-    dictionary has no PDO exchanges rpdo and tpdo, unless mode is None. `Device.plan` is that plan.
+    (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the joint's own dictionary (an EDS,
+    a DCF) has PDOs for, by a plan (canopen_proto.drive.motion_plan), and set the device up like that where it is not; a joint
+    whose dictionary has no PDO exchanges rpdo and tpdo, unless mode is None. Further axes of a node do so in any case.
+    `Device.plan` is that plan.
 
     max_step: the largest step of a set-point from one cycle to the next, in the user's unit, besides what the joint's own limits
     allow; None for no such limit. max_missed_cycles: in a row, until the chain is halted. max_silent_cycles: in a row, of a joint

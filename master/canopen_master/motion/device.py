@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from canopen_master.node import Node
 from canopen_master.subscription import Subscription
+from canopen_proto.cia402.axes import axes_of
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.axis import Axis
@@ -40,9 +41,11 @@ class Device:
     """
 
     def __init__(self, name: str, node: Node, axis: Axis) -> None:
-        node.name = name or node.name
         self.node = node
         self.axis = axis
+        node.axes[axis.number] = axis
+        self._name = ""
+        self.name = name
         self.cyclic: Mapping[Mux, int] = {}
         self.plan: MotionPlan | None = None
         self.following = Following(axis)
@@ -57,17 +60,23 @@ class Device:
         self._before: tuple[Time, int] | None = None  # the one before it, of an earlier instant
         node.watch((SdoUploaded, SdoDownloaded), self._on_round_trip)
         node.watch((EmcyReceived,), self._on_emcy)
-        node.remote.add_listener(self._on_values)
+        axis.node.add_listener(self._on_values)
 
     def __repr__(self) -> str:
-        return f"<Device {self.name}: node {self.node.node_id} on {self.node.bus}>"
+        return f"<Device {self.name}: {self._place}>"
 
     # ---- what is known of it ----
 
     @property
     def name(self) -> str:
-        """Its name in the chain."""
-        return self.node.name
+        """Its name in the chain. The only drive of a node gives the node its name."""
+        return self._name or self.node.name + (f", axis {self.axis.number}" if self.axis.number else "")
+
+    @name.setter
+    def name(self, name: str) -> None:
+        self._name = name or self._name
+        if self._name and len(axes_of(self.node.dictionary)) < 2:
+            self.node.name = self._name
 
     @property
     def position(self) -> float | None:
@@ -84,7 +93,7 @@ class Device:
         """Actual velocity, per second; None if it is not known. It is the drive's own (0x606C), unless the last position is newer
         by more than 100 ms: then it is computed from the last two positions.
         """
-        heard_at = self.node.remote.heard_at.get(VELOCITY_ACTUAL_VALUE)
+        heard_at = self.axis.node.heard_at.get(VELOCITY_ACTUAL_VALUE)
         if heard_at is not None and (self._position is None or self._position[0] - heard_at <= FRESH):
             return self.axis.velocity
         if self.position is None or self._position is None or self._before is None:
@@ -145,7 +154,7 @@ class Device:
     @property
     def may_move(self) -> bool:
         """Whether it is known to be in Operation enabled, or was last commanded there."""
-        return self.state is State.OPERATION_ENABLED or (self.node.was_enabled and not self.has_fault)
+        return self.state is State.OPERATION_ENABLED or (self.node.was_axis_enabled(self.axis.number) and not self.has_fault)
 
     @property
     def may_be_enabled(self) -> bool:
@@ -154,8 +163,12 @@ class Device:
 
     @property
     def where(self) -> str:
-        """The joint and its place, for people: "joint1 (node 3 on can0)"."""
-        return f"{self.name} ({self.node.where})"
+        """The joint and its place, for people: "joint1 (node 3 on can0)", or "joint2 (node 3 on can0, axis 1)"."""
+        return f"{self.name} ({self._place})"
+
+    @property
+    def _place(self) -> str:
+        return self.node.where + (f", axis {self.axis.number}" if self.axis.number else "")
 
     def occupy(self, name: str) -> None:
         """Keep other motion commands from the drive while it follows the set-points of `name`."""

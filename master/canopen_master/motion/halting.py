@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from canopen_master.grip import Grips
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import awake, stop
@@ -9,7 +11,7 @@ from canopen_master.node import Node
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, state_of
 from canopen_proto.multiplexer import index_of
-from canopen_proto.procedures.steps import Procedure, download, upload
+from canopen_proto.procedures.steps import Procedure, all_of, download, upload
 
 
 class Halt:
@@ -35,12 +37,6 @@ class Halt:
         except Exception as error:  # noqa: BLE001 - every failure is reported as this drive's
             self.problem = self.problem and (str(error) or repr(error))
 
-    def run_and_let_go(self, grips: Grips) -> Procedure[None]:
-        """Halt the drive; let it go (grip.py) if it is then known to stand."""
-        yield from self.run()
-        if self.is_confirmed:
-            yield from grips.let_go(self.node)
-
     def _by_axis(self, device: Device) -> Procedure[None]:
         # The drive is asked again: a command that was cancelled half-way may have been executed since its last PDO.
         yield from awake(device.node, "0x6041")
@@ -58,3 +54,10 @@ class Halt:
             yield from download(client, index_of(CONTROLWORD), 0, word.to_bytes(2, "little"))
         else:
             self.problem = ""
+
+
+def halt_node(halts: Sequence[Halt], grips: Grips) -> Procedure[None]:
+    """Halt the drives of one node, all axes at once; let them go (grip.py) if all are then known to stand."""
+    yield from all_of(*(halt.run() for halt in halts))
+    if all(halt.is_confirmed for halt in halts):
+        yield from grips.let_go(halts[0].node)

@@ -112,8 +112,8 @@ def exchange_own(device: Device, cycle_time: Time, mode: Mode | None) -> Procedu
     NoMotionPlan.
     """
     node = device.node.remote
-    modes = yield from read_modes(node)
-    plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=modes, wish=mode)
+    modes = yield from read_modes(device.axis.node)
+    plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=modes, wish=mode, axis=device.axis.number)
     yield from exchange_planned(node, plan)
     device.plan, device.cyclic = plan, plan.cyclic
 
@@ -125,7 +125,7 @@ def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) 
     yield from awake(device.node)
     yield from identify(device.axis)
     # Where it stands; PDOs keep it up to date from the first one on
-    yield from read_if_present(node, objects.POSITION_ACTUAL_VALUE)
+    yield from read_if_present(device.axis.node, objects.POSITION_ACTUAL_VALUE)
     yield from exchange
     is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
     if heartbeat_timeout and HEARTBEAT in node.dictionary and not is_guarded:
@@ -184,7 +184,7 @@ def stop(device: Device) -> Procedure[None]:
     """Halt the joint, and wait until it stands, also at the end of a fault reaction. Then read what tells why it was stopped: it
     may have no power, or stand on a limit switch."""
     if device.has_fault:
-        yield from read_if_present(device.node.remote, objects.ERROR_CODE)
+        yield from read_if_present(device.axis.node, objects.ERROR_CODE)
     yield from halt(device.axis)
     device.last_look = yield from look_closer(device.axis)
 

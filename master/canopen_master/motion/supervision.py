@@ -90,7 +90,7 @@ class Supervision:
     def _on_event(
         self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeGuardingLost | NodeBooted
     ) -> None:
-        if not self.is_on:
+        if not self.is_on or (isinstance(report, AxisStateChanged | FollowingLost) and report.axis != device.axis.number):
             return
         cause = foreign_commands(device, self._participant.bus(device.node.bus))
         match report:
@@ -99,11 +99,16 @@ class Supervision:
             case AxisStateChanged() if device.has_fault:
                 self._failed(device, "fell into fault", cause, False)
             case HeartbeatLost(timeout=timeout):
-                self._failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s", cause, False)
+                self._node_failed(device, f"was lost: no heartbeat for {timeout / SECOND:g} s", cause)
             case NodeGuardingLost(life_time=life_time):
-                self._failed(device, f"was lost: no answer to node guarding for {life_time / SECOND:g} s", cause, False)
+                self._node_failed(device, f"was lost: no answer to node guarding for {life_time / SECOND:g} s", cause)
             case NodeBooted():
-                self._failed(device, "was reset, or lost its power: it has booted again", cause, False)
+                self._node_failed(device, "was reset, or lost its power: it has booted again", cause)
+
+    def _node_failed(self, device: Device, reason: str, cause: str) -> None:
+        """Report what happened to a node, and with it to all joints that are axes of it."""
+        others = [each.name for each in self._devices if each.node is device.node and each is not device]
+        self._failed(device, f"{reason}; and with it {', '.join(others)}, on the same node" if others else reason, cause, False)
 
 
 def foreign_commands(device: Device, bus: Bus) -> str:
