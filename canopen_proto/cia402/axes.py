@@ -124,6 +124,17 @@ def with_names_of_axes(dictionary: ObjectDictionary) -> ObjectDictionary:
     return named.with_names_of(ObjectDictionary([], constants=constants))
 
 
+def with_axis(dictionary: ObjectDictionary, axis: int) -> ObjectDictionary:
+    """Return a dictionary that also has the objects of a further axis: those of the first one, 0x800 * axis higher.
+
+    For a device that is known to have this axis, without a file that says so. A dictionary that has it is returned as it is.
+    """
+    if axis in axes_of(dictionary):
+        return dictionary
+    firsts = [each for each in dictionary.objects.values() if axis_of(mux(each.index)) == 0]
+    return with_names_of_axes(dictionary.with_objects(moved(each, axis) for each in firsts))
+
+
 def swapped_entry(entry: int, axis: int) -> int:
     """Return the entry of a PDO mapping with the object of `swapped`."""
     return mapping_entry(swapped(Mux(entry >> 8), axis), entry & 0xFF)

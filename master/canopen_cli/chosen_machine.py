@@ -48,8 +48,11 @@ class ChosenMachine:
         is_other = bus is not None and bus not in self._file.buses
         return None if option is None and is_other and not self.bus else self._file
 
-    def node_id(self, machine: MachineFile, name: str) -> int:
-        """Return the node-ID of a joint or node, and choose its bus. Raises a Problem."""
+    def node_id(self, machine: MachineFile, name: str, *, any_axis: bool = False) -> int:
+        """Return the node-ID of a joint or node, and choose its bus. Raises a Problem.
+
+        any_axis: the command is about one drive. Others take no joint on a further axis: they would be about the first one.
+        """
         from canopen_proto.dictionary.model import did_you_mean
 
         node = machine.node_of(name)
@@ -58,6 +61,11 @@ class ChosenMachine:
             meant = did_you_mean(name, known).removeprefix("; ")
             failed = f"{name!r} is neither a node-ID nor a name in {machine.source}"
             raise usage("CO120", failed, seen=meant, tries=("a joint or a node of the machine file", "a node-ID: 1 to 127"))
+        joint = machine.joints.get(name)
+        if joint is not None and joint.axis and not any_axis:
+            failed = f"{name} is axis {joint.axis} of node {node.name}, and this command is about whole nodes"
+            tries = (f"canopen drive {name} ...", f"the node: {node.node_id}, and objects as controlword_axis_{joint.axis}")
+            raise usage("CO120", failed, tries=tries)
         self.choose(machine, node.bus, name)
         return node.node_id
 

@@ -7,10 +7,11 @@ from typing import Any, Final
 import click
 
 from canopen_cli.chosen_machine import NUMBER
-from canopen_cli.drive_session import NODE
+from canopen_cli.drive_session import AXIS, NODE
 from canopen_cli.lazy import LazyGroup
-from canopen_cli.options import NodeId
+from canopen_cli.options import DriveId
 from canopen_cli.problem import usage
+from canopen_proto.cia402.axes import MAX_AXES
 
 COMMANDS: Final = {
     "state": ("drive_state", "Show state, mode and position of a drive, and what keeps it from moving."),
@@ -35,7 +36,12 @@ COMMANDS: Final = {
 }
 
 
-class _Node(NodeId):
+_FIRST_AXIS: Final = ("commission",)
+"""Commands that know the first axis only."""
+_AXIS: Final = "axis_number"
+
+
+class _Node(DriveId):
     """A node-ID or a name before a command: an exchange of the two is noticed."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -45,7 +51,29 @@ class _Node(NodeId):
         return super().convert(value, param, ctx) if NUMBER.fullmatch(str(value)) else str(value)
 
 
-@click.group(cls=LazyGroup, table=COMMANDS)
+class _Drives(LazyGroup):
+    """The commands, each of which can be about a further axis of the node."""
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        command = super().get_command(ctx, cmd_name)
+        if command is None or cmd_name in _FIRST_AXIS or any(each.name == _AXIS for each in command.params):
+            return command
+
+        def choose(context: click.Context, param: click.Parameter, axis: int | None) -> None:
+            context.meta[AXIS] = axis
+
+        axis = click.Option(
+            ("--axis", _AXIS),
+            type=click.IntRange(0, MAX_AXES - 1),
+            help="Which axis of the node: its objects are those of the first one, 0x800 * AXIS higher.  [default: 0]",
+            expose_value=False,
+            callback=choose,
+        )
+        command.params.append(axis)
+        return command
+
+
+@click.group(cls=_Drives, table=COMMANDS)
 @click.argument("node_id", metavar="NODE", type=_Node())
 @click.pass_context
 def drive(ctx: click.Context, node_id: int | str) -> None:
@@ -65,5 +93,6 @@ def drive(ctx: click.Context, node_id: int | str) -> None:
     canopen drive 3 disable -b demo    no power, from any state
     canopen drive 3 commission ...     IT MOVES: a new drive, from its identity to the first move; asks before each motion
     canopen drive 3 stop -b demo       a quick stop
+    canopen drive 3 state --axis 1 ... the second of several drives behind one node-ID (0x6840, 0x6841 ...)
     """
     ctx.meta[NODE] = node_id

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from canopen_cli.commissioning import Commissioning, Result
-from canopen_cli.drive_session import node_of_command
+from canopen_cli.drive_session import axis_of_command, node_of_command
 from canopen_cli.failures import problem_of
 from canopen_cli.fleet import DEMO_LOCATOR
 from canopen_cli.new_files import check_new_file, write_file
@@ -49,6 +49,8 @@ def commission(settings: Settings, output: str | None, dcf: str | None, name: st
     canopen drive 3 commission -b demo --yes                   with a simulated drive
     """
     screen, node_id, bus = settings.screen(), node_of_command(), settings.required_bus()
+    if axis := axis_of_command(settings):
+        raise usage("CO123", f"only the first axis of a node can be commissioned, and this is axis {axis}")
     if yes and bus != DEMO and not bus.startswith("virtual:"):
         failed, tries = (
             "--yes is for simulated drives: a real one moves only if somebody looks at it",

@@ -7,16 +7,18 @@ from typing import Any, Final
 import click
 
 from canopen_cli.demo import CYCLE
-from canopen_cli.drive_session import node_of_command, read_drive
+from canopen_cli.drive_session import axis_of_command, node_of_command, run_on_node
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import usage
+from canopen_cli.session import Session
+from canopen_master.node import Node
 from canopen_proto.cia402.modes import mode_name, short_name
+from canopen_proto.drive.axis_node import node_of_axis
 from canopen_proto.drive.motion_plan import MODES, MotionPlan, pending_steps, plan_motion, read_modes
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import mux_text
 from canopen_proto.pdo.settings import RemapStep
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.remote_node import RemoteNode
 
 _SHORT: Final = {short_name(mode): mode for mode in MODES}
 
@@ -46,13 +48,16 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None) -> None:
     machine = settings.machine_file()
     period = cycle or (10 * MILLISECOND if machine is None else machine.master.cycle)
 
-    def procedure(node: RemoteNode) -> Procedure[tuple[MotionPlan, list[RemapStep]]]:
-        modes = yield from read_modes(node)
-        made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=None if wish is None else _SHORT[wish])
-        return made, (yield from pending_steps(node, made))
+    axis = axis_of_command(settings)
+
+    def procedure(session: Session, node: Node) -> Procedure[tuple[MotionPlan, list[RemapStep]]]:
+        modes = yield from read_modes(node_of_axis(node.remote, axis))
+        mode = None if wish is None else _SHORT[wish]
+        made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=mode, axis=axis)
+        return made, (yield from pending_steps(node.remote, made))
 
     screen = settings.screen()
-    made, steps = read_drive(settings, screen, procedure)
+    made, steps = run_on_node(settings, screen, procedure)
     if settings.json:
         screen.json(_as_json(made, steps))
         return

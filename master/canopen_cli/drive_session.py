@@ -9,7 +9,7 @@ from typing import Final, TypeAlias, TypeVar
 
 import click
 
-from canopen_cli.options import NodeId, Settings
+from canopen_cli.options import DriveId, Settings
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.rehearsal import rehearse
 from canopen_cli.running import Story, run
@@ -20,21 +20,22 @@ from canopen_master.node import Node
 from canopen_proto.cia402.modes import describe_status, mode_name
 from canopen_proto.drive import shut_down
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.axis_node import AxisNode
+from canopen_proto.drive.axis_node import AxisNode, node_of_axis
 from canopen_proto.drive.reasons import look_at, reasons
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import Unit, read_units
 from canopen_proto.drive.view import DriveView
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError
-from canopen_proto.remote_node import RemoteNode
 
 T = TypeVar("T")
 
 NODE: Final = "canopen.drive.node"
 """The key of the node-ID, or of a name in the machine file, in `click.Context.meta`."""
+AXIS: Final = "canopen.drive.axis"
+"""The key of --axis there; None: not given."""
 COUNTS: Final = "counts"
 _NO_SETTINGS: Final = AxisSettings()
-Scale: TypeAlias = Callable[[RemoteNode], Procedure[float]]
+Scale: TypeAlias = Callable[[AxisNode], Procedure[float]]
 """Reads how many counts one unit of position has."""
 
 
@@ -42,11 +43,11 @@ def run_on_node(
     settings: Settings, screen: Screen, procedure: Callable[[Session, Node], Procedure[T]], story: Story = lambda confirmed: []
 ) -> T:
     """Run a procedure on the node that the command line names."""
-    node_id = node_of_command()  # a name also says which bus the session opens
+    node_id, axis = node_of_command(), axis_of_command(settings)  # a name also says which bus the session opens
 
     async def command() -> T:
         async with open_session(settings, screen) as session:
-            return await session.master.run(procedure(session, session.node(node_id)))
+            return await session.master.run(procedure(session, session.node(node_id, axis)))
 
     return run(settings, screen, command, story=story)
 
@@ -54,12 +55,26 @@ def run_on_node(
 def node_of_command() -> int:
     """Return the node-ID that stands before the command, or that of the name there."""
     context = click.get_current_context()
-    return NodeId().convert(context.meta[NODE], None, context)
+    return DriveId().convert(context.meta[NODE], None, context)
 
 
-def read_drive(settings: Settings, screen: Screen, procedure: Callable[[RemoteNode], Procedure[T]]) -> T:
+def axis_of_command(settings: Settings) -> int:
+    """Return the axis of the node that the command is about: that of --axis, or of the joint that it names. Raises a Problem if
+    the two differ."""
+    meta = click.get_current_context().meta
+    machine, chosen = settings.machine_file(), meta.get(AXIS)
+    joint = None if machine is None else machine.joints.get(str(meta[NODE]))
+    if joint is None:
+        return chosen or 0
+    if chosen not in (None, joint.axis):
+        raise usage("CO001", f"{joint.name} is axis {joint.axis} by the machine file", tries=("the same without --axis",))
+    return joint.axis
+
+
+def read_drive(settings: Settings, screen: Screen, procedure: Callable[[AxisNode], Procedure[T]]) -> T:
     """Run a procedure that only reads: another program may move the drive meanwhile."""
-    return run_on_node(settings, screen, lambda session, node: procedure(node.remote))
+    axis = axis_of_command(settings)
+    return run_on_node(settings, screen, lambda session, node: procedure(node_of_axis(node.remote, axis)))
 
 
 def command_drive(
@@ -76,18 +91,20 @@ def command_drive(
     scale: reads the counts in one unit; None: see `Session.axis_settings`. ends: it ends without a Ctrl-C.
     """
 
+    number = axis_of_command(settings)
+
     def whole(session: Session, node: Node) -> Procedure[T]:
         yield from awake(node)
-        chosen = session.axis_settings(node.node_id)
+        chosen = session.axis_settings(node.node_id, number)
         if scale is not None:
-            chosen = replace(chosen, counts_per_unit=(yield from scale(node.remote)))
-        return (yield from procedure(session.master.device(node, settings=chosen).axis))
+            chosen = replace(chosen, counts_per_unit=(yield from scale(node_of_axis(node.remote, number))))
+        return (yield from procedure(session.master.device(node, settings=chosen, axis=number).axis))
 
     async def work(session: Session) -> None:
-        await session.master.run(whole(session, session.node(node_of_command())))
+        await session.master.run(whole(session, session.node(node_of_command(), number)))
 
     if settings.dry_run:
-        rehearse(settings, screen, (node_of_command(),), work, ends=ends)
+        rehearse(settings, screen, (node_of_command(),), work, ends=ends, axis=number)
         raise click.exceptions.Exit(ExitCode.OK)
     return run_on_node(settings, screen, whole, story)
 
@@ -110,7 +127,7 @@ def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
 
 def joint_settings(settings: Settings) -> AxisSettings:
     """Return the settings of the drive that the command is about, by the machine file; the defaults if it has none."""
-    joint = settings.joint(node_of_command())
+    joint = settings.joint(node_of_command(), axis_of_command(settings))
     return AxisSettings() if joint is None else joint.settings
 
 
@@ -175,7 +192,7 @@ def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale |
     given: that of --in, None without it: then the unit is that of the joint in the machine file, or else the count. Raises a
     Problem for an --in that is not the joint's unit: its limits are in that.
     """
-    joint = settings.joint(node_of_command())
+    joint = settings.joint(node_of_command(), axis_of_command(settings))
     if joint is None or not joint.has_unit:
         return given or COUNTS, partial(counts_per, unit=Unit(given)) if given in list(Unit) else None
     unit = "unit" if joint.settings.unit is None else joint.settings.unit.value
@@ -184,7 +201,7 @@ def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale |
     return unit, None
 
 
-def counts_per(node: RemoteNode, unit: Unit) -> Procedure[float]:
+def counts_per(node: AxisNode, unit: Unit) -> Procedure[float]:
     """Return the counts in one unit, as the drive tells. Raises a Problem if it does not."""
     found = (yield from read_units(node)).counts_per(unit)
     if found is None:

@@ -132,8 +132,8 @@ def mode(settings: Settings, name: str | None) -> None:
             raise Problem(
                 ExitCode.DRIVE_FAULT,
                 "CO409",
-                f"drive {axis.node.node_id} has power ({view.state}): in another mode it could obey an old target at once",
-                tries=(f"canopen drive {axis.node.node_id} disable",),
+                f"{axis.title} has power ({view.state}): in another mode it could obey an old target at once",
+                tries=(f"canopen drive {axis.node.node_id} disable{_option(axis)}",),
             )
         yield from procedures.set_mode(axis, number)
         return (yield from look_at_drive(axis.node))
@@ -148,6 +148,10 @@ def mode(settings: Settings, name: str | None) -> None:
         return
     screen.fact("mode", "not told (0x6061)" if view.mode is None else mode_name(view.mode))
     screen.fact("it has", ", ".join(map(mode_name, modes)) if modes else "it does not tell (0x6502)")
+
+
+def _option(axis: Axis) -> str:
+    return f" --axis {axis.number}" if axis.number else ""
 
 
 def _mode_of(name: str) -> int:

@@ -115,7 +115,10 @@ async def simulated_fleet(
     """
     make = partial(drive_maker, shape=shape) if make is None else make
     makers: dict[str, list[DeviceMaker]] = {}
-    for number, (locator, node_id) in enumerate(drives):
+    places: dict[tuple[str, int], int] = {}
+    for number, place in enumerate(drives):
+        places.setdefault(place, number)  # further axes are in the node of the first one
+    for (locator, node_id), number in places.items():
         makers.setdefault(locator, []).append(make(number, node_id))
     async with simulated_devices(makers, on_event) as fleet:
         yield fleet

@@ -22,6 +22,7 @@ from canopen_proto import drive
 from canopen_proto.cia402.homing_methods import HOMING_METHODS, homing_name
 from canopen_proto.cia402.modes import describe_status
 from canopen_proto.drive.axis import Axis, AxisSettings, HomingStyle
+from canopen_proto.drive.axis_node import node_of_axis
 from canopen_proto.drive.identity import identify
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, all_of
@@ -86,15 +87,15 @@ def home(
         home_nodes(settings, node_ids, Homing(style, method, limit, reset_fault))
 
 
-def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> None:
-    """Home drives side by side, and show how they stand then. A failure is raised with a note of what was done."""
+def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing, axis: int = 0) -> None:
+    """Home drives side by side (that axis of each node), and show how they stand then. A failure tells what was done."""
     if homing.style == "schunk" and homing.method is not None:
         raise usage("CO125", "a method is for drives that home as CiA 402 says", tries=("the same without the method",))
     screen = settings.screen()
     chosen = tuple(dict.fromkeys(node_ids))
 
     def procedure(session: Session, axes: dict[int, Axis]) -> Procedure[list[None]]:
-        return all_of(*(_home(session, axes, node_id, homing) for node_id in chosen))
+        return all_of(*(_home(session, axes, node_id, homing, axis) for node_id in chosen))
 
     if settings.dry_run:
 
@@ -103,7 +104,7 @@ def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> N
             await session.master.run(procedure(session, axes))
             await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
 
-        rehearse(settings, screen, chosen, work, ends=True)
+        rehearse(settings, screen, chosen, work, ends=True, axis=axis)
         return
 
     async def command() -> list[Axis]:
@@ -126,7 +127,7 @@ def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> N
         problem = problem_of(error)
         if isinstance(problem.__cause__, StepTimeout):
             problem.also += _story(all_stand(error))
-            now = (homing.limit or max(_limit_of(settings, node_id) for node_id in chosen)) / SECOND
+            now = (homing.limit or max(_limit_of(settings, node_id, axis) for node_id in chosen)) / SECOND
             problem.tries = ("look whether the axis can move freely", f"a longer --limit (now {now:g} s)")
         raise problem from problem.__cause__
     if settings.json:
@@ -144,8 +145,8 @@ def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing) -> N
     screen.table(("node", "homed", "statusword", "position in counts"), rows, right=("node", "position in counts"))
 
 
-def _limit_of(settings: Settings, node_id: int) -> Time:
-    joint = settings.joint(node_id)
+def _limit_of(settings: Settings, node_id: int, axis: int) -> Time:
+    joint = settings.joint(node_id, axis)
     return (AxisSettings() if joint is None else joint.settings).homing_timeout
 
 
@@ -156,6 +157,7 @@ def _story(confirmed: bool) -> list[str]:
 def _as_json(axis: Axis) -> dict[str, Any]:
     return {
         "node": axis.node.node_id,
+        **({"axis": axis.number} if axis.number else {}),
         "homed": axis.is_homed,
         "statusword": axis.statusword,
         "state": str(axis.state),
@@ -163,7 +165,7 @@ def _as_json(axis: Axis) -> dict[str, Any]:
     }
 
 
-def list_methods(settings: Settings, node_ids: Sequence[int]) -> None:
+def list_methods(settings: Settings, node_ids: Sequence[int], axis: int = 0) -> None:
     """Show the homing methods of the standard, or those that drives list."""
     screen = settings.screen()
     lists: dict[int, tuple[int, ...] | None] = {}
@@ -171,7 +173,8 @@ def list_methods(settings: Settings, node_ids: Sequence[int]) -> None:
     async def command() -> None:
         async with open_session(settings, screen) as session:
             for node_id in dict.fromkeys(node_ids):
-                lists[node_id] = await session.master.run(drive.read_homing_methods(session.node(node_id).remote))
+                seen = node_of_axis(session.node(node_id, axis).remote, axis)
+                lists[node_id] = await session.master.run(drive.read_homing_methods(seen))
 
     if node_ids:
         run(settings, screen, command)
@@ -193,18 +196,18 @@ def list_methods(settings: Settings, node_ids: Sequence[int]) -> None:
         screen.say(f"{node_text(node_id)} does not tell its methods (0x60E3): its manual does")
 
 
-def _home(session: Session, axes: dict[int, Axis], node_id: int, homing: Homing) -> Procedure[None]:
+def _home(session: Session, axes: dict[int, Axis], node_id: int, homing: Homing, number: int) -> Procedure[None]:
     style, method, limit, reset_fault = homing
-    node = session.node(node_id)
+    node = session.node(node_id, number)
     yield from awake(node)
-    settings = session.axis_settings(node_id)
+    settings = session.axis_settings(node_id, number)
     settings = replace(
         settings,
         homing=STYLES[style] or settings.homing,
         homing_method=settings.homing_method if method is None else method,
         homing_timeout=limit or settings.homing_timeout,
     )
-    axis = session.master.device(node, settings=settings).axis
+    axis = session.master.device(node, settings=settings, axis=number).axis
     axes[node_id] = axis
     yield from identify(axis)
     if axis.settings.homing is HomingStyle.SCHUNK and method is not None:

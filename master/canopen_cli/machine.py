@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,15 @@ from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data.findings import DictionaryError, Finding
-from canopen_master.machine_file import MachineFile, machine_of_chains, machine_text, parse_machine, read_machine
+from canopen_master.machine_file import (
+    JointEntry,
+    MachineFile,
+    NodeEntry,
+    machine_of_chains,
+    machine_text,
+    parse_machine,
+    read_machine,
+)
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.motion.chain_file import read_chains
 from canopen_proto.drive.settings import AxisSettings
@@ -68,10 +77,17 @@ def _show_findings(settings: Settings, screen: Screen, path: Path, findings: tup
     screen.say(counted(len(findings), "error"))
 
 
+def _drives(machine: MachineFile) -> Iterator[tuple[NodeEntry, JointEntry | None]]:
+    """Return each node with each joint on it; a node without joints once."""
+    for node in machine.nodes.values():
+        joints = [each for each in machine.joints.values() if each.node == node.name]
+        for joint in sorted(joints, key=lambda each: each.axis) or (None,):
+            yield node, joint
+
+
 def _show(screen: Screen, machine: MachineFile) -> None:
     rows = []
-    for node in machine.nodes.values():
-        joint = machine.joint_on(node)
+    for node, joint in _drives(machine):
         chain = "" if joint is None else next((each.name for each in machine.chains.values() if joint.name in each.joints), "")
         rows.append(
             (
@@ -79,7 +95,7 @@ def _show(screen: Screen, machine: MachineFile) -> None:
                 f"{node.node_id} (0x{node.node_id:02X})",
                 escape(node.name),
                 escape(node.device.file),
-                "" if joint is None else escape(joint.name),
+                "" if joint is None else escape(joint.name) + (f" (axis {joint.axis})" if joint.axis else ""),
                 "" if joint is None else _limits(joint.settings),
                 escape(chain),
             )

@@ -38,10 +38,10 @@ def rehearse_move(
 
     async def look() -> None:
         async with open_chain(settings, chosen) as (master, arm):
-            for joint in chosen.joints:
-                node = arm.joints[joint].node
+            buses = {arm.joints[joint].node: chosen.node_of(joint).bus for joint in chosen.joints}  # each node once
+            for node, bus in buses.items():
                 dictionaries[node.node_id] = node.dictionary
-                likenesses.setdefault(chosen.node_of(joint).bus, []).append(await master.run(likeness_of(node)))
+                likenesses.setdefault(bus, []).append(await master.run(likeness_of(node)))
 
     run(settings, screen, look)
     locators = {bus: f"virtual:dry-run{number}" for number, bus in enumerate(chosen.machine.buses)}

@@ -105,10 +105,10 @@ class Settings:
             self.chosen.locator(machine, self.bus)
         return machine, self.chosen.bus
 
-    def joint(self, node_id: int) -> JointEntry | None:
-        """Return the joint of a node on the bus that this command is about, or None."""
+    def joint(self, node_id: int, axis: int = 0) -> JointEntry | None:
+        """Return the joint of an axis of a node on the bus that this command is about, or None."""
         machine, bus = self.machine_on_bus()
-        return None if machine is None else machine.joint_on(machine.node_at(bus, node_id))
+        return None if machine is None else machine.joint_on(machine.node_at(bus, node_id), axis)
 
     def has_file(self, node_id: int) -> bool:
         """Return whether -e or the machine file names the device's own file of a node."""
@@ -123,10 +123,13 @@ class Settings:
         machine = None if Path(text).exists() else self.machine_file()
         return machine is not None and machine.node_of(text) is not None
 
-    def node_id(self, text: str) -> int:
-        """Return the node-ID in a text, or that of the joint or node of this name in the machine file. Raises a Problem."""
+    def node_id(self, text: str, *, any_axis: bool = False) -> int:
+        """Return the node-ID in a text, or that of the joint or node of this name in the machine file. Raises a Problem.
+
+        any_axis: see ChosenMachine.
+        """
         machine = None if NUMBER.fullmatch(text) else self.machine_file()
-        return node_id_of(text) if machine is None else self.chosen.node_id(machine, text.strip())
+        return node_id_of(text) if machine is None else self.chosen.node_id(machine, text.strip(), any_axis=any_axis)
 
     def named_bus(self) -> str | None:
         """Return the bus that this command is about: of the machine file, else of -b or CANOPEN_BUS; None if it is not clear."""
@@ -158,12 +161,19 @@ class NodeId(Kind):
     """A node-ID: decimal, or hexadecimal with 0x. With a machine file also the name of a joint or a node."""
 
     name = "node"
+    any_axis = False
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         if isinstance(value, int):
             return value
         settings = None if ctx is None else ctx.find_object(Settings)
-        return node_id_of(str(value)) if settings is None else settings.node_id(str(value))
+        return node_id_of(str(value)) if settings is None else settings.node_id(str(value), any_axis=self.any_axis)
+
+
+class DriveId(NodeId):
+    """A node-ID, or the name of a joint that may be a further axis of its node."""
+
+    any_axis = True
 
 
 class NodeIds(Kind):

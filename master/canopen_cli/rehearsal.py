@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import trio
 import trio.testing
@@ -30,10 +30,11 @@ from canopen_master.motion.joint_procedures import awake
 from canopen_master.node import Node
 from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402 import objects
+from canopen_proto.cia402.axes import axes_of, swapped
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, Frame
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.multiplexer import Mux, split_mux
+from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.observer.decoding import Decoder
 from canopen_proto.procedures.steps import Procedure
@@ -56,26 +57,34 @@ _WORDS: Final = {State.READY_TO_SWITCH_ON: (0x06,), State.SWITCHED_ON: (0x06, 0x
 """A state -> the controlwords that lead there from Switch on disabled."""
 
 
-@dataclass(frozen=True)
-class Likeness:
-    """A drive as it was read. make: makes the simulated drive."""
+class Shown(NamedTuple):
+    """The state of the drive on an axis, as it was read."""
 
-    node_id: int
-    make: DeviceMaker
+    axis: int
     state: State
     mode: int
     error_code: int
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """A node as it was read. make: makes the simulated one. axes: its drives."""
+
+    node_id: int
+    make: DeviceMaker
+    axes: tuple[Shown, ...]
     is_operational: bool
 
-    def prepare(self, drive: DriveNode, now: Time) -> None:
-        """Lead the simulated drive, which has just booted, to the state that was read."""
+    def prepare(self, node: DriveNode, now: Time) -> None:
+        """Lead the simulated drives, which have just booted, to the states that were read."""
         if self.is_operational:
-            drive.execute(NmtCommand.START, now)
-        drive.write(*split_mux(objects.MODES_OF_OPERATION), self.mode.to_bytes(1, "little", signed=True), now)
-        if self.state in FAULT_STATES:
-            drive.raise_fault(self.error_code or _GENERIC_ERROR, now)
-        for word in _WORDS.get(self.state, ()):
-            drive.write(*split_mux(objects.CONTROLWORD), word.to_bytes(2, "little"), now)
+            node.execute(NmtCommand.START, now)
+        for axis, state, mode, error_code in self.axes:
+            node.write(*split_mux(swapped(objects.MODES_OF_OPERATION, axis)), mode.to_bytes(1, "little", signed=True), now)
+            if state in FAULT_STATES:
+                node.raise_fault(error_code or _GENERIC_ERROR, now, axis=axis)
+            for word in _WORDS.get(state, ()):
+                node.write(*split_mux(swapped(objects.CONTROLWORD, axis)), word.to_bytes(2, "little"), now)
 
 
 class Frames:
@@ -99,8 +108,10 @@ def rehearse(
     work: Callable[[Session], Awaitable[object]],
     *,
     ends: bool = True,
+    axis: int = 0,
 ) -> None:
     """Do `work` on likenesses of these drives, and show the frames that it sends. ends: it ends without a Ctrl-C.
+    axis: of each node.
 
     Nothing is sent to the drives, except what reads them. Raises what `work` raises, once the frames are shown.
     """
@@ -108,7 +119,7 @@ def rehearse(
 
     async def look() -> Session:
         async with open_session(settings, screen) as session:
-            likenesses.extend([await session.master.run(likeness_of(session.node(node_id))) for node_id in node_ids])
+            likenesses.extend([await session.master.run(likeness_of(session.node(node_id, axis))) for node_id in node_ids])
             return session
 
     session = run(settings, screen, look)
@@ -139,10 +150,10 @@ def prepare(fleet: Fleet, likenesses: Sequence[Likeness]) -> None:
 
 
 def likeness_of(node: Node) -> Procedure[Likeness]:
-    """Read a drive. Raises a Problem if no simulated drive can stand for it."""
+    """Read the drives of a node. Raises a Problem if no simulated drive can stand for it."""
     yield from awake(node)
-    known = drive_dictionary()
-    ranges = [sorted(known.objects)]
+    axes = axes_of(node.dictionary) or (0,)
+    ranges = [sorted({index_of(swapped(mux(index), axis)) for axis in axes for index in drive_dictionary().objects})]
     read = yield from walk(node.remote, ranges, names=node.remote.dictionary)
     obstacle = drive_obstacle(read.dictionary)
     if obstacle:
@@ -155,24 +166,22 @@ def likeness_of(node: Node) -> Procedure[Likeness]:
         )
     values = read.values
 
-    def value_of(key: Mux) -> int:
-        value = values.get(key)
+    def value_of(key: Mux, axis: int = 0) -> int:
+        value = values.get(swapped(key, axis))
         return value if isinstance(value, int) else 0
 
     shape = Shape.SCHUNK_POWERBALL if value_of(objects.VENDOR_ID) == objects.SCHUNK_VENDOR_ID else Shape.STANDARD
     dictionary, _ = drive_dictionary_of(configure(read.dictionary, values, node.node_id), shape)
-    position = float(value_of(objects.POSITION_ACTUAL_VALUE))
-    track = Track().moved(position)  # its own is not known: there are switches to home by, wherever it stands
-    settings = DriveSettings(shape=shape, position=position, track=track, stops_at_switches=False)
+    drives, shown = [], []
+    for axis in axes_of(dictionary) or (0,):
+        position = float(value_of(objects.POSITION_ACTUAL_VALUE, axis))
+        track = Track().moved(position)  # its own is not known: there are switches to home by, wherever it stands
+        drives.append(DriveSettings(shape=shape, position=position, track=track, stops_at_switches=False))
+        mode, error_code = (value_of(key, axis) for key in (objects.MODES_OF_OPERATION_DISPLAY, objects.ERROR_CODE))
+        shown.append(Shown(axis, state_of(value_of(objects.STATUSWORD, axis)), mode, error_code))
+    settings = replace(drives[0], further_axes=tuple(drives[1:]))
     made = partial(DriveNode, node_id=node.node_id, settings=settings, dictionary=dictionary)
-    return Likeness(
-        node.node_id,
-        made,
-        state_of(value_of(objects.STATUSWORD)),
-        value_of(objects.MODES_OF_OPERATION_DISPLAY),
-        value_of(objects.ERROR_CODE),
-        node.nmt_state is NmtState.OPERATIONAL,
-    )
+    return Likeness(node.node_id, made, tuple(shown), node.nmt_state is NmtState.OPERATIONAL)
 
 
 def show_frames(settings: Settings, screen: Screen, records: Sequence[Record], decoder: Decoder) -> None:

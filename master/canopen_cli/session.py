@@ -28,6 +28,7 @@ from canopen_master.node import Node
 from canopen_master.session import open_master
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.cia402.axes import with_axis
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.network import Network
@@ -46,10 +47,17 @@ class Session:
     def __init__(self, master: Master, files: NodeFiles) -> None:
         self.master = master
         self.files = files
+        self._of_axes: dict[tuple[int, int], ObjectDictionary] = {}
 
-    def node(self, node_id: int) -> Node:
-        """Return a node of the only bus."""
-        return self.master.node(node_id, self.dictionary_of(node_id))
+    def node(self, node_id: int, axis: int = 0) -> Node:
+        """Return a node of the only bus.
+
+        axis: the one that the command is about. A node without a file of its own is taken to have it.
+        """
+        dictionary = self.dictionary_of(node_id)
+        if axis and self.description_of(node_id) is None:
+            dictionary = self._of_axes.setdefault((node_id, axis), with_axis(dictionary, axis))
+        return self.master.node(node_id, dictionary)
 
     def dictionary_of(self, node_id: int) -> ObjectDictionary:
         """Return the dictionary of a node; see NodeFiles."""
@@ -59,9 +67,9 @@ class Session:
         """Return the description of a node in its own file, or None."""
         return self.files.description_of(node_id)
 
-    def axis_settings(self, node_id: int) -> AxisSettings:
+    def axis_settings(self, node_id: int, axis: int = 0) -> AxisSettings:
         """Return the settings of a drive: those of its joint in the machine file; else the unit is the count."""
-        joint = self.files.settings.joint(node_id)
+        joint = self.files.settings.joint(node_id, axis)
         settings = AxisSettings() if joint is None else joint.settings
         return settings if joint is not None and joint.has_unit else replace(settings, counts_per_unit=1.0)
 
