@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from canopen_data.path_file import PathFile
 from canopen_master.motion.record_reader import Record
 
+POINTS = 2000
+"""Of a path that is drawn: more than a picture has."""
 NAN = math.nan
 
 
@@ -68,6 +71,19 @@ def courses_of_record(record: Record) -> Courses:
     subtitle = f"{len(record)} cycles of {1000 * head.cycle_time:g} ms, {missed} missed, {skipped} skipped"
     begun = head.begun.replace("T", " ").partition(".")[0]
     return Courses(f"{head.chain}: what it did", f"{subtitle}; begun {begun} UTC", times, joints, late)
+
+
+def courses_of_path(file: PathFile, source: str, units: Mapping[str, str | None]) -> Courses:
+    """Return the courses of a path, which are those of its polynomials. units: of the joints, by name."""
+    path = file.path
+    times = [path.duration * place / POINTS for place in range(POINTS + 1)]
+    points = [path.at(time) for time in times]
+    joints = [
+        Course(name, units.get(name) or "", *([point[kind][number] for point in points] for kind in range(3)))
+        for number, name in enumerate(file.joints)
+    ]
+    count = f"{len(joints)} joint{'s' * (len(joints) != 1)}"
+    return Courses(f"{source}: a path", f"{path.duration:.4g} s, {count}; not followed yet", times, joints)
 
 
 def velocities(times: Sequence[float], positions: Sequence[float]) -> list[float]:

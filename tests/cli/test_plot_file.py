@@ -80,6 +80,19 @@ def test_what_is_there_is_not_overwritten(run: Run, tmp_path: Path) -> None:
     assert "CO135" in run("plot", str(file)).err
 
 
+def test_a_path_is_drawn_before_it_is_followed(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text("time;elbow;shoulder\n0;0;0\n1;10;5\n2;0;5\n")
+    (tmp_path / "cell.toml").write_text('[buses.can0]\n[nodes]\nelbow = { id = 3 }\n[joints]\nelbow = { unit = "degree" }\n')
+    document = run("plot", str(file), "--json", "-m", str(tmp_path / "cell.toml")).json
+    elbow, shoulder = document["joints"]
+    assert (elbow["unit"], elbow["to"], shoulder["unit"]) == ("degree", pytest.approx(10), "")
+    assert elbow["largest_following_error"] is None
+    assert elbow["largest_speed"] == pytest.approx(15, rel=0.01)  # a spline at rest at both ends
+    file.write_text("time;elbow\n0;0\n0;x\n")
+    assert "CO301" in run("plot", str(file), "--force").err
+
+
 def test_what_cannot_be_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "run.csv"
     assert run("plot", str(file)).status == ExitCode.BAD_FILE
