@@ -296,8 +296,8 @@ def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: 
     notes = [] if variable is None else list(dictionary.names_of(variable, value))
     if mux(index, subindex) == STATUSWORD:
         notes = list(names_in_mode(notes, None))
-    elif mux(index, subindex) == CONTROLWORD and not notes and isinstance(value, int):
-        notes = list(describe_command(value))
+    elif mux(index, subindex) == CONTROLWORD and isinstance(value, int) and (not notes or not value):
+        notes = list(describe_command(value))  # the manual's name of 0 is the first half of a fault reset
     if isinstance(value, int) and value > 0xFF:
         notes.insert(0, f"0x{value:X}")
     return (repr(value) if isinstance(value, str) else str(value)) + (f" ({', '.join(notes)})" if notes else "")

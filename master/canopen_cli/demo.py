@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.demo_plan import Plan
+from canopen_cli.demo_plan import CHAINS, Plan
 from canopen_cli.demonstration import Demonstration
 from canopen_cli.drive_files import drive_files, drives_of
 from canopen_cli.new_files import check_new_file
@@ -21,7 +21,6 @@ from canopen_cli.screen import escape
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.grip import DEFAULT_GRIP
 
-CHAINS = "multiple_devices.csv"
 CYCLE = Duration(MILLISECOND, 255 * MILLISECOND)
 PICTURE = click.Path(dir_okay=False, path_type=Path)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 from canopen_cli.drive_files import DriveFile
 from canopen_cli.path import MAX_SPEED
@@ -15,6 +16,9 @@ from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.drive.units import Unit
 from canopen_proto.machine import Time
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+
+CHAINS: Final = "multiple_devices.csv"
+"""The chain file of the demonstration, unless another one is named."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import trio
 
-from canopen_cli.demo_plan import Plan
+from canopen_cli.demo_plan import CHAINS, Plan
 from canopen_cli.demo_view import DemoView, JointView
 from canopen_cli.failures import problem_of
 from canopen_cli.fleet import Fleet, drive_maker, simulated_fleet
@@ -59,6 +59,10 @@ NEXT: Final = """Try next:
   [bold]canopen read 3 statusword -b demo[/]     an object of a drive
   [bold]canopen demo --plot arm.png[/]           a picture of this
   [bold]canopen demo --fault 5@2.0[/]            what a breakdown looks like"""
+NEXT_OF_OTHERS: Final = """Try next:
+  the same with [bold]--plot arm.png[/]          a picture of this
+  the same with [bold]--fault {node}@{time:g}[/]         what a breakdown looks like"""
+"""For an arm of the user's: `-b demo` is another one."""
 
 
 @dataclass
@@ -374,7 +378,9 @@ class Demonstration:
             screen.say(f"[yellow]this computer could not keep a cycle of {cycle}: {late} of the periods were late[/]")
             screen.say("  try:   a longer --cycle, or a computer that does less besides")
         elif self.plan.bus is None and not screen.json_output:
-            screen.say(NEXT)
+            is_own = self.plan.machine is not None or self.plan.files or self.plan.chains != CHAINS
+            node_id = self.results[-1].node_id
+            screen.say(NEXT_OF_OTHERS.format(node=node_id, time=self.plan.seconds / 2) if is_own else NEXT)
         return ExitCode.OK if cycles.was_kept else ExitCode.PARTIAL
 
     def _as_json(self) -> dict[str, Any]:

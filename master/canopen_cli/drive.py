@@ -31,6 +31,9 @@ COMMANDS: Final = {
         "drive_commission",
         "Commission a new drive, step by step: identity, file, units, limits, a small move, homing, a first move.",
     ),
+    "inputs": ("drive_io", "Show the digital inputs of a drive."),
+    "outputs": ("drive_io", "Show the digital outputs of a drive; with BIT=0 or BIT=1 set some of them."),
+    "probe": ("drive_io", "Arm a touch probe, wait for its edge, and show the position there."),
     "stop": ("drive_state", "Command a quick stop."),
     "disable": ("drive_state", "Take the power from a drive."),
 }
@@ -89,6 +92,8 @@ def drive(ctx: click.Context, node_id: int | str) -> None:
     canopen drive 3 move 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
     canopen drive 3 velocity 500 --in rpm -b demo   IT MOVES, as long as the command runs
     canopen drive 3 torque 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --seconds
+    canopen drive 3 inputs -b demo     digital inputs; outputs: the outputs, 16=1 sets one
+    canopen drive 3 probe -b demo      the position at the edge of a touch probe
     canopen drive 3 enable -b demo     power until Ctrl-C
     canopen drive 3 disable -b demo    no power, from any state
     canopen drive 3 commission ...     IT MOVES: a new drive, from its identity to the first move; asks before each motion

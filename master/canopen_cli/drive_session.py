@@ -154,8 +154,8 @@ def take_step(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> No
     show_drive(settings, screen, command_drive(settings, screen, procedure))
 
 
-def show_drive(settings: Settings, screen: Screen, view: DriveView) -> None:
-    """Show what a drive shows, and what keeps it from moving."""
+def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tuple[float, str] | None = None) -> None:
+    """Show what a drive shows, and what keeps it from moving. position: with its unit, if a machine file tells the unit."""
     found = reasons(view)
     if settings.json:
         screen.json(
@@ -167,6 +167,7 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView) -> None:
                 "wanted_mode": view.wanted_mode,
                 "error_code": view.error_code,
                 "position": view.position,
+                **({} if position is None else {"position_in_unit": position[0], "unit": position[1]}),
                 "nmt_state": None if view.nmt_state is None else view.nmt_state.name,
                 "obstacles": [{"what": each.what, "remedy": each.remedy} for each in found],
             }
@@ -179,7 +180,8 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView) -> None:
     if view.mode is not None:
         screen.fact("mode", mode_name(view.mode))
     if view.position is not None:
-        screen.fact("position", f"{view.position} counts")
+        counts = f"{view.position} counts"
+        screen.fact("position", counts if position is None else f"{position[0]:.10g} {position[1]}  ({counts})")
     if not found:
         screen.fact("it does not move", "if nothing commands it to: no obstacle was found")
     for number, (what, remedy, _) in enumerate(found):

@@ -9,7 +9,16 @@ from typing import Any
 
 import click
 
-from canopen_cli.drive_session import command_drive, joint_settings, look_at_drive, read_drive, show_drive, take_step
+from canopen_cli.drive_session import (
+    COUNTS,
+    command_drive,
+    joint_settings,
+    look_at_drive,
+    read_drive,
+    show_drive,
+    take_step,
+    unit_of_command,
+)
 from canopen_cli.options import Settings, commanding, common
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_proto import drive as procedures
@@ -19,6 +28,7 @@ from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.units import DriveUnits, Unit, read_units
 from canopen_proto.drive.view import DriveView
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import RemoteNode
 
 
 @click.command()
@@ -27,8 +37,22 @@ from canopen_proto.procedures.steps import Procedure
 def state(settings: Settings) -> None:
     """Show state, mode and position of a drive, and what keeps it from moving."""
     screen = settings.screen()
-    look = partial(look_at_drive, settings=joint_settings(settings))
-    show_drive(settings, screen, read_drive(settings, screen, look))
+    unit, _ = unit_of_command(settings, None)
+    axis_settings = joint_settings(settings)
+
+    def look(node: RemoteNode) -> Procedure[tuple[DriveView, float | None]]:
+        view = yield from look_at_drive(node, axis_settings)
+        counts = axis_settings.counts_per_unit
+        if unit == COUNTS or view.position is None:
+            return view, None
+        if counts is None and axis_settings.unit is not None:
+            counts = (yield from read_units(node)).counts_per(axis_settings.unit)
+        if counts is None:
+            return view, None
+        return view, axis_settings.direction * (view.position - axis_settings.offset) / counts
+
+    view, position = read_drive(settings, screen, look)
+    show_drive(settings, screen, view, None if position is None else (position, unit))
 
 
 @click.command("fault-reset")

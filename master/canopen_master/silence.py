@@ -22,6 +22,8 @@ from canopen_proto.remote_node import RemoteNode
 
 RECENT: Final = 5 * SECOND
 """An older frame says little about now: most heartbeats come about once a second."""
+ALIVE: Final = 2 * SECOND
+"""A node counts as alive if it was heard within this time. After an older frame its power may be off by now."""
 BOOTING: Final = 2 * SECOND
 """For so long after its boot-up a device may still be busy starting."""
 MAX_NODES_TOLD: Final = 8
@@ -67,7 +69,7 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
         longer = LONGER if advised is None else f"{LONGER}: {advised:g} s"
         seen += f"; it answered after {_duration(late.behind + node.sdo.timeout)}, too late"
         return Diagnosis(seen, "it is slower than the time limit", (longer,))
-    if now - time > RECENT or node.heartbeat.lost:
+    if now - time > ALIVE or node.heartbeat.lost:
         cause = "its power is off or its cable loose by now, or it is busy"
         return Diagnosis(seen, cause, (f"check power and cable of node {node_id}", SCAN))
     if heard.service is HeardService.BOOT_UP and now - time <= BOOTING:
@@ -120,7 +122,7 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
         time, what = heard.time, heard.service.value
     age = now - time
     is_lost = node.heartbeat.lost and what == HeardService.HEARTBEAT.value
-    if age <= RECENT and not is_lost:
+    if age <= ALIVE and not is_lost:
         text = f"node {heard.node_id} is alive: {what} {_ago(age)}"
     else:
         text = f"{'its heartbeat is lost, ' if is_lost else ''}last heard {_ago(age)} ({what})"

@@ -116,3 +116,10 @@ def test_a_device_that_is_no_drive(run: Run, monkeypatch: pytest.MonkeyPatch) ->
     assert outcome.status == ExitCode.USAGE
     assert "CO410" in outcome.err
     assert "it has no statusword" in outcome.err
+
+
+def test_a_controlword_of_0_is_no_half_of_a_fault_reset(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare(monkeypatch, in_fault)
+    outcome = run("drive", "3", "fault-reset", "--dry-run", *DEMO)
+    assert "controlword = 0 (disable voltage)" in " ".join(outcome.out.split())
+    assert "reset_fault_0" not in outcome.out

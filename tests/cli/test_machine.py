@@ -229,6 +229,9 @@ def test_the_demonstration_moves_a_simulated_machine(run: Run, cell: str) -> Non
         ("wrist", 4, True),
     ]
     assert "made of sample_drive.eds" in done.err
+    advice = run("demo", "-m", cell, *SHORT).err
+    assert "scan -b demo" not in advice
+    assert "the same with --fault 4@" in advice
     Path(cell).write_text('[master]\ncycle = "25ms"\n' + CELL)
     assert run("demo", "-m", cell, "--seconds", "0.5", "--json").json["cycle_ms"] == 25
     assert "CO322" in run("demo", "-m", cell, "--chain", "leg").err

@@ -154,6 +154,7 @@ def test_a_scan_on_a_bus_without_nodes(run: Run, monkeypatch: pytest.MonkeyPatch
     [
         (SCAN, "canopen scan -b can0    (who is there?)"),
         ("canopen nmt preop 5", "canopen nmt preop 5 -b can0"),
+        ("canopen drive 5 units    what it tells", "canopen drive 5 units -b can0    what it tells"),
         ("canopen write 5 6064 -- -5", "canopen write 5 6064 -b can0 -- -5"),
         ("canopen scan -b can1", "canopen scan -b can1"),
         ("canopen read --help", "canopen read --help"),

@@ -155,6 +155,10 @@ def test_drives_with_files_exchange_the_pdos_of_these_files(file: str, own: bool
 
 ERRORS = [
     ("[buses.a]\nlocator = 1", "m.toml:2:1: error: buses.a: locator: a locator is expected, not 1"),
+    (
+        "[buses.a]\nlocator = 'demo'",
+        "m.toml:2:1: error: buses.a: locator: 'demo' is the simulated arm of the command line (-b demo), not a bus; try",
+    ),
     ("[buses.a]", "m.toml:1:2: error: buses.a: the bus 'a' is not a valid locator: there is no interface 'a'; known are"),
     ("", "m.toml: error: buses: there is none: [buses.NAME] begins one"),
     ("[bus.can0]\n[buses.can0]", "m.toml:1:2: error: the file: there is no entry 'bus'; did you mean buses?"),

@@ -111,7 +111,7 @@ def test_just_booted() -> None:
 def test_a_boot_up_of_some_time_ago_explains_nothing() -> None:
     desk = Desk()
     desk.hear("705#00", 3 * SECOND)
-    assert desk.sdo().cause == "it is busy, or the answer was lost"
+    assert desk.sdo().cause == "its power is off or its cable loose by now, or it is busy"
 
 
 def test_an_answer_that_came_too_late_tells_what_to_wait() -> None:
@@ -217,6 +217,16 @@ def test_a_lost_heartbeat_is_no_sign_of_life() -> None:
     assert known.cause.startswith("its power is off or its cable loose by now")
     desk.hear("705#05", 0)
     assert desk.sdo().seen.startswith("node 5 is alive")
+
+
+@pytest.mark.parametrize(
+    ("age", "seen"), [(1900, "node 5 is alive: heartbeat 1.9 s ago"), (3000, "last heard 3 s ago (heartbeat)")]
+)
+def test_a_frame_of_seconds_ago_is_no_sign_of_life(age: int, seen: str) -> None:
+    desk = Desk()
+    desk.hear("705#05", age * MILLISECOND)
+    assert desk.sdo().seen.startswith(seen)
+    assert desk.sdo().cause.startswith("its power is off") is (age > 2000)
 
 
 def test_decimal_for_hexadecimal() -> None:

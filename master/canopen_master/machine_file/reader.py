@@ -40,6 +40,7 @@ MODES: Final[dict[str, Mode | None]] = {
 }
 """The modes of a chain."""
 _DEFAULTS: Final = SECTIONS[1:]
+_DEMO: Final = "demo"
 _WITHOUT_RATE: Final = "udp_multicast"
 """The one interface of python-can whose locator needs no bit rate; of ours, none does."""
 _NUMBER: Final = re.compile("0[xX].*|[0-9].*")
@@ -151,6 +152,10 @@ class _Reader:
         if locator is None:
             return None
         rate = table.take("bitrate", _BITRATE)
+        if locator == _DEMO:
+            key = "locator" if table.has("locator") else ""
+            table.error("'demo' is the simulated arm of the command line (-b demo), not a bus; try locator = 'virtual:demo'", key)
+            return None
         try:
             told = parse_locator(locator)
         except TransportError as error:

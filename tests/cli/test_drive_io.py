@@ -1,0 +1,117 @@
+"""`canopen drive NODE inputs|outputs|probe`, and positions in the user's unit; in virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import trio
+
+from canopen_cli.fleet import Fleet
+from canopen_cli.problem import ExitCode
+from canopen_proto.cia402 import objects
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from tests.cli.cli_support import Alarm, Run, only_drive
+
+DEMO = ("-b", "demo")
+
+
+@pytest.fixture
+def drives(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[DriveNode]:
+    """Drive 5, the only one, stands on its negative limit switch; the drives of the commands to come."""
+    settings = DriveSettings(position=90_000, track=Track(negative_limit=90_000), stops_at_switches=False)
+    return only_drive(monkeypatch, alarm, lambda out, node_id: DriveNode(out, node_id, settings))
+
+
+def rows(text: str) -> list[str]:
+    return [" ".join(line.split()) for line in text.splitlines()]
+
+
+def output(drive: DriveNode) -> tuple[object, object]:
+    store = drive.values.store
+    return store[objects.DIGITAL_OUTPUTS], store[objects.DIGITAL_OUTPUT_MASK]
+
+
+def test_inputs_by_name(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "inputs", *DEMO)
+    assert outcome.status == 0, outcome.err
+    for row in ("0 negative limit switch 1", "1 positive limit switch 0", "3 interlock 0"):
+        assert row in rows(outcome.out)
+    assert run("drive", "5", "inputs", "--json", *DEMO).json["active"][0] == "negative limit switch"
+
+
+def test_outputs_are_shown_and_set_with_their_mask(run: Run, drives: list[DriveNode]) -> None:
+    assert "0 brake: 1 holds 0 the drive" in rows(run("drive", "5", "outputs", *DEMO).out)
+    outcome = run("drive", "5", "outputs", "17=1", "16=0", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "17 the maker's 17 1 the master" in rows(outcome.out)
+    assert "16 the maker's 16 0 the master" in rows(outcome.out)
+    assert output(drives[-1]) == (1 << 17, 0b11 << 16)
+    assert run("drive", "5", "outputs", "17=1", "--json", *DEMO).json == {"outputs": 1 << 17, "mask": 1 << 17}
+
+
+def test_a_dry_run_sets_nothing(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "outputs", "17=1", "--dry-run", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "digital_outputs" in outcome.out
+    assert output(drives[-1]) == (0, 0)
+    outcome = run("drive", "5", "probe", "--dry-run", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "touch_probe_function" in outcome.out
+    assert drives[-1].values.store[objects.TOUCH_PROBE_FUNCTION] == 0
+
+
+def test_the_brake_is_not_opened_by_the_way(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "outputs", "0=0", *DEMO)
+    assert outcome.status == ExitCode.USAGE
+    assert "output 0 is the brake of drive 5" in outcome.err
+    assert output(drives[-1]) == (0, 0)
+    assert run("drive", "5", "outputs", "0=1", *DEMO).status == 0
+    assert run("drive", "5", "outputs", "0=0", "--cannot-fall", *DEMO).status == 0
+
+
+@pytest.mark.parametrize("change", ["16", "32=1", "16=2", "a=1", "-1=1", "1 6=1"])
+def test_what_is_no_output(run: Run, drives: list[DriveNode], change: str) -> None:
+    assert run("drive", "5", "outputs", *DEMO, "--", change).status == ExitCode.USAGE
+
+
+def test_a_probe_that_latches(run: Run, drives: list[DriveNode], alarm: Alarm) -> None:
+    """The index pulse, while somebody else moves the drive."""
+
+    async def turn(fleet: Fleet) -> None:
+        await trio.sleep(0.5)
+        drive = fleet.drives[5]
+        drive.values.store[objects.TARGET_VELOCITY] = 20_000
+        drive.values.store[objects.MODES_OF_OPERATION] = 3
+        drive.drive.written(0x6060, 0, 0)
+        for word in (0x06, 0x07, 0x0F):
+            drive.values.store[objects.CONTROLWORD] = word
+            drive.drive.written(0x6040, 0, 0)
+
+    alarm.task = turn
+    outcome = run("drive", "5", "probe", "--source", "index", "--limit", "20s", "--json", *DEMO)
+    assert outcome.status == 0, outcome.err
+    document = outcome.json
+    assert document["unit"] == "counts"
+    assert document["positive"] > 90_000
+    assert drives[-1].values.store[objects.TOUCH_PROBE_FUNCTION] == 0
+
+
+def test_a_probe_that_latches_nothing_is_disarmed(run: Run, drives: list[DriveNode]) -> None:
+    outcome = run("drive", "5", "probe", "--limit", "1s", *DEMO)
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "latched nothing by touch probe 1 within 1 s" in outcome.err
+    assert drives[-1].values.store[objects.TOUCH_PROBE_FUNCTION] == 0
+
+
+@pytest.mark.parametrize("scale", ["counts_per_unit = 1000.0", "unit = 'degree'\ncounts_per_turn = 360000"])
+def test_state_in_the_unit_of_the_machine_file(run: Run, drives: list[DriveNode], tmp_path: Path, scale: str) -> None:
+    machine = tmp_path / "m.toml"
+    machine.write_text(f"[buses.can0]\n[nodes]\narm = {{ id = 5 }}\n[joints.arm]\ndirection = -1\n{scale}\n")
+    outcome = run("drive", "arm", "state", "-m", str(machine), *DEMO)
+    assert outcome.status == 0, outcome.err
+    unit = "unit" if "per_unit" in scale else "degree"
+    assert f"position -90 {unit} (90000 counts)" in rows(outcome.out)
+    document = run("drive", "arm", "state", "-m", str(machine), "--json", *DEMO).json
+    assert (document["position"], document["position_in_unit"], document["unit"]) == (90_000, -90, unit)
