@@ -104,7 +104,7 @@ def usage(code: str, failed: str, **more: Any) -> Problem:
 
 
 _ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|drive|sim|backup|restore|dump|(?:check|compare) [0-9])\b")
-_BEFORE_BUS = re.compile(r"(?=    \(| -- |$)")  # before a remark, or before arguments that must stand last
+_BEFORE_BUS = re.compile(r"(?=    | -- |$)")  # before a remark, or before arguments that must stand last
 
 
 def _with_bus(step: str, options: str) -> str:
