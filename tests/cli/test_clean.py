@@ -141,7 +141,7 @@ COMMANDS = [
     ("drive", "5", "move", "5", "-e", "device.eds", "--overlay", "odd.toml", *DEMO),
     ("drive", "5", "velocity", "5", "--seconds", "1", "-e", NAMED_EDS, *DEMO),
     ("drive", "5", "torque", "5", "--seconds", "1", "-e", NAMED_EDS, *DEMO),
-    ("drive", "5", "plan", "-e", NAMED_EDS, *DEMO),
+    *[("drive", "5", word, "-e", NAMED_EDS, *DEMO) for word in ("inputs", "outputs", "probe", "plan")],
     ("machine", "check", "odd_cell.toml"),
     ("machine", "from-chains", "odd.csv", "-o", "new_cell.toml"),
     ("machine", "from-chains", "good.csv", "-o", f"{EVIL[:-3]}.toml"),
