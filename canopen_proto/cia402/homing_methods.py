@@ -33,11 +33,13 @@ from typing import Final, NamedTuple
 
 
 class HomingSwitch(Enum):
-    """A switch by which a drive homes."""
+    """A switch by which a drive homes, or a hard stop at an end of the axis, which it feels by its torque."""
 
     NEGATIVE_LIMIT = "negative limit switch"
     POSITIVE_LIMIT = "positive limit switch"
     HOME = "home switch"
+    NEGATIVE_STOP = "negative hard stop"
+    POSITIVE_STOP = "positive hard stop"
 
 
 class HomingMethod(NamedTuple):
@@ -87,6 +89,15 @@ HOMING_METHODS: Final[dict[int, HomingMethod]] = {
     37: _HERE,
 }
 """The number of a method -> its picture. Without 36."""
+
+MAXON_HOMING: Final[dict[int, HomingMethod]] = {
+    -1: HomingMethod(HomingSwitch.POSITIVE_STOP, +1, +1, -1, has_index=True),
+    -2: HomingMethod(HomingSwitch.NEGATIVE_STOP, -1, -1, +1, has_index=True),
+    -3: HomingMethod(HomingSwitch.POSITIVE_STOP, +1, +1, +1),
+    -4: HomingMethod(HomingSwitch.NEGATIVE_STOP, -1, -1, -1),
+}
+"""The methods of maxon's EPOS drives, from memory: onto a hard stop, until the current is above a threshold; with index pulse,
+back to the first one. Other makers use the same numbers for something else."""
 
 HOMING_BY_PROBE: Final = 36
 

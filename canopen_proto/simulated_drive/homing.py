@@ -19,7 +19,10 @@ do it this way.) The axis returns to the edge, then homing is complete.
 
 A maker has methods of its own, with numbers below 0: `DriveSettings.own_homing`.
 
-Left out: homing by a touch probe (36), and onto a hard stop.
+A method onto a hard stop (`Track.ends`) pushes until the torque reaches `DriveSettings.stop_torque`; home is the place where the
+axis stands then.
+
+Left out: homing by a touch probe (36).
 
 Source: IEC 61800-7-201 (CiA 402-2), homing mode.
 """
@@ -52,6 +55,9 @@ class HomingFinished(Event):
         self.method = method
 
 
+STOPS: Final = (HomingSwitch.NEGATIVE_STOP, HomingSwitch.POSITIVE_STOP)
+
+
 class Seek(NamedTuple):
     """A search: go in `direction` until the switch is active, or no longer is. switch: None for the next index pulse.
 
@@ -70,6 +76,8 @@ class Seek(NamedTuple):
             pulses = (position - track.index_offset) / track.index_distance
             number = math.floor(pulses) + 1 if self.direction > 0 else math.ceil(pulses) - 1
             return track.index_offset + number * track.index_distance
+        if self.switch in STOPS:
+            return self.direction * math.inf  # it is felt, not seen
         low, high = _range_of(self.switch, track)
         near, far = (low, high) if self.direction > 0 else (high, low)
         if not self.active:  # an axis before the switch passes it: a fast seek may have overshot
@@ -88,6 +96,10 @@ def _range_of(switch: HomingSwitch, track: Track) -> tuple[float, float]:
             return track.positive_limit, math.inf
         case HomingSwitch.HOME:
             return track.home_switch
+        case HomingSwitch.NEGATIVE_STOP:
+            return -math.inf, track.ends[0]
+        case HomingSwitch.POSITIVE_STOP:
+            return track.ends[1], math.inf
         case _:
             assert_never(switch)
 
@@ -95,7 +107,9 @@ def _range_of(switch: HomingSwitch, track: Track) -> tuple[float, float]:
 def _seeks_of(method: HomingMethod) -> tuple[Seek, ...]:
     """Return the searches that a picture asks for: onto the switch, slowly over the edge that counts, to the index pulse."""
     switch, seeks = method.switch, []
-    if switch is not None:
+    if switch in STOPS:
+        seeks.append(Seek(method.start, True, switch))
+    elif switch is not None:
         seeks.append(Seek(method.start, True, switch, turns=method.turns))
         leaves = method.last == method.edge
         if not leaves:  # it leaves the switch first, and comes back slowly
@@ -133,7 +147,7 @@ _UNDER_WAY: Final = (HomingStatus.IN_PROGRESS, HomingStatus.ATTAINED, HomingStat
 class Homing(OperationMode):
     """Homing mode (hm). is_referenced: a homing found its edge since power-on, and no other has begun after it."""
 
-    __slots__ = ("_edge", "_limit", "_method", "_seek", "_seeks", "_status", "is_referenced")
+    __slots__ = ("_edge", "_limit", "_method", "_seek", "_seeks", "_status", "_stood_at", "is_referenced")
 
     def __init__(self, servo: Servo, out: Outbox, node_id: int) -> None:
         super().__init__(servo, out, node_id)
@@ -143,6 +157,7 @@ class Homing(OperationMode):
         self._seeks: tuple[Seek, ...] = ()  # those that follow the present one
         self._seek: Seek | None = None
         self._edge = self._limit = 0.0
+        self._stood_at = math.inf
 
     def enter(self) -> None:
         self._status = HomingStatus.INTERRUPTED
@@ -195,6 +210,7 @@ class Homing(OperationMode):
     def _run(self, seek: Seek) -> None:
         servo, track = self.servo, self.servo.settings.track
         self._seek = seek
+        self._stood_at = math.inf
         self._limit = track.positive_limit if seek.direction > 0 else track.negative_limit
         if (self._edge - self._limit) * seek.direction > 0:  # the limit switch comes first
             self._edge = seek.direction * math.inf
@@ -208,6 +224,18 @@ class Homing(OperationMode):
     def _is_past(self, place: float) -> bool:
         """Return whether the axis has reached a place on the track, in the direction of the present seek."""
         return self._seek is not None and (self.servo.position - place) * self._seek.direction >= 0
+
+    def _feels_stop(self) -> bool:
+        """Return whether the axis pushes against the hard stop that it seeks, and has not moved for a tick. Its place is the
+        edge then."""
+        seek, servo = self._seek, self.servo
+        if seek is None or seek.switch not in STOPS:
+            return False
+        before, self._stood_at = self._stood_at, servo.position
+        if self._stood_at != before or servo.torques[1] * seek.direction < servo.settings.stop_torque:
+            return False
+        self._edge = servo.position
+        return True
 
     def _meet_limit(self, seek: Seek) -> None:
         """Act on the limit switch at the end of the track: turn round, or end the homing with an error."""
@@ -231,7 +259,7 @@ class Homing(OperationMode):
         servo = self.servo
         if self._status is HomingStatus.IN_PROGRESS:
             seek = self._seek
-            if self._is_past(self._edge):
+            if self._is_past(self._edge) or self._feels_stop():
                 self._next_seek()
             elif seek is not None and self._is_past(self._limit):
                 self._meet_limit(seek)

@@ -122,6 +122,7 @@ class Plant:
         "_viscous",
         "brake_command",
         "control",
+        "ends",
         "fastest",
         "highest",
         "highest_torque",
@@ -147,7 +148,8 @@ class Plant:
         "velocity_offset",
     )
 
-    def __init__(self, mechanics: Mechanics, position: float) -> None:
+    def __init__(self, mechanics: Mechanics, position: float, ends: tuple[float, float] = (-math.inf, math.inf)) -> None:
+        self.ends = ends
         crossover = 2.0 * math.pi * mechanics.bandwidth
         per_unit = 1.0 / mechanics.units_per_radian
         gain = mechanics.velocity_gain
@@ -348,3 +350,6 @@ class Plant:
         friction = (self.mechanics.coulomb_friction + self.mechanics.brake_torque * self.holds_brake) * by_torque
         self.velocity = 0.0 if abs(free) <= friction else free - math.copysign(friction, free)
         self.position += 0.5 * (before + self.velocity) * _STEP
+        low, high = self.ends
+        if not low <= self.position <= high:  # a hard stop takes the whole impulse
+            self.position, self.velocity = min(max(self.position, low), high), 0.0

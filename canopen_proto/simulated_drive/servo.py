@@ -95,7 +95,7 @@ class Servo(Parameters):
         self.is_stopped_by_switch = self.has_met_switch = False
         self.obeys_switches = True
         self._lag = settings.lag / SECOND
-        self._plant = None if settings.mechanics is None else Plant(settings.mechanics, self.position)
+        self._plant = None if settings.mechanics is None else Plant(settings.mechanics, self.position, settings.track.ends)
         self._target: tuple[Time, float] | None = None  # of the last interpolation step: until when the next one goes on from it
         self._step: tuple[Time, float] | None = None  # until when the last interpolation step counts as under way; its velocity
 
@@ -130,6 +130,9 @@ class Servo(Parameters):
             self.velocity = (self.demand_position - self.position) / self._lag
         else:
             self.position, self.velocity = self.demand_position, self.demand_velocity
+        low, high = self.settings.track.ends
+        if not low <= self.position <= high:
+            self.position, self.velocity = min(max(self.position, low), high), 0.0
         if demand.at_rest(now) and abs(self.demand_position - self.position) < _AT_REST:
             self.position, self.velocity = self.demand_position, 0.0
             self.is_settled = True
@@ -380,7 +383,7 @@ class Servo(Parameters):
             return
         plant = self._plant
         if plant is None:
-            plant = self._plant = Plant(Mechanics(), self.position)
+            plant = self._plant = Plant(Mechanics(), self.position, self.settings.track.ends)
             plant.velocity = self.velocity
             plant.wake(self.time)
             plant.power_on()

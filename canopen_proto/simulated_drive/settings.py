@@ -36,7 +36,8 @@ class Track:
 
     A limit switch is active at and beyond its position (infinite: there is none), the home switch from home_switch[0] to
     home_switch[1] (either may be infinite: a switch that stays active to the end of the track). Index pulses are at
-    index_offset + n * index_distance. probes: the parts on which the inputs of touch probe 1 and 2 are active.
+    index_offset + n * index_distance. probes: the parts on which the inputs of touch probe 1 and 2 are active. ends: hard stops,
+    at which the axis stands although it is driven on; infinite: there is none.
     """
 
     negative_limit: float = -180_000.0
@@ -45,6 +46,7 @@ class Track:
     index_offset: float = 1_000.0
     index_distance: float = 36_000.0
     probes: tuple[tuple[float, float], tuple[float, float]] = _NO_PROBES
+    ends: tuple[float, float] = (-math.inf, math.inf)
 
     def moved(self, way: float) -> Track:
         """Return the same track, so much further along, without its probes."""
@@ -55,6 +57,7 @@ class Track:
             (begin + way, end + way),
             self.index_offset + way,
             self.index_distance,
+            ends=(self.ends[0] + way, self.ends[1] + way),
         )
 
     def inputs_at(self, position: float) -> int:
@@ -91,9 +94,10 @@ class DriveSettings:
     goes to Switch on disabled. brake_bit: the bit that shows a closed brake. overload_fault: error code of the fault that an
     overload makes (I²t of `mechanics`), such as 0x2310; 0: none, the torque is limited to the rated one. coasts: whether
     bit 8 only takes the torque away in tq and cst, so that a mass without friction moves on.
-    own_homing: homing methods of its maker, below 0, each with its picture. second_encoder: counts of a second encoder
-    (60E4h:01) for one of the first; it has the zero of the track. stops_at_switches: whether the limit switches stop the axis;
-    False: they only matter for homing, as in a drive whose track is not known.
+    own_homing: homing methods of its maker, below 0, each with its picture, such as `MAXON_HOMING.items()`. stop_torque: per
+    mille of the rated torque; a homing onto a hard stop has found it when it pushes so hard. second_encoder: counts of a second
+    encoder (60E4h:01) for one of the first; it has the zero of the track. stops_at_switches: whether the limit switches stop the
+    axis; False: they only matter for homing, as in a drive whose track is not known.
     further_axes: the drives of axis 1, 2 ... in the same node (7 at most); see axes.py. Their shape and answers do not count.
     answers: objects that are answered wrongly, late or not at all, for tests.
     """
@@ -119,6 +123,7 @@ class DriveSettings:
     overload_fault: int = 0
     coasts: bool = False
     own_homing: tuple[tuple[int, HomingMethod], ...] = ()
+    stop_torque: int = 500
     second_encoder: float = 1.0
     stops_at_switches: bool = True
     further_axes: tuple[DriveSettings, ...] = ()

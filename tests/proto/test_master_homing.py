@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.homing_methods import HomingMethod, HomingSwitch
+from canopen_proto.cia402.homing_methods import MAXON_HOMING, HomingMethod, HomingSwitch
 from canopen_proto.cia402.modes import HomingStatus
 from canopen_proto.cia402.states import State
 from canopen_proto.drive import (
+    DriveError,
     HomingFailed,
     HomingProgressed,
     ModeUnsupported,
     home,
     home_if_needed,
+    move_to,
     read_homing_methods,
     read_position,
 )
 from canopen_proto.drive.axis import AxisSettings
-from canopen_proto.machine import MILLISECOND, LocalProtocolError
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.simulated_drive.homing import METHODS
+from canopen_proto.simulated_drive.plant import Mechanics
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.proto.rig import Rig
 
@@ -88,6 +92,39 @@ def test_a_makers_method_is_sent_as_any_other() -> None:
     rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0  # a drive without a list
     rig.run(home(rig.axis))
     assert rig.drive._servo.zero == -50_000
+
+
+@pytest.mark.parametrize("mechanics", [None, Mechanics()], ids=["lag", "mass"])
+@pytest.mark.parametrize(("method", "place"), [(-1, 55_123), (-2, -49_877), (-3, 58_000), (-4, -52_000)])
+def test_onto_a_hard_stop(method: int, place: int, mechanics: Mechanics | None) -> None:
+    track = Track(-math.inf, math.inf, (-7_000, 9_000), 123, 5_000, ends=(-52_000, 58_000))
+    settings = DriveSettings(position=0, track=track, own_homing=tuple(MAXON_HOMING.items()), mechanics=mechanics)
+    rig = Rig(Shape.STANDARD, pdos=False, drive=settings)
+    rig.axis.settings = replace(DEGREES, homing_method=method, homing_speed=20, homing_zero_speed=10)
+    rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0  # a drive without a list
+    rig.run(home(rig.axis))
+    assert rig.drive._servo.zero == pytest.approx(place, abs=1)
+    assert rig.run(read_position(rig.axis)) == pytest.approx(0, abs=0.01)
+    assert -52_000 <= rig.drive._servo.position <= 58_000
+
+
+def test_a_hard_stop_that_is_not_there_is_never_found() -> None:
+    settings = DriveSettings(position=0, track=Track(), own_homing=tuple(MAXON_HOMING.items()))
+    rig = Rig(Shape.STANDARD, pdos=False, drive=settings)
+    rig.axis.settings = replace(DEGREES, homing_method=-4)
+    rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0
+    with pytest.raises(HomingFailed):  # the limit switch comes first
+        rig.run(home(rig.axis))
+
+
+@pytest.mark.parametrize("mechanics", [None, Mechanics()], ids=["lag", "mass"])
+def test_an_axis_is_not_moved_through_a_hard_stop(mechanics: Mechanics | None) -> None:
+    settings = DriveSettings(position=0, track=Track(-math.inf, math.inf, ends=(-1e9, 5_000)), mechanics=mechanics)
+    rig = Rig(Shape.STANDARD, pdos=False, drive=settings)
+    rig.axis.settings = DEGREES
+    with pytest.raises(DriveError):
+        rig.run(move_to(rig.axis, 20, timeout=20 * SECOND))
+    assert rig.drive._servo.position <= 5_000
 
 
 def test_speeds_acceleration_and_home_position_are_in_the_users_unit() -> None:
