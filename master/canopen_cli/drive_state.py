@@ -25,10 +25,10 @@ from canopen_proto import drive as procedures
 from canopen_proto.cia402.modes import Mode, mode_name, supported_modes
 from canopen_proto.cia402.states import POWERED
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.units import DriveUnits, Unit, read_units
 from canopen_proto.drive.view import DriveView
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.remote_node import RemoteNode
 
 
 @click.command()
@@ -40,7 +40,7 @@ def state(settings: Settings) -> None:
     unit, _ = unit_of_command(settings, None)
     axis_settings = joint_settings(settings)
 
-    def look(node: RemoteNode) -> Procedure[tuple[DriveView, float | None]]:
+    def look(node: AxisNode) -> Procedure[tuple[DriveView, float | None]]:
         view = yield from look_at_drive(node, axis_settings)
         counts = axis_settings.counts_per_unit
         if unit == COUNTS or view.position is None:
