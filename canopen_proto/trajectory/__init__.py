@@ -4,6 +4,7 @@
     interpolation.py   paths from waypoints with times: `linear`, `cubic`, `quintic`, `from_function`
     limit_check.py     `JointLimits`, and `first_violation`: the first place at which a path exceeds one
     path_clock.py      `PathClock`: runs a path, slows it down, stops on it, goes on
+    reserve.py         what a path leaves free of its limits, for braking
     speed_change.py    `SpeedChange`: a speed changes with limited acceleration and jerk
     polynomial.py      value, derivative and extremes of a polynomial
 

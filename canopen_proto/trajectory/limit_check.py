@@ -64,9 +64,9 @@ class Violation(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """What a segment, or a knot between two of them, asks of its joint. The times are those of the path."""
+    """What a segment, or a knot between two of them, asks of its joint. begin, and the times: of the path."""
 
-    position: Extremes
+    begin: float
     speed: Extremes
     acceleration: Extremes
     jerk: Extremes
@@ -101,30 +101,40 @@ def first_violation(path: Path, limits: Sequence[JointLimits], cycle_time: float
 
 
 def demands_of(path: Path, joint: int, cycle_time: float) -> Iterator[Demand]:
-    """Yield what each segment of a joint asks for, and each knot between two of them."""
+    """Yield what each segment of a joint asks for, and before it what the knot at its begin does."""
     begin = 0.0
     before: Segment | None = None
     for segment in path.segments[joint]:
         if before is not None:
             yield _demand_of_knot(before, segment, begin, cycle_time)
-        extremes = []
-        coefficients: Sequence[float] = segment.coefficients
-        for _ in range(4):
-            extremes.append(extremes_of(coefficients, segment.duration).after(begin))
-            coefficients = derivative_of(coefficients)
-        yield Demand(extremes[0], extremes[1], extremes[2], extremes[3])
+        duration = segment.duration
+        speed = derivative_of(segment.coefficients)
+        acceleration = derivative_of(speed)
+        yield Demand(
+            begin,
+            extremes_of(speed, duration, begin),
+            extremes_of(acceleration, duration, begin),
+            extremes_of(derivative_of(acceleration), duration, begin),
+        )
         before = segment
-        begin += segment.duration
+        begin += duration
 
 
 def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float) -> Iterator[Violation]:
-    lowest, highest = limits.lowest, limits.highest
-    for position, *others in demands_of(path, joint, cycle_time):
-        if lowest is not None and position.low < lowest - POSITION_TOLERANCE * max(1.0, abs(lowest)):
-            yield Violation(joint, position.low_time, "position", position.low, lowest)
-        if highest is not None and position.high > highest + POSITION_TOLERANCE * max(1.0, abs(highest)):
-            yield Violation(joint, position.high_time, "position", position.high, highest)
-        for kind, found, limit in zip(_KINDS, others, (limits.speed, limits.acceleration, limits.jerk), strict=True):
+    lowest = -math.inf if limits.lowest is None else limits.lowest - POSITION_TOLERANCE * max(1.0, abs(limits.lowest))
+    highest = math.inf if limits.highest is None else limits.highest + POSITION_TOLERANCE * max(1.0, abs(limits.highest))
+    begin = 0.0
+    for duration, coefficients in path.segments[joint]:
+        reach = value_at([abs(each) for each in coefficients], duration) - abs(coefficients[0])  # it goes no further than that
+        if coefficients[0] - reach < lowest or coefficients[0] + reach > highest:
+            low, low_time, high, high_time = extremes_of(coefficients, duration, begin)
+            if limits.lowest is not None and low < lowest:
+                yield Violation(joint, low_time, "position", low, limits.lowest)
+            if limits.highest is not None and high > highest:
+                yield Violation(joint, high_time, "position", high, limits.highest)
+        begin += duration
+    for demand in demands_of(path, joint, cycle_time):
+        for kind, found, limit in zip(_KINDS, demand[1:], (limits.speed, limits.acceleration, limits.jerk), strict=True):
             if limit is not None and -found.low > limit * EXACT:
                 yield Violation(joint, found.low_time, kind, found.low, limit)
             if limit is not None and found.high > limit * EXACT:
@@ -135,16 +145,16 @@ def _demand_of_knot(before: Segment, after: Segment, time: float, cycle_time: fl
     left: Sequence[float] = before.coefficients
     right: Sequence[float] = after.coefficients
     ends, starts = [], []
-    for _ in range(4):
-        ends.append(value_at(left, before.duration))
-        starts.append(value_at(right, 0.0))
+    for _ in range(3):
         left, right = derivative_of(left), derivative_of(right)
-    jump = (starts[1] - ends[1]) / cycle_time
-    jerk = (abs(jump) + abs(starts[2] - ends[2])) / cycle_time + max(abs(ends[3]), abs(starts[3]))
+        ends.append(value_at(left, before.duration))
+        starts.append(right[0] if right else 0.0)
+    jump = (starts[0] - ends[0]) / cycle_time
+    jerk = (abs(jump) + abs(starts[1] - ends[1])) / cycle_time + max(abs(ends[2]), abs(starts[2]))
     return Demand(
+        time,
         _between(ends[0], starts[0], time),
-        _between(ends[1], starts[1], time),
-        _between(jump + ends[2], jump + starts[2], time),
+        _between(jump + ends[1], jump + starts[1], time),
         _between(0.0, jerk, time),
     )
 

@@ -24,16 +24,12 @@ class Extremes(NamedTuple):
         """The largest magnitude."""
         return max(self.high, -self.low)
 
-    def after(self, time: float) -> Extremes:
-        """Return the same, `time` later."""
-        return Extremes(self.low, self.low_time + time, self.high, self.high_time + time)
-
 
 def value_at(coefficients: Sequence[float], time: float) -> float:
     """Return the value at `time`."""
     value = 0.0
-    for number in range(len(coefficients) - 1, -1, -1):
-        value = value * time + coefficients[number]
+    for coefficient in reversed(coefficients):
+        value = value * time + coefficient
     return value
 
 
@@ -42,12 +38,14 @@ def derivative_of(coefficients: Sequence[float]) -> list[float]:
     return [number * coefficients[number] for number in range(1, len(coefficients))]
 
 
-def extremes_of(coefficients: Sequence[float], duration: float) -> Extremes:
-    """Return the extremes for times from 0 to `duration`. No coefficients: 0."""
-    low = high = value_at(coefficients, 0.0)
-    low_time = high_time = 0.0
-    for time in [*roots_of(derivative_of(coefficients), duration), duration]:
-        value = value_at(coefficients, time)
+def extremes_of(coefficients: Sequence[float], duration: float, begin: float = 0.0) -> Extremes:
+    """Return the extremes for times from 0 to `duration`. No coefficients: 0. begin: is added to the times in the answer."""
+    low = high = coefficients[0] if coefficients else 0.0
+    low_time = high_time = begin
+    times = roots_of(derivative_of(coefficients), duration) if len(coefficients) > 2 else []
+    times.append(duration)
+    for each in times:
+        value, time = value_at(coefficients, each), begin + each
         if value < low:
             low, low_time = value, time
         elif value > high:

@@ -37,8 +37,8 @@ def limits_with_reserve(path: Path, reserve: float, cycle_time: float = CYCLE) -
     """The limits of which the path leaves this part of acceleration and jerk free, 0 to 1. Joints that rest have limits too."""
     found = []
     for joint in range(path.joints):
-        demands = list(demands_of(path, joint, cycle_time))
-        speed, acceleration, jerk = (max(demand[order].magnitude for demand in demands) or 1.0 for order in (1, 2, 3))
+        demands = [demand[1:] for demand in demands_of(path, joint, cycle_time)]
+        speed, acceleration, jerk = (max(extremes[order].magnitude for extremes in demands) or 1.0 for order in range(3))
         found.append(JointLimits(speed=speed, acceleration=acceleration / (1 - reserve), jerk=jerk / (1 - reserve)))
     return found
 

@@ -1,0 +1,201 @@
+"""`Reserve`: what a path leaves free for changes of its rate, over all of it, or just ahead.
+
+With q the path of a joint and ' for d/ds, at the rate r = ds/dt the joint moves at
+
+    speed         q' r
+    acceleration  q'' r² + q' dr/dt
+    jerk          q''' r³ + 3 q'' r dr/dt + q' d²r/dt²
+
+so a change of the rate costs acceleration and jerk. If dr/dt stays within A, and d²r/dt² within J, each joint keeps its limits
+where
+
+    |q''| + |q'| A <= acceleration          |q'''| + 3 |q''| A + |q'| J <= jerk
+
+These hold for each segment with its largest q', q'' and q'''. Of the pairs A, J that a path allows, the one with the shortest
+stop is taken. They are found over the whole path, for any change at any time. A stop looks only as far ahead as it goes: often
+the joints have a constant speed there, and may brake as hard as they can. And where a joint gathers speed, braking along the path
+takes acceleration away at first: q'' r² and q' dr/dt have different signs, and |q'| A <= acceleration is enough.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from typing import Final, NamedTuple, final
+
+from canopen_proto.trajectory.limit_check import Demand, JointLimits, demands_of
+from canopen_proto.trajectory.path import Path, PathError, PathPoint
+from canopen_proto.trajectory.polynomial import Extremes
+from canopen_proto.trajectory.speed_change import SpeedChange
+
+FASTEST_CHANGE: Final = 20.0
+"""The rate changes by no more per second, even where no joint has a limit."""
+FASTEST_ONSET: Final = 20.0 * FASTEST_CHANGE
+"""Nor does its change, per second². So a stop takes 0.1 s at least: within a few cycles it would be a step for the drives."""
+REST: Final = 1e-7
+"""A velocity or acceleration at an end of a path counts as 0 up to this part of the largest one of its joint."""
+_STEEPNESS: Final[tuple[float, ...]] = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""The ratios J / A² that are tried. With 1 the change of the rate grows, and falls at once; with 16 it is mostly held."""
+_SEEN_CYCLES: Final = 3
+"""Cycles for which a drive that computes a jerk from its positions still sees a knot."""
+
+
+@final
+class Reserve:
+    """What a path leaves free.
+
+    max_change, max_onset: A and J for the whole path. stop_time: seconds that a stop takes with them at most, whenever it begins.
+    rests_at_start, rests_at_end: whether no joint has a velocity or an acceleration there.
+
+    Raises PathError if stop_time is above `longest_stop`, with the joint and the place to blame.
+    """
+
+    __slots__ = (
+        "_cycle_time", "_limits", "_needs", "max_change", "max_onset", "rests_at_end", "rests_at_start", "stop_time",
+    )  # fmt: skip
+
+    def __init__(self, path: Path, limits: Sequence[JointLimits], cycle_time: float, longest_stop: float) -> None:
+        self._limits = limits
+        self._cycle_time = cycle_time
+        self._needs: list[list[Demand]] = []
+        self.rests_at_start = self.rests_at_end = True
+        start, end = path.start, path.end
+        room = _Room()
+        for joint, own in enumerate(limits):
+            speed = acceleration = 0.0
+            needs = list(demands_of(path, joint, cycle_time))
+            for demand in needs:
+                room.narrow(joint, demand, own)
+                speed = max(speed, demand.speed.magnitude)
+                acceleration = max(acceleration, demand.acceleration.magnitude)
+            self._needs.append(needs)
+            self.rests_at_start = self.rests_at_start and _rests(start, joint, REST * speed, REST * acceleration)
+            self.rests_at_end = self.rests_at_end and _rests(end, joint, REST * speed, REST * acceleration)
+        self.max_change, self.max_onset, self.stop_time = room.best(longest_stop)
+
+    def braking(self, rate: float, change: float) -> SpeedChange:
+        """Return how the clock brakes from this rate and change of rate, anywhere on the path."""
+        return SpeedChange(rate, change, 0.0, self.max_change, self.max_onset)
+
+    def braking_at(self, time: float, rate: float, change: float) -> SpeedChange:
+        """Return the shortest stop that begins at this time of the path.
+
+        It looks at the place itself, then as far as the stop would go that this place allows, and so on until a stop ends within
+        what was looked at.
+        """
+        anywhere = self.braking(rate, change)
+        room = _Room()
+        since, until = time - _SEEN_CYCLES * self._cycle_time, time
+        nexts = [max(0, bisect_right(needs, since, key=_begin_of) - 1) for needs in self._needs]
+        while True:
+            for joint, needs in enumerate(self._needs):
+                number = nexts[joint]
+                while number < len(needs) and needs[number].begin <= until:
+                    room.narrow(joint, needs[number], self._limits[joint], for_stop=True)
+                    number += 1
+                nexts[joint] = number
+            found = room.braking(rate, change)
+            if found is None or found.duration >= anywhere.duration:
+                return anywhere
+            if time + found.distance <= until:
+                return found
+            until = time + found.distance
+
+
+def _rests(point: PathPoint, joint: int, velocity: float, acceleration: float) -> bool:
+    return abs(point.velocities[joint]) <= velocity and abs(point.accelerations[joint]) <= acceleration
+
+
+class _Cause(NamedTuple):
+    """Where a path leaves least free."""
+
+    joint: int
+    kind: str
+    extremes: Extremes
+    limit: float
+
+    def __str__(self) -> str:
+        low, low_time, high, high_time = self.extremes
+        value, time = (high, high_time) if high >= -low else (-low, low_time)
+        return f"Joint {self.joint} needs the {self.kind} {value:.6g} at {time:.6g} s of the path, and has {self.limit:.6g}."
+
+
+@final
+class _Room:
+    """What a path leaves free for changes of its rate: for each ratio J / A² the largest A, and what set it."""
+
+    __slots__ = ("causes", "changes")
+
+    def __init__(self) -> None:
+        self.changes = [min(FASTEST_CHANGE, math.sqrt(FASTEST_ONSET / steepness)) for steepness in _STEEPNESS]
+        self.causes: list[_Cause | None] = [None] * len(_STEEPNESS)
+
+    def narrow(self, joint: int, demand: Demand, limits: JointLimits, *, for_stop: bool = False) -> None:
+        """Lower each A to what this part of the path leaves free. for_stop: dr/dt grows no more, wherever it is above 0."""
+        speed, acceleration, jerk = demand.speed.magnitude, demand.acceleration.magnitude, demand.jerk.magnitude
+        most = math.inf if limits.acceleration is None else limits.acceleration
+        free = most if for_stop and acceleration <= most and _gathers_speed(demand) else max(0.0, most - acceleration)
+        most_jerk = math.inf if limits.jerk is None else limits.jerk
+        # A falls with the ratio and J grows, so these two are the largest ones: most parts of a path allow even both.
+        change, onset = self.changes[0], _STEEPNESS[-1] * self.changes[-1] * self.changes[-1]
+        if speed * change <= free and jerk + 3.0 * acceleration * change + speed * onset <= most_jerk:
+            return
+        for number, steepness in enumerate(_STEEPNESS):
+            change = self.changes[number]
+            if speed * change > free:
+                change = free / speed
+                self.causes[number] = _Cause(joint, "acceleration", demand.acceleration, most)
+            if jerk + 3.0 * acceleration * change + speed * steepness * change * change > most_jerk:
+                left = max(0.0, most_jerk - jerk)
+                root = 3.0 * acceleration + math.sqrt(9.0 * acceleration * acceleration + 4.0 * speed * steepness * left)
+                change = 2.0 * left / root if root else 0.0
+                self.causes[number] = _Cause(joint, "jerk", demand.jerk, most_jerk)
+            self.changes[number] = change
+
+    def best(self, longest_stop: float) -> tuple[float, float, float]:
+        """Return the A and J with the shortest stop, and how long it takes at most: the rate may still grow when it begins.
+
+        Raises PathError if that is longer than `longest_stop`.
+        """
+        shortest, chosen = math.inf, 0
+        for number, steepness in enumerate(_STEEPNESS):
+            change = self.changes[number]
+            takes = (1.0 + 2.0 / steepness) / change if change else math.inf
+            if takes < shortest:
+                shortest, chosen = takes, number
+        if shortest > longest_stop:
+            free = "nothing free for a stop along it"
+            if shortest < math.inf:
+                free = f"so little free that a stop along it may take {shortest:.3g} s, and {longest_stop:g} s are allowed"
+            raise PathError(
+                f"The path leaves {free}. {self.causes[chosen] or ''} Try: the path `stretched`, a plan with a larger reserve, "
+                "or higher limits."
+            )
+        change = self.changes[chosen]
+        return change, _STEEPNESS[chosen] * change * change, shortest
+
+    def braking(self, rate: float, change: float) -> SpeedChange | None:
+        """Return the fastest way to the rate 0 that keeps the rate within 0 to 1; None if each one leaves this range."""
+        fastest: SpeedChange | None = None
+        for number, steepness in enumerate(_STEEPNESS):
+            most = self.changes[number]
+            onset = steepness * most * most
+            if most < abs(change) or onset == 0.0:
+                continue
+            without = rate + change * abs(change) / (2.0 * onset)
+            if 0.0 <= without <= 1.0 + 1e-9:
+                found = SpeedChange(rate, change, 0.0, most, onset)
+                if fastest is None or found.duration < fastest.duration:
+                    fastest = found
+        return fastest
+
+
+def _gathers_speed(demand: Demand) -> bool:
+    """Return whether velocity and acceleration have one sign, all along."""
+    speed, acceleration = demand.speed, demand.acceleration
+    return (speed.low >= 0.0 and acceleration.low >= 0.0) or (speed.high <= 0.0 and acceleration.high <= 0.0)
+
+
+def _begin_of(demand: Demand) -> float:
+    return demand.begin
