@@ -100,6 +100,12 @@ def first_violation(path: Path, limits: Sequence[JointLimits], cycle_time: float
     return first
 
 
+def reach_of(path: Path, joint: int) -> tuple[float, float]:
+    """Return the lowest and the highest position of a joint on the path."""
+    found = [extremes_of(segment.coefficients, segment.duration) for segment in path.segments[joint]]
+    return min([each.low for each in found]), max([each.high for each in found])
+
+
 def demands_of(path: Path, joint: int, cycle_time: float) -> Iterator[Demand]:
     """Yield what each segment of a joint asks for, and before it what the knot at its begin does."""
     begin = 0.0

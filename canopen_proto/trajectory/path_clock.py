@@ -140,8 +140,9 @@ class PathClock:
         Drives do that if a SYNC stays away. They would have to jump to the speed of the path otherwise.
         """
         if not self.is_finished:
-            self._origin, self._elapsed, self._is_ending = self._time, 0.0, False
-            self._change = SpeedChange(0.0, 0.0, self._change.wanted, self._max_change, self._max_onset)
+            self._origin = self._time
+            wanted = 0.0 if self._is_stopping else self._override
+            self._begin(SpeedChange(0.0, 0.0, wanted, self._reserve.max_change, self._reserve.max_onset), 0.0)
 
     def advance(self, cycle_time: float) -> PathPoint:
         """Let one cycle pass, and return where the joints have to be at its end, in real time.

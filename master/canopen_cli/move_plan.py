@@ -13,7 +13,7 @@ from canopen_master.motion.chain import Chain
 from canopen_master.motion.path_check import check_path
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.trajectory import Path, PathPoint
-from canopen_proto.trajectory.limit_check import demands_of
+from canopen_proto.trajectory.limit_check import demands_of, reach_of
 
 Legs: TypeAlias = list[tuple[str, Path]]
 """Parts of a motion, at rest between them: what each is, for people, and its path."""
@@ -78,7 +78,7 @@ def told_legs(screen: Screen, arm: Chain, legs: Legs) -> None:
         rows = []
         for number, (device, limits) in enumerate(zip(arm.devices, arm.path_limits, strict=True)):
             demands = list(demands_of(path, number, arm.settings.cycle_time))
-            lowest, highest = min(each.position.low for each in demands), max(each.position.high for each in demands)
+            lowest, highest = reach_of(path, number)
             asked = [max(getattr(each, kind).magnitude for each in demands) for kind in ("speed", "acceleration", "jerk")]
             most = [limits.speed, limits.acceleration, limits.jerk]
             pairs = [cell for pair in zip(map(_shown, asked), map(_shown, most), strict=True) for cell in pair]

@@ -174,6 +174,27 @@ def test_a_stop_at_a_constant_speed_may_use_all_of_the_acceleration() -> None:
     assert clock.stop() < 0.5
 
 
+def test_joints_that_have_stopped_by_themselves_start_again_from_rest() -> None:
+    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE)
+    while not clock.is_finished:  # also while it brakes for the end
+        clock.advance(CYCLE)
+        if 1.0 < clock.time < 1.01 or 2.49 < clock.time < 2.495:
+            here = clock.time
+            clock.start_again()
+            assert (clock.rate, clock.time) == (0.0, here)
+            clock.advance(0.5)
+            assert clock.time > here
+    clock.start_again()
+    assert clock.is_finished
+    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE)
+    clock.advance(1.0)
+    clock.stop()
+    clock.start_again()
+    assert clock.is_at_rest
+    clock.advance(CYCLE)
+    assert clock.rate == 0.0
+
+
 def test_a_stop_that_is_taken_back_is_over_first() -> None:
     rows, limits = HARD_TO_STOP_ON["speed 1 in 1 s, and back to rest"]
     clock = PathClock(Path(rows), limits, CYCLE)

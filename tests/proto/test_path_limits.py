@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canopen_proto.trajectory import JointLimits, Path, PathError, Segment, cubic, first_violation, linear
-from canopen_proto.trajectory.limit_check import Violation
+from canopen_proto.trajectory.limit_check import Violation, reach_of
 from canopen_proto.trajectory.polynomial import extremes_of, roots_of, value_at
 from tests.proto.paths import CYCLE, differences, limits_with_reserve, through
 
@@ -63,6 +63,11 @@ def test_the_first_violation_names_joint_time_value_and_limit(limits: dict[str, 
     if found is not None and expected is not None:
         assert (found.joint, found.kind, found.limit) == (expected.joint, expected.kind, expected.limit)
         assert (found.time, found.value) == pytest.approx((expected.time, expected.value), abs=1e-9)
+
+
+def test_how_far_a_joint_goes() -> None:
+    assert reach_of(PEAK, 1) == (0.0, pytest.approx(1.0))
+    assert reach_of(Path([[Segment(1.0, (0.0, 4.0, -4.0)), Segment(1.0, (0.0, -1.0))]]), 0) == (-1.0, 1.0)
 
 
 def test_a_violation_in_words() -> None:
