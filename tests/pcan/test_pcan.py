@@ -23,7 +23,7 @@ from canopen_transports import (
 from canopen_transports.conformance.frames import END, number_of, numbered
 from canopen_transports.peak import attached
 from tests.pcan.stand_in import BUS_HEAVY, BUS_LIGHT, BUS_OFF, CHANNEL_1, OVERRUN, PASSIVE, QUEUE_OVERRUN
-from tests.transports.support import reported, trio_test
+from tests.transports.support import LIMIT, reported, trio_test
 
 ONE, TWO = "pcan:PCAN_USBBUS1@500k", "pcan:PCAN_USBBUS2@500k"
 
@@ -67,7 +67,7 @@ async def test_the_states_of_the_controller_are_told_once_each(peak: ctypes.CDLL
 async def test_bus_off_is_told_and_left_by_initialising_anew(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport(TWO) as other:
         await other.send(numbered(1))
-        with trio.fail_after(5):
+        with trio.fail_after(LIMIT):
             while not isinstance(one, PythonCanTransport) or one.received == 0:
                 await trio.sleep(0.01)
         peak.stand_in_status(CHANNEL_1, BUS_OFF)

@@ -20,7 +20,7 @@ from canopen_transports import (
     open_transport,
 )
 from canopen_transports.conformance.frames import END
-from tests.transports.support import reported, trio_test
+from tests.transports.support import LIMIT, reported, trio_test
 
 if sys.platform == "win32":
     pytest.skip("pseudo-terminals are POSIX's alone", allow_module_level=True)
@@ -35,7 +35,7 @@ async def opened(adapter: Adapter, options: str = "") -> PythonCanTransport:
     before = len(adapter.said)
     transport = await open_transport(f"slcan:{adapter.link}@250k{AT_ONCE}{options}")
     assert isinstance(transport, PythonCanTransport)
-    with trio.fail_after(5):
+    with trio.fail_after(LIMIT):
         while sum(each in "OL" for each in adapter.said[before:]) < 2:
             await trio.sleep(0.001)
     return transport

@@ -27,7 +27,7 @@ from canopen_transports import (
     readers,
 )
 from tests.transports.fake_bus import ScriptedBus
-from tests.transports.support import trio_test
+from tests.transports.support import LIMIT, trio_test
 
 HERE = parse_locator("kvaser:0@500k")
 SYNC = Frame.parse("080#")
@@ -146,7 +146,7 @@ def test_a_socket_that_select_refuses_is_no_datagram_of_somebody_elses(fd: int |
         bus = MulticastBus(received=[refusal] * (python_can.MAX_NONSENSE + 1), fd=fd)
         async with PythonCanTransport(bus) as transport:
             assert [await told(transport) for _ in range(python_can.MAX_NONSENSE)] == [1] * python_can.MAX_NONSENSE
-            with trio.fail_after(5), pytest.raises(TransportError, match="out of range in select"):
+            with trio.fail_after(LIMIT), pytest.raises(TransportError, match="out of range in select"):
                 await transport.receive()
 
     body()
@@ -163,7 +163,7 @@ def test_unplugged_amid_a_line_the_bus_is_down(fd: int | None) -> None:
     @trio_test(real_time=True)
     async def body() -> None:
         async with PythonCanTransport(UnpluggedLine(received=[sync(), ValueError("no digit")], fd=fd)) as transport:
-            with trio.fail_after(5):
+            with trio.fail_after(LIMIT):
                 assert [await told(transport) for _ in range(2)] == [SYNC, 1]
                 with pytest.raises(TransportError) as caught:
                     await transport.receive()
