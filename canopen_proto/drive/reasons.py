@@ -150,7 +150,7 @@ def reasons(view: DriveView) -> tuple[Reason, ...]:
     found.extend(_mode(view))
     found.extend(_limits(view))
     if all(each.is_command for each in found) and _refuses_positions(view):
-        found.extend(_reference(view))
+        found.extend(_unheard_start(view) or _reference(view))
     return tuple(found)
 
 
@@ -182,17 +182,32 @@ def _command(view: DriveView) -> list[Reason]:
         return [Reason("its controlword commands a halt (bit 8)", "a command without bit 8", True)]
     if is_ours or sent is None or (view.state is State.OPERATION_ENABLED and not enables_operation(word)):
         return []  # some drives do not show in 0x6040 what came by PDO
-    differs = f"its controlword is {command_text(word)}, not the {command_text(sent)} that it was sent"
     if view.rpdo is not None:
-        what = f"its RPDO {view.rpdo}, which carries the controlword, does not reach it: {differs}"
-        remedy = (
-            "start it (NMT), as it may have left Operational when it missed its master's heartbeat; "
-            "or compare the RPDO's CAN-ID and mapping with those of the drive (canopen info)"
-        )
-        return [Reason(what, remedy)]
+        return [_not_reached(view.rpdo, word, sent)]
+    differs = _other_word(word, sent)
     if word & ControlBit.HALT:
         return [Reason(f"its controlword commands a halt (bit 8): {differs}", "find the other master that halts it")]
     return [Reason(differs, "find the other master that commands it")]
+
+
+def _other_word(word: int, sent: int) -> str:
+    return f"its controlword is {command_text(word)}, not the {command_text(sent)} that it was sent"
+
+
+def _not_reached(rpdo: int, word: int, sent: int) -> Reason:
+    return Reason(
+        f"its RPDO {rpdo}, which carries the controlword, does not reach it: {_other_word(word, sent)}",
+        "start it (NMT), as it may have left Operational when it missed its master's heartbeat; "
+        "or compare the RPDO's CAN-ID and mapping with those of the drive (canopen info)",
+    )
+
+
+def _unheard_start(view: DriveView) -> list[Reason]:
+    """Return whether bit 4, with which it was to begin, has not come to it by its RPDO."""
+    word, sent, rpdo = view.controlword, view.commanded, view.rpdo
+    if word is None or sent is None or rpdo is None or not sent & ~word & ModeControl.NEW_SET_POINT:
+        return []
+    return [_not_reached(rpdo, word, sent)]
 
 
 def _mode(view: DriveView) -> list[Reason]:

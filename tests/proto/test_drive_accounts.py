@@ -404,16 +404,18 @@ def test_an_rpdo_that_does_not_reach_the_drive() -> None:
     told(caught.value, "its RPDO 1, which carries the controlword, does not reach it: its controlword is 0x0000", "mapping")
 
 
-def test_a_drive_that_has_left_operational_unheard() -> None:
-    """As one whose master's heartbeat came too late: it takes no RPDO, and still has the halt that came by SDO."""
+@pytest.mark.parametrize(("halts", "word"), [(True, "0x010F"), (False, "0x000F")])
+def test_a_drive_that_has_left_operational_unheard(halts: bool, word: str) -> None:
+    """As one whose master's heartbeat came too late: it takes no RPDO, and still has what came by SDO."""
     rig = Rig(Shape.SCHUNK_POWERBALL)
-    rig.run(drive.enable(rig.axis))
+    if halts:
+        rig.run(drive.enable(rig.axis))
     rig.start_sync()
     rig.bus.send("000#8005")
     with pytest.raises(drive.DriveTimeout) as caught:
         rig.run(drive.start_interpolation(rig.axis, CYCLE))
     told(
-        caught.value, "its RPDO 1, which carries the controlword, does not reach it: its controlword is 0x010F", "start it (NMT)"
+        caught.value, f"its RPDO 1, which carries the controlword, does not reach it: its controlword is {word}", "start it (NMT)"
     )
 
 
