@@ -20,8 +20,8 @@ from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
 
-FAR = DriveSettings(position=0, track=Track(negative_limit=-1e9))
-"""A drive for which the switch that homing looks for is far away."""
+FAR = DriveSettings(position=0, track=Track(negative_limit=-1e9, positive_limit=1e9))
+"""A drive for which the switch that homing looks for is far away, and the other one too."""
 SPEED = 10_000
 """Counts per second, at least, of each motion; 30 000 at most."""
 COUNTS = AxisSettings(counts_per_unit=1.0, homing_method=17)
@@ -84,6 +84,7 @@ def move_all(locator: str) -> None:
         grip = Grip(timeout=3 * SECOND)  # and time for each answer: this is real time, on a machine that may be busy
         async with open_master(locator, sdo_timeout=10, grip=grip) as master, trio.open_nursery() as nursery:
             for name, node_id in NODES.items():
+                await master.run(write(master.node(node_id).remote, "0x1006", 1_000_000))  # SYNC is lost after three seconds
                 nursery.start_soon(MOTIONS[name], master, node_id)
             for node_id in NODES.values():
                 remote = master.node(node_id).remote

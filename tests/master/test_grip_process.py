@@ -43,7 +43,8 @@ def test_drives_of_a_master_that_is_killed_stand() -> None:
                 assert master.stdout is not None
                 try:
                     assert (await master.stdout.receive_some()).strip() == b"all move"
-                    assert all(velocity_of(host, node) for node in drives(host))
+                    while not all(velocity_of(host, node) for node in drives(host)):  # behind a late SYNC one may stand
+                        await trio.sleep(0.01)
                 finally:
                     master.kill()
                     await master.wait()
