@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.axes import axis_of
@@ -40,6 +40,8 @@ from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.drive.axis_node import node_of_axis
+from canopen_proto.drive.axis_state import AxisGrip as AxisGrip
+from canopen_proto.drive.axis_state import AxisStateChanged as AxisStateChanged
 from canopen_proto.drive.foreign import COMMANDS, foreign_command
 from canopen_proto.drive.occupancy import Occupancy
 from canopen_proto.drive.set_points import SET_POINT_OF, RecordSetPoint, SetPoint
@@ -54,39 +56,11 @@ from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.remote_node import FRESH, RemoteNode
 
-if TYPE_CHECKING:
-    from canopen_proto.procedures.steps import Procedure
-
 _OPEN: Final = AxisSettings()
 _EXACT: Final = 1 + 1e-12
 """So that a whole number is not rounded down to the next one, because of the rounding of floating point."""
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
-
-
-class AxisStateChanged(Event):
-    """The drive's statusword shows another state than before (UNKNOWN: its node booted). statusword: as last heard. axis: of the
-    node, 0 for the first one."""
-
-    __slots__ = ("axis", "previous", "state", "statusword")
-    __match_args__ = ("node_id", "previous", "state", "statusword", "axis")
-
-    def __init__(self, node_id: int, previous: State, state: State, statusword: int, axis: int = 0) -> None:
-        self.node_id = node_id
-        self.axis = axis
-        self.previous = previous
-        self.state = state
-        self.statusword = statusword
-
-
-class AxisGrip(Protocol):
-    """Makes a drive stop by itself if its master is gone; see procedures/grip.py."""
-
-    def hold(self) -> Procedure[None]:
-        """Take hold of the drive: it is about to be enabled."""
-
-    def let_go(self) -> Procedure[None]:
-        """Let go of the drive: it stands and is disabled."""
 
 
 class Axis:

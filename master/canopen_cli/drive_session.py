@@ -17,7 +17,9 @@ from canopen_cli.screen import Screen, node_text
 from canopen_cli.session import Session, open_session
 from canopen_master.motion.joint_procedures import awake
 from canopen_master.node import Node
+from canopen_proto.cia402.axes import axis_of
 from canopen_proto.cia402.modes import describe_status, mode_name
+from canopen_proto.cia402.objects import STATUSWORD
 from canopen_proto.drive import shut_down
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.axis_node import AxisNode, node_of_axis
@@ -25,6 +27,7 @@ from canopen_proto.drive.reasons import look_at, reasons
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import Unit, read_units
 from canopen_proto.drive.view import DriveView
+from canopen_proto.multiplexer import index_of
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError
 
 T = TypeVar("T")
@@ -134,10 +137,13 @@ def joint_settings(settings: Settings) -> AxisSettings:
 def look_at_drive(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
     view = yield from look_at(node, settings)
     if view is None:
+        index = index_of(node.on_device(STATUSWORD))
+        axis = axis_of(node.on_device(STATUSWORD))
+        what = f"{node_text(node.node_id)} has no axis {axis}" if axis else f"{node_text(node.node_id)} is no drive by CiA 402"
         raise Problem(
             ExitCode.SDO_ABORT,
             "CO408",
-            f"{node_text(node.node_id)} is no drive by CiA 402: it has no statusword (0x6041)",
+            f"{what}: it has no statusword (0x{index:04X})",
             tries=(f"canopen info {node.node_id}    what it is",),
         )
     return view

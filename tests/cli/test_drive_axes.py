@@ -109,6 +109,11 @@ def test_homing_and_its_methods_of_that_axis(run: Run, made: list[DriveNode]) ->
     assert (homed["axis"], homed["homed"]) == (1, True)
 
 
+def test_a_drive_without_the_axis_says_so(run: Run) -> None:
+    outcome = run("drive", "3", "state", "--axis", "2", "-b", "demo")
+    assert "error CO408: node 3 (0x03) has no axis 2: it has no statusword (0x7041)" in outcome.err
+
+
 @pytest.mark.parametrize("arguments", [("state", "--axis", "8"), ("commission", "--axis", "1")])
 def test_an_axis_that_cannot_be_is_a_typing_error(run: Run, arguments: tuple[str, ...]) -> None:
     assert run("drive", "5", *arguments, "-b", "demo").status == 2

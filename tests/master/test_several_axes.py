@@ -10,8 +10,9 @@ from functools import partial
 import pytest
 import trio
 
-from canopen_data import DictionaryError
+from canopen_data import DictionaryError, load_dictionary
 from canopen_master import AxisSettings, Chain, ChainFault, ChainSettings, Grip, Host, Master, open_master
+from canopen_master.direct.drive import DirectDrive
 from canopen_master.machine_file.reader import parse_machine
 from canopen_master.machine_file.writer import machine_text
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
@@ -199,6 +200,24 @@ async def test_a_controlword_by_hand_enables_the_axis_that_it_is_for() -> None:
         assert state_of(await node.read_int("statusword_axis_1")) is State.OPERATION_ENABLED
         await node.write(0x6840, 0)
         assert not node.was_enabled
+
+
+@virtual_time
+async def test_the_blocking_api_gives_a_further_axis_no_set_points_of_the_first_one() -> None:
+    dictionary = TWO.with_names_of(load_dictionary()[0])
+    names = [each.name for each in dictionary.pdos]
+    assert "schunk_default_rPDO" in names
+    async with simulated(makers=[two_axes]) as host, open_master(BUS) as master:
+        node = master.node(3, dictionary)
+        await node.start()
+        second = DirectDrive(master, master.device(node, settings=SETTINGS, axis=1), "schunk_default_rPDO", "schunk_default_tPDO")
+        assert not node.remote.rpdos
+        await second.change_state(State.OPERATION_ENABLED)
+        await second.set_interval(10)
+        assert [each.state for each in drives(host)[0].drives] == [State.SWITCH_ON_DISABLED, State.OPERATION_ENABLED]
+        for refused in (second.follow(), second.define(dictionary.pdo("schunk_default_rPDO"), None, 1)):
+            with pytest.raises(LocalProtocolError, match=r"drive 3, axis 1. Try: a chain"):
+                await refused
 
 
 MACHINE = """

@@ -85,7 +85,8 @@ class DirectDrive:
         self._cyclic: dict[Mux, int] = {}  # the same by object, of those that came
         self._lost: FollowingLost | None = None  # why it stopped following, for the next send_position
         self._reading: RequestId | None = None  # the procedure that reads what no PDO brings
-        descriptions = {each.name: each for each in self.node.dictionary.pdos}
+        # The manual's PDOs carry the objects of the first axis
+        descriptions = {} if self.axis.number else {each.name: each for each in self.node.dictionary.pdos}
         if rpdo in descriptions:
             self._use(descriptions[rpdo], descriptions[rpdo].number)
         if tpdo in descriptions and not self.node.remote.tpdos:
@@ -124,6 +125,7 @@ class DirectDrive:
 
     async def follow(self) -> None:
         """Let the drive follow set-points in interpolated position mode, from where it stands."""
+        self._require_first_axis("enable_ip_mode")
         if self._producer is None:
             raise LocalProtocolError(
                 f"the dictionary has no rPDO for set-points of node {self.node.node_id}; declare one by define_pdo"
@@ -176,6 +178,7 @@ class DirectDrive:
 
     async def define(self, description: PdoDescription, number: int | None, transmission_type: int) -> None:
         """Declare a PDO to the device, and use it. An operational node is pre-operational meanwhile, as devices require."""
+        self._require_first_axis("define_pdo")
         number = number or description.number
         state = self.node.nmt_state
         if description.direction is Direction.RPDO:
@@ -208,7 +211,7 @@ class DirectDrive:
     async def send_position(self, position: float) -> None:
         """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos."""
         chain = next((each for each in self._master.chains.values() if self._device in each.devices), None)
-        if chain is not None and self.node.remote.rpdo_of(objects.INTERPOLATION_SET_POINT) is not None:
+        if chain is not None and self.axis.node.rpdo_of(objects.INTERPOLATION_SET_POINT) is not None:
             at = {device: device.desired_position for device in chain.devices} | {self._device: position}
             chain.set_positions(list(at.values()))  # the master's next cycle takes it along
             return
@@ -252,7 +255,7 @@ class DirectDrive:
 
     def _on_lost(self, report: FollowingLost) -> None:
         """Stop the drive: it does not follow its set-points. The next send_position says why."""
-        if self._is_following and not self._master.is_closed:
+        if self.axis.is_told_by(report) and self._is_following and not self._master.is_closed:
             self._end_following()
             self._lost = report
             self._master.launch(quietly(self._device, stop(self._device)))
@@ -269,6 +272,13 @@ class DirectDrive:
         known = missing_frame(network, self.node.remote, self._master.now(), cause, tries, pdo=True)
         return NodeSilent(NOT_HEARD, self.node.node_id, self.node.bus, failed, **known._asdict())
 
+    def _require_first_axis(self, function: str) -> None:
+        """Raise LocalProtocolError for a further axis of a node: no PDO of PDOs.csv carries its set-points."""
+        if self.axis.number:
+            raise LocalProtocolError(
+                f"{function} is for the first axis of a node, and this is {self.axis.title}. Try: a chain, in a machine file"
+            )
+
     def _use(self, description: PdoDescription, number: int | None, transmission_type: int = 1) -> None:
         mapping = Mapping.from_description(description)
         if description.direction is Direction.TPDO or mapping.find_component(objects.INTERPOLATION_SET_POINT) is None:
@@ -280,7 +290,7 @@ class DirectDrive:
         self._producer.set_enabled(True, self._master.now())
 
     def _set_interval(self, milliseconds: int) -> Procedure[None]:
-        remote = self.node.remote
+        remote = self.axis.node
         yield from write(remote, objects.INTERPOLATION_TIME_INDEX, -3)
         yield from write(remote, objects.INTERPOLATION_TIME_UNITS, milliseconds)
         if _SYNC_TIME_OUT in remote.dictionary:
