@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from canopen_cli.drive_session import axis_of_command, node_of_command
-from canopen_cli.home import METHOD, Homing, home_nodes, homing_options, list_methods
+from canopen_cli.home import METHOD, Homing, OnBus, home_nodes, homing_options, list_methods
 from canopen_cli.options import Settings
 from canopen_proto.machine import Time
 
@@ -23,4 +23,4 @@ def home(settings: Settings, method: int | None, style: str, limit: Time | None,
     if lists:
         list_methods(settings, node_ids, axis_of_command(settings))
     else:
-        home_nodes(settings, node_ids, Homing(style, method, limit, reset_fault), axis_of_command(settings))
+        home_nodes([OnBus(settings, node_ids, axis_of_command(settings))], Homing(style, method, limit, reset_fault))

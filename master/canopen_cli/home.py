@@ -9,9 +9,10 @@ from typing import Any, Final, NamedTuple, TypeVar
 import click
 import trio
 
+from canopen_cli.chosen_machine import NUMBER, ChosenMachine
 from canopen_cli.demo_view import DemoView, JointView
 from canopen_cli.failures import problem_of
-from canopen_cli.options import Duration, NodeId, Settings, commanding, common, enabling
+from canopen_cli.options import Duration, Settings, commanding, common, enabling
 from canopen_cli.problem import usage
 from canopen_cli.rehearsal import rehearse
 from canopen_cli.running import all_stand, run
@@ -65,61 +66,96 @@ def homing_options(command: F) -> F:
 
 
 @click.command()
-@click.argument("node_ids", metavar="NODE...", nargs=-1, type=NodeId())
+@click.argument("names", metavar="NODE...", nargs=-1)
 @click.option("--method", type=METHOD, help="Homing method, written to 0x6098; --list has them.")
 @homing_options
 @click.pass_obj
 def home(
     settings: Settings,
-    node_ids: tuple[int, ...],
+    names: tuple[str, ...],
     style: str,
     method: int | None,
     limit: Time | None,
     reset_fault: bool,
     lists: bool,
 ) -> None:
-    """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them."""
+    """Home drives (CiA 402), all at the same time. THEY MOVE. Ctrl-C halts them.
+
+    The names of a machine file may be on several of its buses.
+    """
     if lists:
-        list_methods(settings, node_ids)
-    elif not node_ids:
+        list_methods(settings, [settings.node_id(each) for each in names])
+    elif not names:
         raise usage("CO001", "no NODE was named", tries=("canopen home 3", "canopen home --list    the homing methods"))
     else:
-        home_nodes(settings, node_ids, Homing(style, method, limit, reset_fault))
+        home_nodes(_by_bus(settings, names), Homing(style, method, limit, reset_fault))
 
 
-def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing, axis: int = 0) -> None:
-    """Home drives side by side (that axis of each node), and show how they stand then. A failure tells what was done."""
+class OnBus(NamedTuple):
+    """The drives to home on one bus, and the options of a command that is about this bus. axis: of each node."""
+
+    settings: Settings
+    node_ids: tuple[int, ...]
+    axis: int = 0
+
+
+def _by_bus(settings: Settings, names: Sequence[str]) -> list[OnBus]:
+    """Return the drives that these node-IDs and names mean, by their buses. Raises a Problem."""
+    machine = settings.machine_file()
+    nodes = [None if machine is None or NUMBER.fullmatch(each) else machine.node_of(each.strip()) for each in names]
+    buses = {node.bus for node in nodes if node is not None}
+    if len(buses) < 2 or None in nodes:  # a node-ID is on the one bus of the command
+        return [OnBus(settings, tuple(dict.fromkeys(settings.node_id(each) for each in names)))]
+    found: dict[str, tuple[Settings, dict[int, None]]] = {}
+    for name, node in zip(names, nodes, strict=True):
+        assert node is not None
+        own, node_ids = found.setdefault(node.bus, (replace(settings, chosen=ChosenMachine()), {}))
+        node_ids[own.node_id(name)] = None
+    return [OnBus(own, tuple(node_ids)) for own, node_ids in found.values()]
+
+
+def home_nodes(groups: Sequence[OnBus], homing: Homing) -> None:
+    """Home drives side by side, and show how they stand then. A failure is raised with a note of what was done."""
     if homing.style == "schunk" and homing.method is not None:
         raise usage("CO125", "a method is for drives that home as CiA 402 says", tries=("the same without the method",))
+    settings = groups[0].settings
     screen = settings.screen()
-    chosen = tuple(dict.fromkeys(node_ids))
+    for each in groups:
+        each.settings.required_bus()
 
-    def procedure(session: Session, axes: dict[int, Axis]) -> Procedure[list[None]]:
-        return all_of(*(_home(session, axes, node_id, homing, axis) for node_id in chosen))
+    def procedure(session: Session, axes: dict[int, Axis], group: OnBus) -> Procedure[list[None]]:
+        return all_of(*(_home(session, axes, node_id, homing, group.axis) for node_id in group.node_ids))
 
     if settings.dry_run:
+        for group in groups:
 
-        async def work(session: Session) -> None:
-            axes: dict[int, Axis] = {}
-            await session.master.run(procedure(session, axes))
+            async def work(session: Session, group: OnBus = group) -> None:
+                axes: dict[int, Axis] = {}
+                await session.master.run(procedure(session, axes, group))
+                await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
+
+            rehearse(group.settings, screen, group.node_ids, work, ends=True, axis=group.axis)
+        return
+    found: list[dict[int, Axis]] = [{} for _ in groups]
+    chosen = [node_id for group in groups for node_id in group.node_ids]
+
+    async def on_bus(group: OnBus, axes: dict[int, Axis]) -> None:
+        async with open_session(group.settings, screen) as session:
+            await session.master.run(procedure(session, axes, group))
             await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
 
-        rehearse(settings, screen, chosen, work, ends=True, axis=axis)
-        return
-
     async def command() -> list[Axis]:
-        async with open_session(settings, screen) as session:
-            axes: dict[int, Axis] = {}
-            with DemoView(screen, f"homing {', '.join(map(node_text, chosen))}", range=180) as view:
-                view.joints = [JointView(f"node {node_id}", node_id) for node_id in chosen]
-                step = view.begin("home", "")
+        with DemoView(screen, f"homing {', '.join(map(node_text, chosen))}", range=180) as view:
+            view.joints = [JointView(f"node {node_id}", node_id) for node_id in chosen]
+            step = view.begin("home", "")
+            async with trio.open_nursery() as watching:
+                watching.start_soon(_watch, view, groups, found)
                 async with trio.open_nursery() as nursery:
-                    nursery.start_soon(_watch, view, axes)
-                    await session.master.run(procedure(session, axes))
-                    nursery.cancel_scope.cancel()
-                view.done(step, f"{len(chosen)} of {len(chosen)} homed")
-                await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
-            return [axes[node_id] for node_id in chosen]
+                    for group, axes in zip(groups, found, strict=True):
+                        nursery.start_soon(on_bus, group, axes)
+                watching.cancel_scope.cancel()
+            view.done(step, f"{len(chosen)} of {len(chosen)} homed")
+        return [axes[node_id] for group, axes in zip(groups, found, strict=True) for node_id in group.node_ids]
 
     try:
         axes = run(settings, screen, command, story=_story)
@@ -127,7 +163,8 @@ def home_nodes(settings: Settings, node_ids: Sequence[int], homing: Homing, axis
         problem = problem_of(error)
         if isinstance(problem.__cause__, StepTimeout):
             problem.also += _story(all_stand(error))
-            now = (homing.limit or max(_limit_of(settings, node_id, axis) for node_id in chosen)) / SECOND
+            limits = [_limit_of(group.settings, node_id, group.axis) for group in groups for node_id in group.node_ids]
+            now = (homing.limit or max(limits)) / SECOND
             problem.tries = ("look whether the axis can move freely", f"a longer --limit (now {now:g} s)")
         raise problem from problem.__cause__
     if settings.json:
@@ -221,11 +258,12 @@ def _home(session: Session, axes: dict[int, Axis], node_id: int, homing: Homing,
     yield from drive.read_position(axis)
 
 
-async def _watch(view: DemoView, axes: dict[int, Axis]) -> None:
+async def _watch(view: DemoView, groups: Sequence[OnBus], found: Sequence[dict[int, Axis]]) -> None:
     """Keep the picture up to date."""
+    places = [(axes, node_id) for group, axes in zip(groups, found, strict=True) for node_id in group.node_ids]
     while True:
-        for joint in view.joints:
-            axis = axes.get(joint.node_id)
+        for joint, (axes, node_id) in zip(view.joints, places, strict=True):
+            axis = axes.get(node_id)
             if axis is not None:
                 joint.state = str(axis.state) if not axis.is_homed else "homed"
         view.refresh()

@@ -62,7 +62,8 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: Shape) -> str:
 
     @asynccontextmanager
     async def with_drives(bus: str, **options: Any) -> AsyncIterator[Any]:
-        fleet = simulated_fleet([("virtual:left", 3), ("virtual:right", 4)], shape)
+        drives = (("virtual:left", 3), ("virtual:right", 4))
+        fleet = simulated_fleet([each for each in drives if each[0] == bus], shape)
         async with fleet, open_master(bus, **options) as master:
             yield master
 
@@ -103,8 +104,24 @@ def test_a_command_about_a_bus_needs_its_name_if_there_are_several(run: Run, cel
     assert run("read", "4", "statusword", "-m", cell, "-b", "right").status == ExitCode.OK
     done = run("read", "wrist", "statusword", "-m", cell, "-b", "left")
     assert "CO121: -b is on bus 'left' of cell.toml, and this command is about bus 'right'" in done.err
-    done = run("home", "shoulder", "wrist", "-m", cell)
-    assert "CO121: wrist is on bus 'right' of cell.toml, and this command is about bus 'left'" in done.err
+    done = run("home", "shoulder", "wrist", "-m", cell, "-b", "left")
+    assert "CO121: -b is on bus 'left' of cell.toml, and this command is about bus 'right'" in done.err
+    assert "CO121" in run("home", "shoulder", "4", "-m", cell, "-b", "right").err
+
+
+def test_joints_on_several_buses_home_at_the_same_time(run: Run, cell: str) -> None:
+    done = run("home", "shoulder", "wrist", "drive4", "-m", cell, "--json")
+    assert done.status == ExitCode.OK, done.err
+    assert [(each["node"], each["homed"], each["state"]) for each in done.json] == [
+        (3, True, "switch on disabled"),
+        (4, True, "switch on disabled"),
+    ]
+    rehearsed = run("home", "shoulder", "wrist", "-m", cell, "--dry-run")
+    assert rehearsed.status == ExitCode.OK, rehearsed.err
+    assert rehearsed.out.count("homing_operation_start") + rehearsed.out.count("controlword = 31") >= 2
+    slow = run("home", "shoulder", "wrist", "-m", cell, "--limit", "1ms")
+    assert slow.status == ExitCode.DRIVE_FAULT
+    assert "a longer --limit (now 0.001 s)" in slow.err
 
 
 def test_the_demos_drives_in_the_place_of_the_machines(run: Run, tmp_path: Path) -> None:
