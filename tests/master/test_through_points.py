@@ -6,6 +6,7 @@ import math
 import random
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -85,6 +86,13 @@ def test_two_points_are_a_straight_line_in_nearly_the_least_time() -> None:
         assert y == pytest.approx(10.0 + (x + 80.0) / 4.0, abs=1e-6)
 
 
+def test_a_jerk_that_limits_nothing_costs_no_time() -> None:
+    points = [[0.0, -80.0], [30.0, -60.0]]
+    free = replace(LIMITS, jerk=4e6)
+    path = through_points(points, [free] * 2)
+    assert path.duration <= (0.3 + 100.0 / 320.0) * 1.02  # the ramps of acceleration alone
+
+
 def test_a_part_of_the_speed() -> None:
     path = through_points(CIRCLE[:2], [LIMITS] * 2, speed_factor=0.3)
     assert max(extremes(path, joint).speed for joint in range(2)) == pytest.approx(30.0, rel=0.05)
@@ -105,6 +113,7 @@ def test_it_needs_no_ruckig(monkeypatch: pytest.MonkeyPatch) -> None:
         ([[1.0, 2.0, 3.0], [3.0, 4.0, 5.0]], "one position", None),
         ([[1.0, 2.0], [3.0, math.nan]], "the position in point 1 of joint 1 is no finite number", 1),
         ([[1.0, 2.0], [5.0, 2.0], [5.0, 2.0]], "points 1 and 2 are the same", None),
+        ([[1.0, 2.0], [1.0, 2.0 + 1e-7], [5.0, 2.0]], "points 0 and 1 are the same, or nearly", None),
         ([[1.0, 2.0], [95.0, 2.0]], "(?s)joint 0 would leave its limits.*highest is 90", 0),
         ([[0.0, 0.0], [30.0, 88.0], [60.0, 88.0], [85.0, 0.0]], "(?s)joint 1 would leave its limits.*closer together", 1),
     ],

@@ -5,8 +5,9 @@ finds how fast to go along it. The result is laid through quintic polynomials, w
 accelerations of the motion, at many knots; all waypoints are knots. Where such a path asks for more than the limits, the pace is
 lowered there, some times over; in the end the whole path is stretched by what is left, and checked.
 
-It is no optimum, but with a few points faster than to stop at each, and much faster with many. A path of two points is a straight
-line; `plan` is faster, as it lets each joint take its own way.
+It is no optimum, but near: in a comparison along the same curves it took 3 to 7 % longer than the optimum that knows no limit of
+the jerk (toppra 0.6.10, six joints, 3 to 30 points). A path of two points is a straight line; `plan` is faster, as it lets each
+joint take its own way.
 """
 
 from __future__ import annotations
@@ -26,11 +27,13 @@ from canopen_proto.trajectory.interpolation import cubic, quintic
 from canopen_proto.trajectory.limit_check import demands_of
 from canopen_proto.trajectory.polynomial import derivative_of, value_at
 
+NEAREST: Final = 1e-6
+"""How far apart two points have to be: the way of this time, in seconds, at full speed."""
 PLACES: Final = 240
 """On the whole curve, at least: where its limits are looked at."""
 KNOTS: Final = 4
 """Segments of the path in one window of the average."""
-MAX_KNOTS: Final = 3000
+MAX_KNOTS: Final = 1200
 WINDOWS: Final = (2.0, 1.0, 0.5, 0.25, 0.125)
 """Windows that are tried, in parts of the time that the slowest joint needs for its full acceleration."""
 ROUNDS: Final = 8
@@ -66,7 +69,7 @@ def through_points(
             raise beyond_limit(number, *excess, failed, "points within the limits, and closer together near them")
     fine = _refined(places)
     bends = [_bends(curve, places, place, joints) for place in fine]
-    searches = [_Search(curve, points, places, joints, fine, bends, window) for window in _windows(joints)]
+    searches = [_Search(curve, points, places, joints, fine, bends, window) for window in _windows(joints, places[-1])]
     for each in searches:
         each.go_on(1)
     best = min(searches, key=lambda each: each.duration)
@@ -81,18 +84,19 @@ def _places(points: Sequence[Sequence[float]], joints: Sequence[ScaledJoint]) ->
         for before, after in itertools.pairwise(points)
     ]
     for number, step in enumerate(steps):
-        if not step > 0.0:
+        if step < NEAREST:
             raise PlanRefused(
-                f"points {number} and {number + 1} are the same (counted from 0)",
+                f"points {number} and {number + 1} are the same, or nearly (counted from 0)",
                 cause="a path through points does not stop at them",
                 tries=("leave one of them out", "for a stop there: two paths, one after the other"),
             )
     return list(itertools.accumulate(steps, initial=0.0))
 
 
-def _windows(joints: Sequence[ScaledJoint]) -> list[float]:
+def _windows(joints: Sequence[ScaledJoint], way: float) -> list[float]:
+    """Return the windows to try, in seconds; none so short that MAX_KNOTS would be too few. way: the least time of the path."""
     slowest = max(joint.acceleration / joint.jerk for joint in joints)
-    return [part * slowest for part in WINDOWS]
+    return sorted({max(part * slowest, way * KNOTS / MAX_KNOTS) for part in WINDOWS})
 
 
 class _Search:
