@@ -72,6 +72,8 @@ def demo(
     Without --bus the drives of the chain file are simulated, in this process (CANOPEN_BUS does not count here). With it they are
     real, and THEY MOVE. Ctrl-C halts every drive.
 
+    Simulated joints then move out and back by a plan, as fast as their limits allow, if ruckig is there.
+
     With --eds the drives have the objects and PDOs of that file. It also decides the mode: csp, else ip, else profile position,
     which is slow. Real drives whose PDOs differ are set up accordingly: `canopen drive NODE plan` shows how. Simulated ones
     home where they stand.

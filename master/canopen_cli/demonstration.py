@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any, Final
 
 import trio
@@ -33,7 +34,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
 from canopen_master.session import open_master
 from canopen_master.simulation import DeviceMaker
-from canopen_proto.cia402.modes import mode_name
+from canopen_proto.cia402.modes import Mode, mode_name
 from canopen_proto.drive.limits import Limit
 from canopen_proto.drive.units import Unit
 from canopen_proto.machine import MILLISECOND, SECOND, Time
@@ -52,6 +53,12 @@ still in every twentieth period, and the motion takes that much longer: the cycl
 LATE_SHARE: Final = 0.5
 """Of the speed at which a single late SYNC makes a joint lose all of its permitted following error."""
 _RADIANS: Final = {Unit.RADIAN: 1.0, Unit.DEGREE: math.pi / 180, Unit.TURN: 2 * math.pi}
+PLANNED_SHARE: Final = 0.5
+"""Of the swing, for the planned motion."""
+PLANNED_FROM: Final = 1.0
+"""Seconds: a shorter demonstration has no planned motion."""
+PLANNED_TIME: Final = 10.0
+"""Seconds that the planned motion may take. A path waits for a late computer, so a busy one could take minutes."""
 DEMO_FAULT: Final = 0x2310
 """Continuous over-current: the error code of a joint that hits something."""
 NEXT: Final = """Try next:
@@ -210,8 +217,9 @@ class Demonstration:
                 await self._boot(arm, view)
                 await self._home(arm, view)
                 await self._move(arm, view)
-                self._stage = "all was done, and the drives were being shut down"
                 self.cycles = CycleCounts(arm.sync_cycles, arm.missed_cycles, arm.skipped_cycles)
+                await self._move_by_plan(arm, view)
+                self._stage = "all was done, and the drives were being shut down"
                 await arm.shut_down()
                 nursery.cancel_scope.cancel()
         self.results = [
@@ -285,6 +293,40 @@ class Demonstration:
         if counts.late_share:
             missed = f"{counts.missed} missed, {counts.skipped} skipped: {_percent(counts.late_share)} late"
         view.done(step, f"{plan.seconds:g} s along a smooth path, {counts.sent} SYNC cycles of {_ms(plan.cycle)}, {missed}")
+
+    async def _move_by_plan(self, arm: Chain, view: DemoView) -> None:
+        """Move simulated joints out and back, as fast as their limits allow; left out without ruckig, for slow joints, and in a
+        short demonstration."""
+        slow = any(device.plan is not None and device.plan.mode is Mode.PROFILE_POSITION for device in arm.devices)
+        if self.plan.bus is not None or self.plan.seconds < PLANNED_FROM or slow or find_spec("ruckig") is None:
+            return
+        step, began = view.begin("plan", "out and back, within the limits of all joints"), trio.current_time()
+        self._stage = "the arm was moving by a plan"
+        start, way = arm.desired_positions, math.radians(self.plan.swing) * PLANNED_SHARE
+        out = [at + way / _radians(device, 1.0) for at, device in zip(start, arm.devices, strict=True)]
+        with trio.move_on_after(PLANNED_TIME) as scope:
+            await self._move_to(arm, out)
+            await self._move_to(arm, start)
+        how = "stopped on the path: this computer is too busy" if scope.cancelled_caught else "all joints arrived together"
+        view.done(step, f"out and back within {trio.current_time() - began:.2f} s, {how}")
+
+    async def _move_to(self, arm: Chain, targets: Sequence[float]) -> None:
+        """Move to a target by a plan, and record that behind what was recorded so far."""
+        begin, failure = self.recording.times[-1], None
+
+        async def record() -> None:
+            async for progress in arm.progress():
+                self._record(begin + progress.time)
+
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(record)
+            try:
+                await arm.move(targets)
+            except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
+                failure = error
+            nursery.cancel_scope.cancel()
+        if failure is not None:
+            raise failure
 
     def _break(self, node_id: int) -> None:
         assert self._fleet is not None

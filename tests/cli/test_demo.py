@@ -86,6 +86,31 @@ def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alar
             assert re.search("SYNC cycles +missed +skipped +late\n.*\n +107 +0 +[0-9]+ +[0-9.]+ %", outcome.out)
 
 
+@pytest.mark.parametrize("has_ruckig", [True, False])
+def test_a_planned_motion_where_ruckig_is(
+    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch, has_ruckig: bool
+) -> None:
+    if has_ruckig:
+        pytest.importorskip("ruckig", reason="a planned motion needs the extra `motion`")
+    else:
+        monkeypatch.setattr(demonstration, "find_spec", lambda name: None)
+    outcome = run("demo", "--seconds", "1", "--cycle", "20ms", *TWO_JOINTS)
+    assert outcome.status == 0
+    assert ("all joints arrived together" in outcome.err) is has_ruckig
+    assert_all_stand(fleets)
+
+
+def test_a_planned_motion_that_takes_too_long_stops_on_its_path(
+    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("ruckig", reason="a planned motion needs the extra `motion`")
+    monkeypatch.setattr(demonstration, "PLANNED_TIME", 0.5)
+    outcome = run("demo", "--seconds", "1", "--cycle", "20ms", *TWO_JOINTS)
+    assert outcome.status == 0
+    assert "stopped on the path" in outcome.err
+    assert_all_stand(fleets)
+
+
 def test_quiet_says_nothing_but_the_result(run: Run) -> None:
     assert run("demo", *TWO, "-q").err == ""
 
