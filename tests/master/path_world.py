@@ -13,6 +13,7 @@ from itertools import pairwise
 import trio
 
 from canopen_master import AxisSettings, Chain, ChainSettings, Host, Master, open_master, standard_drives
+from canopen_proto.cia402.modes import Mode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from canopen_proto.trajectory import JointLimits, Path, Segment
@@ -65,7 +66,7 @@ def demands(host: Host) -> list[float]:
 
 @asynccontextmanager
 async def arms(
-    *joints: int, axis: AxisSettings = AXIS, drive: DriveSettings = DRIVE
+    *joints: int, axis: AxisSettings = AXIS, drive: DriveSettings = DRIVE, mode: Mode = Mode.INTERPOLATED_POSITION
 ) -> AsyncIterator[tuple[Master, list[Chain], Record]]:
     """A chain of so many joints on each bus, initialised; and the record, which goes on as long as the block."""
     dictionary = drive_dictionary()
@@ -95,7 +96,7 @@ async def arms(
         chains = []
         for number, (count, bus) in enumerate(zip(joints, buses, strict=True)):
             text = f"arm{number} " + " ".join(f"j{number}{node} {bus} {node}" for node in range(1, count + 1))
-            settings = ChainSettings(cycle_time=CYCLE, own_pdos=True)
+            settings = ChainSettings(cycle_time=CYCLE, own_pdos=True, mode=mode)
             chains.append(master.load_chains(text=text, settings=settings, axes=axis)[f"arm{number}"])
         for chain in chains:
             await chain.initialise()

@@ -29,6 +29,8 @@ from canopen_proto.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.trajectory import Path as JointPath
+from canopen_proto.trajectory import Segment
 from canopen_transports import TransportError
 from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices, near_home, until
 
@@ -99,6 +101,25 @@ def test_a_clients_loop_gets_the_cycles(session: Session) -> None:
         if number == 5:
             break
     assert chain.get_desired_pos() == [position + 500 for position in start]
+    assert chain.halt(), session.last_error()
+
+
+def test_a_chain_moves_and_follows_a_path_from_a_clients_thread(session: Session) -> None:
+    session.init_master_thread(INTERVAL)
+    chain = session.chain_map["arm"]
+    assert chain.init(), session.last_error()
+    start = [float(position) for position in chain.get_current_pos()]
+    chain.override = 0.5
+    assert chain.override == 0.5
+    assert chain.move([position + 300 for position in start], speed=0.5), session.last_error()
+    assert chain.get_desired_pos() == [position + 300 for position in start]
+    back = [Segment(1.0, (position + 300, 0.0, 0.0, -3000.0, 4500.0, -1800.0)) for position in start]
+    chain.override = 1.0
+    assert chain.follow(JointPath([[segment] for segment in back])), session.last_error()
+    assert chain.get_desired_pos() == start
+    assert not chain.follow(JointPath([[segment] for segment in back]))
+    assert "does not begin where joint1 stands" in str(session.last_error())
+    assert not chain.move([0.0])
     assert chain.halt(), session.last_error()
 
 

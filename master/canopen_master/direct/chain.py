@@ -16,6 +16,7 @@ from canopen_master.motion.chain import Chain, ChainState
 from canopen_master.motion.chain_file import ChainDescription
 from canopen_master.motion.cycles import Cycle, Cycles
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.trajectory import Path
 
 R = TypeVar("R")
 
@@ -48,6 +49,33 @@ class ChainCalls:
     def ip_mode(self) -> bool:
         """Let all joints follow set-points from where they stand. False if a drive lacks the mode."""
         return self._attempt(Chain.enable_interpolated_position)
+
+    def move(self, targets: Sequence[float], *, speed: float = 1.0) -> bool:
+        """Move all joints to their targets, to arrive together, as fast as their limits allow. True once they are there.
+
+        speed: the share of each speed limit that is used. A chain that does not follow set-points begins to. Ctrl-C, and `halt`
+        of another thread, stop it on its path. Needs the extra `motion` (ruckig). See `Chain.move`.
+        """
+        return self._attempt(lambda chain: chain.move(targets, speed=speed))
+
+    def follow(self, path: Path) -> bool:
+        """Follow a path from its start, where the joints have to stand, to its end. True once they are there.
+
+        It is checked as a whole before anything moves. It ends as `move` does. See `Chain.follow`.
+        """
+        return self._attempt(lambda chain: chain.follow(path))
+
+    @property
+    def override(self) -> float:
+        """The rate at which `move` and `follow` run: 0 (a pause on the path) to 1. It may be set from any thread, at any time."""
+        return self._ask(lambda chain: chain.override)
+
+    @override.setter
+    def override(self, override: float) -> None:
+        async def set_override(chain: Chain) -> None:
+            chain.override = override
+
+        self._call(set_override)
 
     def halt(self) -> bool:
         """Stop all joints, whatever the chain is doing in another thread, and wait until they stand. They stay enabled."""

@@ -3,8 +3,8 @@
     csp    0x60B1, velocity offset, and 0x60B2, torque offset, if an RPDO that is exchanged with the joint maps them
     ip     the velocity of the data record, in sub-modes that have one (canopen_proto.drive.sub_modes)
 
-The velocity goes along by itself. A torque goes along only if the caller gives one: only he knows the masses. At rest, the
-velocity is 0; a torque against gravity stays.
+The velocity goes along by itself. A torque goes along only if the caller gives one: nobody else knows the masses. At rest,
+the velocity is 0; a torque against gravity stays. A drive whose velocity unit is not known is told no velocity.
 
 Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position mode, interpolated position mode.
 """
@@ -24,8 +24,8 @@ class FeedForward:
     def __init__(self, axis: Axis) -> None:
         """axis: its PDOs are defined already."""
         self._axis = axis
-        self.takes_torque = _is_carried(axis, objects.TORQUE_OFFSET)
-        self._takes_velocity = _is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is not None
+        self.takes_torque = is_carried(axis, objects.TORQUE_OFFSET)
+        self._takes_velocity = is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is not None
         self._has_offsets = self._takes_velocity or self.takes_torque
 
     def put(self, position: float, velocity: float, torque: float = 0.0) -> None:
@@ -40,5 +40,6 @@ class FeedForward:
             self._axis.set_offsets()
 
 
-def _is_carried(axis: Axis, mux: Mux) -> bool:
+def is_carried(axis: Axis, mux: Mux) -> bool:
+    """Return whether an RPDO that is exchanged with the drive carries an object."""
     return any(mux in rpdo.mapping.muxes for rpdo in axis.node.rpdos.values())

@@ -6,6 +6,7 @@ import math
 from typing import Final, NamedTuple, TypeVar
 
 from canopen_master.motion.device import Device
+from canopen_master.motion.feed_forward import is_carried
 from canopen_master.node import Node
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.cia402 import objects
@@ -15,6 +16,7 @@ from canopen_proto.drive import (
     enable,
     engage_brake,
     halt,
+    learn_units,
     reset_fault,
     select_standing_mode,
     shut_down,
@@ -166,6 +168,8 @@ def follow(
     yield from halt(axis)
     device.limits = yield from read_limits(axis, mode)
     limit = yield from following_limit(axis, device.limits)
+    if is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is None:
+        yield from learn_units(axis)  # see feed_forward.py
     acceleration = device.limits.acceleration
     ramps = 0.0 if acceleration is None else min(2 * device.limits.speed.value / acceleration.value, LONGEST_CATCH_UP)
     catches_up = max(1, math.ceil(ramps * SECOND / cycle_time))

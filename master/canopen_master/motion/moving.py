@@ -310,11 +310,10 @@ class Moving:
 
     @enable_ki_protection
     def _begin(self, course: Course, start: PathPoint, torques: Torques | None) -> Motion:
-        for device in self._members[0].without_torque if torques is not None else ():
-            raise PathRefused(
-                f"{device.name} takes no torque beside its set-points", device.name, seen="none of its RPDOs carries 0x60B2",
-                tries=("an RPDO with 0x60B2 in its mapping, in the joint's dictionary", "no torques"),
-            )  # fmt: skip
+        without = [device for member in self._members for device in member.without_torque]
+        if torques is not None and without:
+            name, tries = without[0].name, ("an RPDO with 0x60B2 in its mapping, in the joint's dictionary", "no torques")
+            raise PathRefused(f"{name} takes no torque beside its set-points", name, seen="no RPDO of it has 0x60B2", tries=tries)
         motion = Motion(course, self._members, self._period, start, torques)
         present = self.present_motion
         if present is None:

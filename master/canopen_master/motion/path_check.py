@@ -11,6 +11,8 @@ from canopen_proto.trajectory import JointLimits, Path, PathPoint, Violation, fi
 
 START_COUNTS: Final = 2
 """Counts that a joint may be off the start of a path, at least: conversions of units round."""
+START_TIME: Final = 0.001
+"""Seconds at its speed limit that a joint may be off the start of a path, at most."""
 _UNITS: Final = {"position": "", "speed": " per second", "acceleration": " per second²", "jerk": " per second³"}
 
 
@@ -18,7 +20,7 @@ def check_path(devices: Sequence[Device], path: Path, start: PathPoint, limits: 
     """Check a path before the joints follow it. Raises PathRefused.
 
     start: where the joints stand. limits: of each joint. cycle_time: in s. The step to the start of the path, in one cycle, must
-    be within the acceleration of the joint, and may be START_COUNTS in any case.
+    be within the acceleration of the joint, and no longer than its way in START_TIME; START_COUNTS are allowed in any case.
     """
     if path.joints != len(devices):
         names = ", ".join(device.name for device in devices)
@@ -26,7 +28,8 @@ def check_path(devices: Sequence[Device], path: Path, start: PathPoint, limits: 
     wanted = path.start.positions
     for device, each, here, there in zip(devices, limits, start.positions, wanted, strict=True):
         rounding = device.axis.amount_from_counts(START_COUNTS)
-        tolerance = max(rounding, (each.acceleration or 0.0) * cycle_time * cycle_time)
+        step = min((each.acceleration or 0.0) * cycle_time * cycle_time, (each.speed or 0.0) * START_TIME)
+        tolerance = max(rounding, step)
         if abs(there - here) > tolerance:
             raise PathRefused(
                 f"the path does not begin where {device.name} stands",

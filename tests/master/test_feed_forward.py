@@ -1,0 +1,75 @@
+"""Velocity and torque go along with the set-points of a path, where the PDOs of a joint have room for them."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+import trio
+
+from canopen_master import Chain, PathRefused
+from canopen_master.motion.path_motion import Torques
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.dictionary import Direction
+from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.configure_pdo import configure_pdo, use_device_pdo
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.trajectory import Path, Segment
+from tests.master.path_world import COUNTS, CYCLE, arms, swing
+from tests.master.world import drives, value, virtual_time
+
+
+@asynccontextmanager
+async def arm_with_offsets(joints: int) -> AsyncIterator[tuple[Chain, list[DriveNode]]]:
+    """A chain in csp, whose first joint has an RPDO with velocity and torque offset."""
+    async with arms(joints, mode=Mode.CYCLIC_SYNCHRONOUS_POSITION) as (master, [arm], record):
+        remote = arm.devices[0].node.remote
+        offsets = PdoSettings(4, Direction.RPDO, 0x500 + remote.node_id, 1, (0x60B1_0020, 0x60B2_0010))
+        await master.run(configure_pdo(remote, offsets))
+        await master.run(use_device_pdo(remote, Direction.RPDO, 4))
+        remote.enable_rpdo(4, master.now())
+        yield arm, drives(record.hosts[0])
+
+
+async def offsets_of(node: DriveNode, arm: Chain, path: Path, torques: Torques | None) -> list[tuple[float, float, float]]:
+    """Follow a path; return time, velocity and torque offset of a drive in each cycle."""
+    sent = []
+
+    async def watch() -> None:
+        async for progress in arm.progress():
+            velocity, torque = value(node, objects.VELOCITY_OFFSET), value(node, objects.TORQUE_OFFSET)
+            sent.append((progress.time, velocity / COUNTS, torque / 1000))
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(watch)
+        await arm.follow(path, torques=torques)
+    return sent
+
+
+LATE = 2 * CYCLE
+"""A point is made at a SYNC, sent behind the next one, and seen in the drive at the one after that."""
+
+
+@virtual_time
+async def test_the_velocity_goes_along_where_an_rpdo_carries_it_and_no_torque_by_itself() -> None:
+    async with arm_with_offsets(2) as (arm, [node, other]):
+        path = swing(0.5, -0.25)
+        sent = await offsets_of(node, arm, path, None)
+        expected = [path.at(time - LATE).velocities[0] for time, _, _ in sent]
+        assert [velocity for _, velocity, _ in sent] == pytest.approx(expected, abs=1e-5)
+        assert {torque for _, _, torque in sent} == {0.0}
+        assert value(other, objects.VELOCITY_OFFSET) == 0
+        stay = Path([[Segment(1.0, (0.5,))], [Segment(1.0, (-0.25,))]])
+        with pytest.raises(PathRefused, match="j02 takes no torque"):
+            await arm.follow(stay, torques=lambda point: point.accelerations)
+
+
+@virtual_time
+async def test_torques_that_the_caller_computes_go_along() -> None:
+    async with arm_with_offsets(1) as (arm, [node]):
+        path = swing(0.5)
+        sent = await offsets_of(node, arm, path, lambda point: [0.1 + 0.2 * each for each in point.accelerations])
+        expected = [0.1 + 0.2 * path.at(time - LATE).accelerations[0] for time, _, _ in sent[2:]]
+        assert [torque for _, _, torque in sent[2:]] == pytest.approx(expected, abs=1e-3)
