@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from trio.lowlevel import enable_ki_protection
 from trio.testing import MockClock
 
-from canopen_master import ChainFault, ChainState, MasterClosed
+from canopen_master import ChainFault, ChainHalted, ChainState, MasterClosed
 from tests.examples import examples
 from tests.master.path_world import AXIS, COUNTS, Record, arms, swing
 from tests.master.test_moving import assert_within_limits
@@ -82,6 +82,21 @@ async def test_the_end_of_the_master_is_a_stop_on_the_path() -> None:
     assert 0.1 < record.rows[-1][0] < 0.5
     assert record.rows[-1] == record.rows[-3]
     assert_on_path(record)
+
+
+@virtual_time
+async def test_a_shut_down_is_a_stop_on_the_path() -> None:
+    async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+
+        async def follow() -> None:
+            with pytest.raises(ChainHalted):
+                await arm.follow(PATH)
+
+        nursery.start_soon(follow)
+        await moved(arm, 0.6)
+        await arm.shut_down()
+        assert arm.state is ChainState.OFF
+        assert_on_path(record)
 
 
 @virtual_time

@@ -344,3 +344,29 @@ def test_an_override_outside_0_to_1_changes_nothing(override: float) -> None:
         clock.advance(-1.0)
     with pytest.raises(PathError, match="A cycle takes 0.0 s"):
         PathClock(REST_TO_REST, [JointLimits()] * 2, 0.0)
+
+
+@given(st.integers(1, 600), st.sampled_from(["", "stop", "half"]))
+@settings(max_examples=20, derandomize=True, deadline=None)
+def test_behind_a_gap_the_path_goes_on_from_rest_where_it_is(cycles: int, before: str) -> None:
+    limits = limits_with_reserve(REST_TO_REST, 0.2)
+    clock = PathClock(REST_TO_REST, limits, CYCLE)
+    for _ in range(cycles):
+        clock.advance(CYCLE)
+    if before:
+        act(clock, "stop" if before == "stop" else 0.5)
+        clock.advance(CYCLE)
+    here, positions = clock.time, clock.advance(0.0).positions
+    clock.start_again()
+    assert clock.rate == 0
+    assert (clock.time, clock.advance(0.0).positions) == (here, positions)
+    after = [clock.advance(CYCLE).positions for _ in range(40)]
+    for joint, own in enumerate(limits):  # the joints stood before
+        for _, acceleration, jerk in differences([positions[joint]] * 3 + [each[joint] for each in after]):
+            assert acceleration <= (own.acceleration or 0) * (1 + ROUNDING)
+            assert jerk <= (own.jerk or 0) * (1 + ROUNDING)
+    if before == "stop":
+        assert clock.is_at_rest
+    else:
+        clock.advance(20.0)
+        assert clock.is_finished

@@ -5,6 +5,7 @@
     await arm.enable_interpolated_position()
     async for cycle in arm.cycles():
         arm.set_positions([...])
+    await arm.move([...])                       # and along paths: moving.py
 
 **One command at a time**: initialise, home, enable_interpolated_position, recover and shut_down run one procedure per joint, side
 by side. If one fails, the others are cancelled, which halts what they moved, and the error names the joint.
@@ -47,9 +48,8 @@ from canopen_master.motion.cycles import Cycles, Source
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import (
     JointFailed,
-    exchange_named,
-    exchange_own,
     follow,
+    mode_of,
     of_joint,
     power_down,
     prepare,
@@ -66,7 +66,6 @@ from canopen_proto.cia402.modes import Mode, short_name
 from canopen_proto.cia402.states import POWERED
 from canopen_proto.drive import home, home_if_needed
 from canopen_proto.machine import SECOND, RequestId, Time
-from canopen_proto.pdo.settings import place_of
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 
@@ -91,6 +90,7 @@ class Chain(ChainView, Moving):
     """See this module's text; `ChainView` says what is known of it, `Moving` how it moves along paths.
 
     motion: that along a path, or by a stream of targets, at present; None: it stands, or a loop gives the set-points.
+    begun: woken when a motion begins.
     """
 
     def __init__(
@@ -109,6 +109,7 @@ class Chain(ChainView, Moving):
         self._heartbeat_timeout = heartbeat_timeout
         self._chains = chains
         self.motion: Motion | None = None
+        self.begun = trio.lowlevel.ParkingLot()
         self._supervision = Supervision(participant, self.devices, self._joint_failed)
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
@@ -134,7 +135,7 @@ class Chain(ChainView, Moving):
         self._supervision.is_on = False
         self._end_following(ChainState.OFF)
         self._culprit, self._why_halted = None, ""
-        await self._for_all("initialise", self._prepare)
+        await self._for_all("initialise", lambda device: prepare(device, settings, self._heartbeat_timeout))
         for node in self._nodes:
             await participant.nmt_start(node.node_id, bus=node.bus)
         if participant.sync_period != round(settings.cycle_time * SECOND):
@@ -155,7 +156,7 @@ class Chain(ChainView, Moving):
         """Do as `follow`, for a chain whose mode is ip: the manual's name. Raises ChainError for a chain with another mode."""
         self._require("enable interpolated position", *_CAN_MOVE)
         if self.settings.mode is not Mode.INTERPOLATED_POSITION:
-            modes = ", ".join(f"{device.name} in {short_name(self._mode_of(device))}" for device in self.devices)
+            modes = ", ".join(f"{device.name} in {short_name(mode_of(device, self.settings))}" for device in self.devices)
             failed, seen = f"chain {self.name} cannot enable interpolated position", f"its joints follow set-points: {modes}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("await chain.follow()",))
         await self.follow_set_points("enable interpolated position")
@@ -168,7 +169,7 @@ class Chain(ChainView, Moving):
         cycle_time = round(self.settings.cycle_time * SECOND)
         try:
             name = f"chain {self.name}"
-            followed = await self._for_all(what, lambda device: follow(device, name, cycle_time, self._mode_of(device)))
+            followed = await self._for_all(what, lambda device: follow(device, name, cycle_time, mode_of(device, self.settings)))
             if self.state is not ChainState.READY:  # a joint failed just now
                 raise self._stop_reason()
         except BaseException:
@@ -295,6 +296,7 @@ class Chain(ChainView, Moving):
         """Take the set-points of a motion from now on."""
         self.motion = motion
         self._set_points.begin_source(source)
+        self.begun.unpark_all()
 
     def source_over(self, source: Source, problem: str) -> None:
         """See `Follower`."""
@@ -323,19 +325,9 @@ class Chain(ChainView, Moving):
         motion, self.motion = self.motion, None
         if motion is not None:
             motion.abandon()
+        self.begun.unpark_all()
 
     # ---- procedures ----
-
-    def _prepare(self, device: Device) -> Procedure[None]:
-        dictionary, settings = device.node.dictionary, self.settings
-        has_pdos = any(place_of(index) is not None for index in dictionary.objects)
-        if settings.mode is None or (settings.own_pdos and has_pdos) or device.axis.number:  # PDOs.csv is about the first axis
-            exchange = exchange_own(device, round(settings.cycle_time * SECOND), settings.mode)
-        else:
-            device.plan = None
-            pdos = (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
-            exchange = exchange_named(device, pdos, settings.define_pdos)
-        return prepare(device, exchange, self._heartbeat_timeout)
 
     async def _for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
         """Run one procedure for each joint, side by side. A failure is raised as this chain's."""
@@ -360,12 +352,6 @@ class Chain(ChainView, Moving):
             for other in errors[1:]:
                 errors[0].add_note(str(other))
             raise errors[0]
-
-    def _mode_of(self, device: Device) -> Mode:
-        """The mode in which a joint follows set-points; of a chain that is not initialised, ip if its plan is to choose."""
-        if device.plan is not None:
-            return device.plan.mode
-        return Mode.INTERPOLATED_POSITION if self.settings.mode is None else self.settings.mode
 
     # ---- state ----
 
@@ -480,6 +466,8 @@ class Chain(ChainView, Moving):
     # ---- in the pump's turn ----
 
     def _joint_failed(self, device: Device, reason: str, cause: str, follows: bool) -> None:
+        if self._participant.is_closed and not follows:
+            self.abandon()  # the master ends, and halts all drives
         if self.state is ChainState.FAULT or self._participant.is_closed:
             return
         if self._culprit is None:

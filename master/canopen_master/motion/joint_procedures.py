@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple, TypeVar
 
+from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
 from canopen_master.motion.feed_forward import is_carried
 from canopen_master.node import Node
@@ -32,6 +33,7 @@ from canopen_proto.drive.slow_position import profile_lag, start_slow_position
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.pdo.settings import place_of
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
@@ -120,8 +122,32 @@ def exchange_own(device: Device, cycle_time: Time, mode: Mode | None) -> Procedu
     device.plan, device.cyclic = plan, plan.cyclic
 
 
-def prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
-    """See that the joint answers, identify it, exchange PDOs with it, and have it send its heartbeat if that is supervised."""
+def exchange(device: Device, settings: ChainSettings) -> Procedure[None]:
+    """Exchange the PDOs that the settings of the chain ask for: those of the joint's own plan, or the named ones."""
+    dictionary = device.node.dictionary
+    has_pdos = any(place_of(index) is not None for index in dictionary.objects)
+    if settings.mode is None or (settings.own_pdos and has_pdos) or device.axis.number:  # PDOs.csv is about the first axis
+        return exchange_own(device, round(settings.cycle_time * SECOND), settings.mode)
+    device.plan = None
+    return exchange_named(device, (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo)), settings.define_pdos)
+
+
+def mode_of(device: Device, settings: ChainSettings) -> Mode:
+    """Return the mode in which a joint follows set-points; of a chain that is not initialised, ip if its plan is to choose."""
+    if device.plan is not None:
+        return device.plan.mode
+    return Mode.INTERPOLATED_POSITION if settings.mode is None else settings.mode
+
+
+def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) -> Procedure[None]:
+    """See that the joint answers, identify it, exchange PDOs with it, and have it send its heartbeat if that is supervised.
+
+    Raises at once, before it sends anything, if its dictionary lacks a PDO that the settings name.
+    """
+    return _prepare(device, exchange(device, settings), heartbeat_timeout)
+
+
+def _prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
     node = device.node.remote
     device.last_look = None
     yield from awake(device.node)

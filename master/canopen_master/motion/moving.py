@@ -47,6 +47,7 @@ class Member(Follower, Protocol):
     name: str
     settings: ChainSettings
     motion: Motion | None
+    begun: trio.lowlevel.ParkingLot
 
     @property
     def desired(self) -> list[float]:
@@ -101,7 +102,6 @@ class Moving:
         """members: the chains, in the order of the joints."""
         self._members = members
         self._override = 1.0
-        self._moved = trio.lowlevel.ParkingLot()  # woken when a motion begins
 
     # ---- along a path ----
 
@@ -320,7 +320,6 @@ class Moving:
             motion.begin()
         else:
             present.hand_over(motion)
-        self._moved.unpark_all()
         return motion
 
     async def _check_end(self, motion: Motion) -> None:
@@ -344,7 +343,7 @@ class Moving:
         """Wait until a motion begins, or goes on by a cycle, or ends."""
         self._members[0].check_open()
         motion = self.present_motion
-        await (self._moved if motion is None else motion.news).park()
+        await (self._members[0].begun if motion is None else motion.news).park()
 
 
 class Progresses:
