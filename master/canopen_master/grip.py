@@ -134,11 +134,9 @@ class Grips:
         if hold is None:
             return
         hold.axes.difference_update(hold.axes.copy() if axis is None else {axis})
-        if hold.axes:
-            return
         yield from self._turn_of(node)
         if hold.axes:
-            return  # it has been taken hold of meanwhile
+            return
         try:
             yield from release(hold)
         except ProcedureError as error:

@@ -106,6 +106,18 @@ async def test_a_fault_of_one_axis_stops_the_chain_and_names_that_joint() -> Non
 
 
 @virtual_time
+async def test_an_axis_that_does_not_follow_is_the_one_that_is_named() -> None:
+    async with cell() as (host, master):
+        arm = chain_of(master, *SHOULDER)
+        await arm.initialise()
+        await arm.follow()
+        drives(host)[0].block(True, master.now(), axis=1)
+        with pytest.raises(ChainFault) as caught:
+            await follow_path(arm, way=8.0)
+        assert caught.value.joint == "two"
+
+
+@virtual_time
 async def test_a_lost_node_names_each_of_its_joints() -> None:
     async with cell(heartbeat_timeout=0.3) as (host, master):
         arm = chain_of(master, *SHOULDER, ("three", 4, 0))
