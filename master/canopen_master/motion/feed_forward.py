@@ -42,4 +42,4 @@ class FeedForward:
 
 def is_carried(axis: Axis, mux: Mux) -> bool:
     """Return whether an RPDO that is exchanged with the drive carries an object."""
-    return any(mux in rpdo.mapping.muxes for rpdo in axis.node.rpdos.values())
+    return bool(axis.rpdos_with((mux,)))
