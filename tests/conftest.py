@@ -1,5 +1,6 @@
 """For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
 
+Every day they are few. All that the tests name: `pytest --hypothesis-profile=full`, as .ci/run does once.
 To search further: `pytest --hypothesis-profile=search --timeout=0 tests/proto/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
 """
@@ -16,8 +17,8 @@ import pytest
 
 # On a build server hypothesis takes its own profile `ci` for the parent of what is registered, and that one never looks further
 everyday = hypothesis.settings.get_profile("default")
-hypothesis.settings.register_profile("same", everyday, derandomize=True, database=None, deadline=None)
-hypothesis.settings.register_profile("brief", hypothesis.settings.get_profile("same"), max_examples=20)
+hypothesis.settings.register_profile("full", everyday, derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("same", hypothesis.settings.get_profile("full"), max_examples=20)
 hypothesis.settings.register_profile("search", everyday, max_examples=2000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile("same")
 

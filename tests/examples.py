@@ -6,20 +6,21 @@ from hypothesis import settings
 
 SAME = "same"
 """The profile of tests/conftest.py for every day: the same examples each time, and few of them."""
-BRIEF = "brief"
-"""The same with fewer examples, for a run that is measured and so takes three times as long."""
+FULL = "full"
+"""The same with all examples that the tests name: .ci/run has them once."""
 PART = 5
-"""By this `brief` divides the number of examples, down to PART of them."""
+"""Every day the number of examples is divided by this, down to `least` of them."""
 
 
-def examples(count: int, *, steps: int = 50) -> settings:
-    """Settings for so many examples (of so many steps, where each is a run of a state machine).
+def examples(count: int, *, steps: int = 50, least: int = PART) -> settings:
+    """Settings for so many examples (of so many steps, where each is a run of a state machine); see SAME and FULL.
 
+    least: every day too, where fewer would miss a planted bug (fuzz/).
     Under another profile, such as `search`, the number is that of the profile: nothing here keeps a search small.
     """
     profile = settings.get_current_profile_name()
-    if profile == BRIEF:
-        count = min(count, max(count // PART, PART))
-    if profile in (SAME, BRIEF):
+    if profile == SAME:
+        count = min(count, max(count // PART, least))
+    if profile in (SAME, FULL):
         return settings(max_examples=count, stateful_step_count=steps)
     return settings(stateful_step_count=steps)

@@ -71,6 +71,8 @@ def statuses_of_codes() -> dict[str, set[int]]:
     """By code: each exit status that the command line gives with it."""
     found: defaultdict[str, set[int]] = defaultdict(set)
     for _, text in sources():
+        if "usage(" not in text and "Problem(" not in text:
+            continue
         for call in ast.walk(ast.parse(text)):
             match call:
                 case ast.Call(ast.Name("usage"), [ast.Constant(str(code)), *_]):

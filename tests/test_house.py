@@ -41,9 +41,20 @@ def modules() -> dict[str, Path]:
     return found
 
 
+def statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """All statements and what holds some; no expression, which can import nothing, and there are many."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        for field in ("body", "orelse", "finalbody", "handlers", "cases"):
+            held = getattr(node, field, ())
+            waiting += held if isinstance(held, list) else ()
+
+
 def imported(tree: ast.AST, known: Iterable[str]) -> Iterator[str]:
     """The modules, of those that are known, that a source imports."""
-    for node in ast.walk(tree):
+    for node in statements(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in known)
         elif isinstance(node, ast.ImportFrom) and node.module is not None:

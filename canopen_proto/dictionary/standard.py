@@ -22,6 +22,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
@@ -320,6 +321,11 @@ STANDARD: Final[Mapping[tuple[int, int], Variable]] = MappingProxyType(
 
 def find_standard(index: int, subindex: int = 0) -> Variable | None:
     """Return a standard object, or None. Includes ranges of objects and the further axes of CiA 402."""
+    return _find_standard(index, subindex)
+
+
+@lru_cache(maxsize=4096)  # whoever builds many devices asks for the same objects again and again
+def _find_standard(index: int, subindex: int) -> Variable | None:
     if index in _FURTHER_AXES:
         base = STANDARD.get((_home(index), subindex))
         axis = (index - 0x6000) // _AXIS_SPACING + 1
@@ -346,7 +352,7 @@ def standard_variable(index: int, subindex: int = 0, **changes: Any) -> Variable
         raise ObjectNotFound(f"0x{index:04X}:{subindex:02X} is no object of CiA 301 or CiA 402")
     if "default" in changes:
         changes.setdefault("adds_node_id", False)
-    return replace(found, **changes)
+    return replace(found, **changes) if changes else found
 
 
 def standard_object(

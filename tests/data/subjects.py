@@ -5,6 +5,7 @@ Nothing that a peer sends, and no time that passes, may raise, spin, or make a p
 
 from __future__ import annotations
 
+import functools
 from collections import deque
 from enum import Enum
 from typing import Final
@@ -40,6 +41,17 @@ WAKES: Final = 40
 _DESCRIPTION: Final = (ObjectDictionary, Object, Variable, PdoDescription)  # shared, and never changes
 
 
+@functools.cache
+def _counts(kind: type) -> bool:
+    """Whether objects of this type are looked at: not those that hold nothing, or are shared."""
+    return not issubclass(kind, (*_DESCRIPTION, Enum, type, int, float, type(None)))
+
+
+@functools.cache
+def _slots(kind: type) -> tuple[str, ...]:
+    return tuple(name for each in kind.__mro__ for name in getattr(each, "__slots__", ()))
+
+
 def held(root: object) -> int:
     """All that is reachable from an object: the elements of its containers, and the bytes of its buffers and texts."""
     total = 0
@@ -47,7 +59,8 @@ def held(root: object) -> int:
     waiting: list[object] = [root]
     while waiting:
         item = waiting.pop()
-        if id(item) in seen or isinstance(item, (*_DESCRIPTION, Enum, type)):
+        kind = type(item)
+        if id(item) in seen or not _counts(kind):
             continue
         seen.add(id(item))
         if isinstance(item, bytes | bytearray | str):
@@ -59,9 +72,8 @@ def held(root: object) -> int:
         elif isinstance(item, list | tuple | set | frozenset | deque):
             total += len(item)
             waiting += item
-        elif type(item).__module__.startswith("canopen_proto"):
-            slots = [name for each in type(item).__mro__ for name in getattr(each, "__slots__", ())]
-            waiting += [getattr(item, name) for name in slots if hasattr(item, name)]
+        elif kind.__module__.startswith("canopen_proto"):
+            waiting += [getattr(item, name) for name in _slots(kind) if hasattr(item, name)]
             waiting += getattr(item, "__dict__", {}).values()
     return total
 

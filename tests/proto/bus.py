@@ -115,10 +115,13 @@ class Bus:
         busy = True
         while busy:
             busy = False
-            for machine in list(self.machines):
+            for machine in tuple(self.machines):
+                out = machine.out
+                if not (out.frames or out.events):
+                    continue
                 frames, events = self._drain(machine)
                 for frame in frames:
-                    self._put(frame, machine.out)
+                    self._put(frame, out)
                 self.events += events
                 if self.on_event is not None and events:
                     busy = True
@@ -128,20 +131,21 @@ class Bus:
     def next_time(self) -> Time:
         """When the next thing happens: an arrival or a deadline; NEVER if the bus is idle."""
         self.pump()
-        arrival = self._on_the_way[0][0] if self._on_the_way else NEVER
-        return min([arrival, *map(_deadline_of, self.machines)])
+        return self._next()[0]
 
-    def step(self) -> bool:
-        """Let the next thing happen: one arrival, or one deadline if no frame arrives by then. False if there is nothing."""
-        time = self.next_time()
-        if time == NEVER:
+    def step(self, end: Time = NEVER) -> bool:
+        """Let the next thing happen: one arrival, or one deadline if no frame arrives by then. False if there is nothing by
+        `end`."""
+        self.pump()
+        time, first = self._next()
+        if time == NEVER or time > end:
             return False
         self.now = max(self.now, time)
-        if self._on_the_way and self._on_the_way[0][0] <= self.now:
+        if first is None or (self._on_the_way and self._on_the_way[0][0] <= self.now):
             _, _, receiver, frame = heapq.heappop(self._on_the_way)
             self._deliver(receiver, frame)
         else:
-            min(self.machines, key=_deadline_of).handle_timeout(self.now)
+            first.handle_timeout(self.now)
         self.pump()
         return True
 
@@ -158,10 +162,9 @@ class Bus:
         """Run for `duration`; `now` is exactly that much later then."""
         end = self.now + duration
         for _ in range(MAX_STEPS):
-            if self.next_time() > end:
+            if not self.step(end):
                 self.now = end
                 return
-            self.step()
         raise AssertionError(f"more than {MAX_STEPS} steps in {duration} ns")
 
     def run_until(self, condition: Callable[[], bool], limit: Time = 60 * SECOND) -> None:
@@ -184,10 +187,17 @@ class Bus:
 
     # --- inside
 
+    def _next(self) -> tuple[Time, Machine | Network | None]:
+        """When the next thing happens, and whose deadline it is; None: it is an arrival, or there is nothing."""
+        soonest, first = self._on_the_way[0][0] if self._on_the_way else NEVER, None
+        for machine in self.machines:
+            time = machine.next_deadline() if isinstance(machine, Network) else machine.deadline
+            if time < soonest:
+                soonest, first = time, machine
+        return soonest, first
+
     def _drain(self, machine: Machine | Network) -> tuple[list[Frame], list[Event]]:
         out = machine.out
-        if not (out.frames or out.events):
-            return [], []
         if isinstance(machine, Network):
             return machine.drain(self.now)
         frames, events = out.frames[:], out.events[:]
@@ -195,13 +205,13 @@ class Bus:
         out.events.clear()
         return frames, events
 
-    def _outboxes(self) -> list[Outbox]:
-        return list({id(machine.out): machine.out for machine in self.machines}.values())
-
     def _put(self, frame: Frame, sender: Outbox | None) -> None:
         self.sent.append((self.now, frame))
-        for receiver in self._outboxes():
-            if receiver is not sender:
+        told = {id(sender)}
+        for machine in self.machines:
+            receiver = machine.out
+            if id(receiver) not in told:
+                told.add(id(receiver))
                 self._schedule(frame, receiver)
 
     def _schedule(self, frame: Frame, receiver: Outbox) -> None:
@@ -241,10 +251,6 @@ class Bus:
         for machine in self.machines:
             if machine.out is receiver and key in machine.can_ids():
                 machine.receive(frame, self.now)
-
-
-def _deadline_of(machine: Machine | Network) -> Time:
-    return machine.next_deadline() if isinstance(machine, Network) else machine.deadline
 
 
 def take_frames(out: Outbox) -> list[str]:
