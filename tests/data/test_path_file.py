@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_data.findings import DictionaryError
 from canopen_data.path_file import Between, read_path, write_path
 from canopen_proto.trajectory import PathError, cubic, linear, quintic
+from tests.examples import examples
 
 POSITIONS = "time, shoulder, elbow\n0, 0, 10\n0.5, 1.5, 8\n1.5, 1, 9\n"
 TIMES, ROWS = [0.0, 0.5, 1.5], [[0.0, 10.0], [1.5, 8.0], [1.0, 9.0]]
@@ -93,7 +94,7 @@ value = st.floats(-100, 100)
 @given(
     st.lists(st.tuples(st.floats(0.01, 3), st.lists(value, min_size=6, max_size=6)), min_size=2, max_size=6), st.floats(0.02, 1)
 )
-@settings(max_examples=30, derandomize=True, deadline=None)
+@examples(30)
 def test_a_path_is_read_back_as_it_was_written(points: list[tuple[float, list[float]]], step: float) -> None:
     times = [sum(each for each, _ in points[:number]) for number in range(len(points))]
     path = quintic(times, *([row[order : order + 2] for _, row in points] for order in (0, 2, 4)))

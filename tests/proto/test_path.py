@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.trajectory import JointLimits, Path, PathError, PathPoint, Segment
+from tests.examples import examples
 
 
 def test_two_joints_with_knots_of_their_own() -> None:
@@ -36,7 +37,7 @@ numbers = st.floats(-100, 100)
 
 
 @given(st.lists(numbers, min_size=1, max_size=6), st.floats(0.01, 10), st.floats(0, 1))
-@settings(max_examples=60, derandomize=True, deadline=None)
+@examples(60)
 def test_any_polynomial_against_its_plain_sum(coefficients: list[float], duration: float, part: float) -> None:
     path = Path([[Segment(duration, tuple(coefficients))]])
     t = duration * part

@@ -9,10 +9,11 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.trajectory import JointLimits, Path, PathClock, PathError, Segment, first_violation
+from tests.examples import examples
 from tests.proto.paths import CYCLE, State, differences, limits_with_reserve, through
 
 ROUNDING = 1e-6
@@ -63,7 +64,7 @@ def act(clock: PathClock, action: str | float) -> None:
 
 
 @given(paths(), st.floats(0.1, 0.8), st.floats(0, 1), actions)
-@settings(max_examples=40, derandomize=True, deadline=None)
+@examples(40)
 def test_no_joint_exceeds_a_limit_whatever_happens(
     path: Path, reserve: float, override: float, script: list[tuple[int, str | float]]
 ) -> None:
@@ -88,7 +89,7 @@ def test_no_joint_exceeds_a_limit_whatever_happens(
 
 
 @given(paths(), st.floats(0.1, 0.8), st.integers(0, 600), st.sampled_from([0.0, 0.3, 1.0]))
-@settings(max_examples=40, derandomize=True, deadline=None)
+@examples(40)
 def test_a_stop_is_over_when_it_says(path: Path, reserve: float, cycles: int, then: float) -> None:
     clock = PathClock(path, limits_with_reserve(path, reserve), CYCLE, longest_stop=1e4)
     for number in range(cycles):

@@ -7,11 +7,12 @@ import math
 from collections.abc import Callable
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.trajectory import Path, PathError, cubic, from_function, linear, quintic
 from canopen_proto.trajectory.path import PathPoint
+from tests.examples import examples
 
 value = st.floats(-10, 10)
 triple = st.tuples(value, value, value)
@@ -33,7 +34,7 @@ def sides(path: Path, time: float) -> tuple[PathPoint, PathPoint]:
 
 
 @given(waypoints())
-@settings(max_examples=40, derandomize=True, deadline=None)
+@examples(40)
 def test_each_path_passes_what_was_given(
     given_points: tuple[list[float], list[tuple[list[float], list[float], list[float]]]],
 ) -> None:
@@ -54,7 +55,7 @@ def test_each_path_passes_what_was_given(
 
 
 @given(waypoints(), st.booleans())
-@settings(max_examples=40, derandomize=True, deadline=None)
+@examples(40)
 def test_a_spline_jumps_in_no_acceleration_and_ends_as_it_should(
     given_points: tuple[list[float], list[tuple[list[float], list[float], list[float]]]], natural: bool
 ) -> None:

@@ -7,12 +7,13 @@ import math
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.trajectory import JointLimits, Path, PathError, Segment, cubic, first_violation, linear
 from canopen_proto.trajectory.limit_check import Violation, reach_of
 from canopen_proto.trajectory.polynomial import extremes_of, roots_of, value_at
+from tests.examples import examples
 from tests.proto.paths import CYCLE, differences, limits_with_reserve, through
 
 numbers = st.floats(-10, 10)
@@ -22,7 +23,7 @@ PEAK = Path([[Segment(2.0, (1.0,))], through([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)],
 
 
 @given(st.lists(numbers, min_size=1, max_size=6), st.floats(0.1, 5))
-@settings(max_examples=80, derandomize=True, deadline=None)
+@examples(80)
 def test_extremes_are_those_of_many_samples(coefficients: list[float], duration: float) -> None:
     low, low_time, high, high_time = extremes_of(coefficients, duration)
     samples = [value_at(coefficients, duration * number / 300) for number in range(301)]
@@ -35,7 +36,7 @@ def test_extremes_are_those_of_many_samples(coefficients: list[float], duration:
 
 
 @given(st.lists(st.floats(0.05, 0.95), min_size=1, max_size=4, unique_by=lambda each: round(each, 1)))
-@settings(max_examples=60, derandomize=True, deadline=None)
+@examples(60)
 def test_roots_are_found_where_they_were_put(roots: list[float]) -> None:
     coefficients = [1.0]
     for root in roots:  # times (t - root)
@@ -104,7 +105,7 @@ def test_a_jump_of_the_acceleration_is_a_jerk_of_a_cycle() -> None:
     st.sampled_from(["linear", "spline", "hermite"]),
     st.sampled_from([0.001, 0.004, 0.01]),
 )
-@settings(max_examples=40, derandomize=True, deadline=None)
+@examples(40)
 def test_what_passes_the_check_is_within_the_limits_for_a_drive(
     points: list[tuple[float, float]], kind: str, cycle_time: float
 ) -> None:

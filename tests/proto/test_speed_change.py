@@ -6,11 +6,12 @@ import itertools
 import math
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto import LocalProtocolError
 from canopen_proto.trajectory import SpeedChange
+from tests.examples import examples
 
 speeds = st.floats(-3, 3)
 magnitudes = st.floats(0.1, 10)
@@ -21,7 +22,7 @@ parts = st.floats(-1, 1)
 @example(0.0, 0.0, 0.0, 1.0, 1.0)
 @example(1.0, 1.0, 1.5, 1.0, 1.0)  # just what is left if the acceleration ends
 @example(1.0, -1.0, 0.5, 1.0, 1.0)
-@settings(max_examples=60, derandomize=True, deadline=None)
+@examples(60)
 def test_it_gets_there_within_its_limits(speed: float, part: float, wanted: float, most: float, jerk: float) -> None:
     given_acceleration = part * most
     change = SpeedChange(speed, given_acceleration, wanted, most, jerk)
@@ -40,7 +41,7 @@ def test_it_gets_there_within_its_limits(speed: float, part: float, wanted: floa
 
 
 @given(speeds, parts, speeds, magnitudes, magnitudes)
-@settings(max_examples=60, derandomize=True, deadline=None)
+@examples(60)
 def test_no_change_is_faster(speed: float, part: float, wanted: float, most: float, jerk: float) -> None:
     """Pontryagin in a few lines: with a bounded jerk the fastest way is full jerk, at most one arc at the limit, full jerk back.
 
@@ -61,7 +62,7 @@ def test_no_change_is_faster(speed: float, part: float, wanted: float, most: flo
 
 
 @given(speeds, parts, speeds, speeds, magnitudes, magnitudes, st.floats(0, 1))
-@settings(max_examples=80, derandomize=True, deadline=None)
+@examples(80)
 def test_another_speed_may_be_wanted_at_any_moment(
     speed: float, part: float, wanted: float, then: float, most: float, jerk: float, when: float
 ) -> None:
