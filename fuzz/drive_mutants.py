@@ -171,7 +171,7 @@ DRIVE_MUTANTS: Final = tuple(
         (
             "mode_not_sent",
             "simulated_drive/node.py",
-            "        self.pdos.trigger(MODES_OF_OPERATION_DISPLAY, now)",
+            "        self._trigger(MODES_OF_OPERATION_DISPLAY, change.axis, now)",
             "        pass",
             "an event-driven TPDO does not tell a new mode",
             WALK,

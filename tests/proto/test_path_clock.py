@@ -348,7 +348,7 @@ def test_an_override_outside_0_to_1_changes_nothing(override: float) -> None:
 
 
 @given(st.integers(1, 600), st.sampled_from(["", "stop", "half"]))
-@settings(max_examples=20, derandomize=True, deadline=None)
+@examples(20)
 def test_behind_a_gap_the_path_goes_on_from_rest_where_it_is(cycles: int, before: str) -> None:
     limits = limits_with_reserve(REST_TO_REST, 0.2)
     clock = PathClock(REST_TO_REST, limits, CYCLE)
