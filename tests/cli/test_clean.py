@@ -54,6 +54,16 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
     return runner_in_folder(capsys, monkeypatch, tmp_path)
 
 
+RECORDED = {
+    "version": 1,
+    "chain": EVIL,
+    "cycle_time": 0.01,
+    "begun": "",
+    "joints": [{"name": EVIL, "unit": EVIL, "node": EVIL}],
+}
+"""The head of a recording whose chain, joint, unit and node have such names."""
+
+
 @functools.cache
 def described() -> ObjectDictionary:
     return device(200, *evil_device())
@@ -78,6 +88,8 @@ def evil_files() -> dict[str, str]:
         "odd.log": f"(1.0) can0 705#05\n{EVIL}\n(1.1) {EVIL} 705#05\n(1.2) can0 585#430810001B5D303B\n",
         "good.log": "(1.0) can0 585#430810001B5D303B\n",
         "odd.csv": f"chain1{EVIL} joint1{EVIL} bus{EVIL} 5 joint2 bus{EVIL} 5 {EVIL}\n",
+        "odd_path.csv": f"time,joint1{EVIL}\n0,{EVIL}\n1,1\n",
+        "odd_run.csv": f"# canopen recording\n# {json.dumps(RECORDED)}\ncycle,time,{EVIL}\n0,0,{EVIL}\n",
         "good.csv": f"chain1{EVIL} joint1{EVIL} bus{EVIL} 5\n",
         "units.toml": '[objects.2003]\nunit = "\\u001b[2J"\naliases = ["\\u001b[2J"]\ndescription = "\\u009b"\n',
         "odd.toml": '[objects."\\u001b[2J"]\nunit = "\\u001b"\n[objects.2003]\n"\\u001b" = 1\n',
@@ -142,6 +154,17 @@ COMMANDS = [
     ("drive", "5", "velocity", "5", "--seconds", "1", "-e", NAMED_EDS, *DEMO),
     ("drive", "5", "torque", "5", "--seconds", "1", "-e", NAMED_EDS, *DEMO),
     *[("drive", "5", word, "-e", NAMED_EDS, *DEMO) for word in ("inputs", "outputs", "probe", "plan")],
+    ("drive", "5", "commission", "--yes", "-e", NAMED_EDS, "--name", EVIL, *DEMO),
+    ("drive", "5", "commission", "--yes", "-e", NAMED_EDS, *DEMO),
+    ("move", "odd_cell.toml", "--to", "5"),
+    ("move", *DEMO, "--to", f"{EVIL}=5"),
+    ("move", *DEMO, "odd_path.csv"),
+    ("move", *DEMO, f"{EVIL}.csv"),
+    ("jog", "odd_cell.toml"),
+    ("jog", *DEMO, "--chain", EVIL),
+    ("plot", "odd_path.csv"),
+    ("plot", "odd_run.csv"),
+    ("plot", EVIL),
     ("machine", "check", "odd_cell.toml"),
     ("machine", "from-chains", "odd.csv", "-o", "new_cell.toml"),
     ("machine", "from-chains", "good.csv", "-o", f"{EVIL[:-3]}.toml"),
