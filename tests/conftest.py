@@ -14,6 +14,7 @@ from collections.abc import Iterator
 
 import hypothesis
 import pytest
+from hypothesis.internal.conjecture import providers
 
 # On a build server hypothesis takes its own profile `ci` for the parent of what is registered, and that one never looks further
 everyday = hypothesis.settings.get_profile("default")
@@ -21,6 +22,11 @@ hypothesis.settings.register_profile("full", everyday, derandomize=True, databas
 hypothesis.settings.register_profile("same", hypothesis.settings.get_profile("full"), max_examples=20)
 hypothesis.settings.register_profile("search", everyday, max_examples=2000, deadline=None, print_blob=True)
 hypothesis.settings.load_profile("same")
+
+# It also draws the constants of the modules that are loaded, and these depend on which tests ran before in this process
+if hasattr(providers, "_get_local_constants"):  # there is no setting for it
+    NO_CONSTANTS = providers.Constants()
+    providers._get_local_constants = lambda: NO_CONSTANTS
 
 
 MEASURED = 0.2
