@@ -6,13 +6,14 @@ A unit of a joint is a million counts, so that rounding does not disturb speed, 
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from itertools import pairwise
 
 import trio
 
 from canopen_master import AxisSettings, Chain, ChainSettings, Host, Master, open_master, standard_drives
+from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
@@ -66,7 +67,11 @@ def demands(host: Host) -> list[float]:
 
 @asynccontextmanager
 async def arms(
-    *joints: int, axis: AxisSettings = AXIS, drive: DriveSettings = DRIVE, mode: Mode = Mode.INTERPOLATED_POSITION
+    *joints: int,
+    axis: AxisSettings = AXIS,
+    drive: DriveSettings = DRIVE,
+    mode: Mode = Mode.INTERPOLATED_POSITION,
+    makers: Callable[..., list[DeviceMaker]] = standard_drives,
 ) -> AsyncIterator[tuple[Master, list[Chain], Record]]:
     """A chain of so many joints on each bus, initialised; and the record, which goes on as long as the block."""
     dictionary = drive_dictionary()
@@ -74,9 +79,7 @@ async def arms(
         buses = {f"can{number}": f"virtual:bus{number}" for number in range(len(joints))}
         hosts = []
         for count, bus in zip(joints, buses.values(), strict=True):
-            host = await stack.enter_async_context(
-                simulated(bus=bus, makers=standard_drives(*range(1, count + 1), settings=drive))
-            )
+            host = await stack.enter_async_context(simulated(bus=bus, makers=makers(*range(1, count + 1), settings=drive)))
             for node in drives(host):
                 node.values.store.update(RAMPS)
             hosts.append(host)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import pytest
 import trio
 
-from canopen_master import Chain, PathRefused
+from canopen_master import Chain, ChainState, PathRefused
 from canopen_master.motion.path_motion import Torques
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
@@ -16,7 +19,7 @@ from canopen_proto.dictionary import Direction
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.configure_pdo import configure_pdo, use_device_pdo
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.trajectory import Path, Segment
+from canopen_proto.trajectory import Path, PathPoint, Segment
 from tests.master.path_world import COUNTS, CYCLE, arms, swing
 from tests.master.world import drives, value, virtual_time
 
@@ -73,3 +76,18 @@ async def test_torques_that_the_caller_computes_go_along() -> None:
         sent = await offsets_of(node, arm, path, lambda point: [0.1 + 0.2 * each for each in point.accelerations])
         expected = [0.1 + 0.2 * path.at(time - LATE).accelerations[0] for time, _, _ in sent[2:]]
         assert [torque for _, _, torque in sent[2:]] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("torques", [[math.nan], [], [0.1, 0.2], None, 0.5, ["a"]])
+@virtual_time
+async def test_torques_that_are_none_end_the_motion_and_not_the_master(torques: Any) -> None:
+    async with arm_with_offsets(1) as (arm, _):
+        asked = itertools.count()
+
+        def feed(point: PathPoint) -> Any:
+            return [0.0] if next(asked) < 50 else torques
+
+        with pytest.raises(PathRefused, match="the torque function gave no torques"):
+            await arm.follow(swing(0.5), torques=feed)
+        assert arm.state is ChainState.HALTED
+        await arm.recover()

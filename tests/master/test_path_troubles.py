@@ -13,8 +13,11 @@ from hypothesis import strategies as st
 from trio.lowlevel import enable_ki_protection
 from trio.testing import MockClock
 
-from canopen_master import ChainFault, ChainHalted, ChainState, MasterClosed
+from canopen_master import ChainError, ChainFault, ChainHalted, ChainState, MasterClosed, together
+from canopen_proto.abort import AbortCode
+from canopen_proto.simulated_drive.answers import Answer
 from tests.examples import examples
+from tests.master.direct_world import patient
 from tests.master.path_world import AXIS, COUNTS, Record, arms, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved
@@ -171,3 +174,48 @@ def test_whatever_is_late_no_joint_exceeds_its_speed(turns: Sequence[tuple[bool,
                 assert_within_limits(record)
 
     run()
+
+
+@virtual_time
+async def test_a_halt_without_sync_does_not_wait_for_the_path() -> None:
+    """Drives that hold on without SYNC would else stay without a halt as long as a stop on the path may take."""
+    async with arms(2, makers=patient) as (master, [arm], _), trio.open_nursery() as nursery:
+
+        async def follow() -> None:
+            with pytest.raises(ChainHalted, match="by halt"):
+                await arm.follow(PATH)
+
+        nursery.start_soon(follow)
+        await moved(arm, 0.6)
+        master.sync_stop()
+        began = trio.current_time()
+        await arm.halt()
+        assert trio.current_time() - began < 2.0
+        assert arm.state is ChainState.HALTED
+
+
+@pytest.mark.parametrize("ends", ["it fails", "it is cancelled"])
+@virtual_time
+async def test_a_halt_of_several_chains_stops_each_of_them_whatever_becomes_of_the_others(ends: str) -> None:
+    async with arms(1, 1) as (_, [arm, leg], record), trio.open_nursery() as nursery:
+        both = together(arm, leg)
+        await arm.follow()
+
+        async def follow() -> None:
+            with pytest.raises(ChainHalted, match="by halt"):
+                await leg.follow(swing(0.9, duration=4.0))
+
+        nursery.start_soon(follow)
+        await moved(leg, 1.0)
+        if ends == "it fails":
+            drives(record.hosts[0])[0].answer(0x6041, 0, Answer(abort=AbortCode.GENERAL_ERROR))
+            with pytest.raises(ChainError, match="j01"):
+                await both.halt()
+        else:
+            with trio.CancelScope() as scope:
+                scope.cancel()
+                await both.halt()
+        while leg.motion is not None:
+            assert leg.motion.is_braking
+            await trio.sleep(0.01)
+        drives(record.hosts[0])[0].answer(0x6041, 0, None)

@@ -71,7 +71,6 @@ from canopen_proto.sync import SyncSent
 
 T = TypeVar("T")
 
-
 _CAN_MOVE: Final = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
 """The states from which a chain can home, or follow set-points."""
 
@@ -185,11 +184,18 @@ class Chain(ChainView, Moving):
         A chain that moves along a path brakes along it first, for LONGEST_STOP at most, and chains that move with it do so, too.
         The joints stay enabled. Raises ChainError, which names a joint that did not confirm that it stands.
         """
+        self.begin_halt()
+        await self.halted()
+
+    def begin_halt(self) -> None:
+        """Tell all joints to stop; `halted` waits until they stand."""
         self._participant.check_open()
         if self._stopping is None or self._stopping.is_done:
             self._stop("by halt()")
-        failures = await self._joints_stopped()
-        self._raise_first("halt", failures)
+
+    async def halted(self) -> None:
+        """Wait until the joints stand. Raises as `halt`."""
+        self._raise_first("halt", await self._joints_stopped())
 
     async def recover(self) -> None:
         """Reset and enable all joints after a fault or a halt. A chain that followed set-points follows them again.

@@ -76,8 +76,11 @@ class Member(Follower, Protocol):
     async def why_stopped(self) -> ChainError | None:
         """Why it follows no set-points."""
 
-    async def halt(self) -> None:
-        """Halt it."""
+    def begin_halt(self) -> None:
+        """Tell all joints to stop."""
+
+    async def halted(self) -> None:
+        """Wait until the joints stand. Raises ChainError for a joint that did not confirm it."""
 
 
 class Progress(NamedTuple):
@@ -396,9 +399,22 @@ class Together(Moving):
         return f"<{' and '.join(member.name for member in self._members)}, together>"
 
     async def halt(self) -> None:
-        """Stop all joints, along their path if they move along one, and wait until they stand. See `Chain.halt`."""
+        """Stop all joints, along their path if they move along one, and wait until they stand. See `Chain.halt`.
+
+        All are told at once, also if one of them fails. Raises the first error; the others are its notes.
+        """
         for member in self._members:
-            await member.halt()
+            member.begin_halt()
+        errors = []
+        for member in self._members:
+            try:
+                await member.halted()
+            except ChainError as error:
+                errors.append(error)
+        for other in errors[1:]:
+            errors[0].add_note(str(other))
+        if errors:
+            raise errors[0]
 
 
 def _less(limits: JointLimits, reserve: float) -> JointLimits:

@@ -9,17 +9,20 @@ it the course goes on from rest, where it is.
 
 **The end of a motion** comes when its course is finished, or is at rest after `brake`, and the joints had the time to get there.
 The joints then stand at the last set-points, and their chains go on to follow these. A course that is not at rest LONGEST_STOP
-after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp.
+after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp. So does one that brakes and
+gets no SYNC for WITHOUT_SYNC.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 import trio
 from trio.lowlevel import enable_ki_protection
 
+from canopen_master.errors import PathRefused
 from canopen_master.motion.cycles import Source, SourcePoint
 from canopen_master.motion.device import Device
 from canopen_proto.drive.following import LAG
@@ -27,6 +30,14 @@ from canopen_proto.trajectory import PathPoint
 
 LONGEST_STOP: Final = 5.0
 """Seconds that joints may take to brake along their path. A path that needs longer is refused."""
+
+WITHOUT_SYNC: Final = 0.5
+"""Seconds without a SYNC after which a motion that brakes ends: its points reach no drive."""
+
+SYNCS_LOST: Final = 10
+"""... and so many periods of SYNC."""
+
+NO_SYNC: Final = f"because no SYNC came for {WITHOUT_SYNC:g} s or more, so it cannot brake along its path"
 
 TOO_LONG: Final = f"because it did not come to rest along its path within {LONGEST_STOP:g} s"
 
@@ -143,6 +154,7 @@ class Motion:
         if not self.is_braking:
             self.is_braking = True
             self.course.stop()
+            self.news.unpark_all()
 
     def halt(self, why: str) -> None:
         """Brake along the path, and then halt the chains."""
@@ -190,7 +202,7 @@ class Motion:
                 course.start_again()
             self.point = course.advance(self._period)
             if self._torques is not None:
-                self.torques = self._torques(self.point)
+                self.torques = self._checked(self._torques(self.point))
         except Exception as error:  # noqa: BLE001 - of a course or a torque function that is the user's
             self.fail(error)
             return
@@ -213,12 +225,31 @@ class Motion:
             raise
 
     async def braked(self) -> None:
-        """Wait until it is over, after `brake`. Without SYNCs, it ends without them."""
+        """Wait until it is over, after `brake`. It ends in any case, with the chains halted if the joints may still move."""
         with trio.move_on_after(LONGEST_STOP + self._period):
             await self._over()
         self.end(TOO_LONG)
 
     async def _over(self) -> None:
         await trio.lowlevel.checkpoint()
+        patience = max(WITHOUT_SYNC, SYNCS_LOST * self._period)
         while not self.is_over:
-            await self.news.park()
+            with trio.move_on_after(patience if self.is_braking else math.inf) as scope:
+                await self.news.park()
+            if scope.cancelled_caught:
+                self.end(NO_SYNC)
+
+    def _checked(self, torques: Sequence[float]) -> list[float]:
+        """Return the torques as numbers, one for each joint. Raises PathRefused, as whatever a function of the user's returns."""
+        try:
+            numbers = [float(torque) for torque in torques]
+        except (TypeError, ValueError) as error:
+            raise _torques_refused(f"it returned {torques!r}") from error
+        count = sum(len(lane.follower.devices) for lane in self.lanes)
+        if len(numbers) != count or not all(map(math.isfinite, numbers)):
+            raise _torques_refused(f"it returned {numbers} for {count} joint{'s' * (count != 1)}")
+        return numbers
+
+
+def _torques_refused(seen: str) -> PathRefused:
+    return PathRefused("the torque function gave no torques", seen=seen, tries=("one finite number for each joint, each time",))
