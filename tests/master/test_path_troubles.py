@@ -219,3 +219,25 @@ async def test_a_halt_of_several_chains_stops_each_of_them_whatever_becomes_of_t
             assert leg.motion.is_braking
             await trio.sleep(0.01)
         drives(record.hosts[0])[0].answer(0x6041, 0, None)
+
+
+@pytest.mark.parametrize(("late", "least", "most"), [(0.025, 0.02, 0.05), (0.055, 0.15, 1.0)])
+def test_only_behind_a_long_gap_a_path_goes_on_from_rest(late: float, least: float, most: float) -> None:
+    """A computer that skips single SYNCs would otherwise make joints crawl. least, most: by how much the motion takes longer."""
+    ends: list[float] = []
+
+    @virtual_time
+    async def run(gap: float) -> None:
+        async with arms(2) as (_, [arm], _):
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(arm.follow, PATH)
+                await moved(arm, 0.8)
+                begun = trio.current_time()
+                clock = trio.lowlevel.current_clock()
+                assert isinstance(clock, MockClock)
+                clock.jump(gap)
+            ends.append(trio.current_time() - begun)
+
+    run(0.0)
+    run(late)
+    assert least < ends[1] - ends[0] < most
