@@ -221,7 +221,7 @@ async def test_a_halt_of_several_chains_stops_each_of_them_whatever_becomes_of_t
         drives(record.hosts[0])[0].answer(0x6041, 0, None)
 
 
-@pytest.mark.parametrize(("late", "least", "most"), [(0.025, 0.02, 0.05), (0.055, 0.15, 1.0)])
+@pytest.mark.parametrize(("late", "least", "most"), [(0.025, 0.005, 0.05), (0.055, 0.15, 1.0)])
 def test_only_behind_a_long_gap_a_path_goes_on_from_rest(late: float, least: float, most: float) -> None:
     """A computer that skips single SYNCs would otherwise make joints crawl. least, most: by how much the motion takes longer."""
     ends: list[float] = []

@@ -40,8 +40,8 @@ SYNCS_LOST: Final = 10
 NO_SYNC: Final = f"because no SYNC came for {WITHOUT_SYNC:g} s or more, so it cannot brake along its path"
 
 SHORT_GAP: Final = 2
-"""Periods without a SYNC after which a motion goes on at its speed: drives have hardly slowed down, and would be thrown back. After
-more it goes on from rest."""
+"""Periods without a SYNC after which a motion goes on at its speed: drives have hardly slowed down, and would be thrown back.
+After more it goes on from rest."""
 
 TOO_LONG: Final = f"because it did not come to rest along its path within {LONGEST_STOP:g} s"
 
