@@ -15,6 +15,7 @@ from trio.testing import MockClock
 
 from canopen_master import ChainError, ChainFault, ChainHalted, ChainState, MasterClosed, together
 from canopen_proto.abort import AbortCode
+from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.answers import Answer
 from tests.examples import examples
 from tests.master.direct_world import patient
@@ -241,3 +242,18 @@ def test_only_behind_a_long_gap_a_path_goes_on_from_rest(late: float, least: flo
     run(0.0)
     run(late)
     assert least < ends[1] - ends[0] < most
+
+
+@virtual_time
+async def test_a_shut_down_leaves_sync_to_a_chain_that_initialises() -> None:
+    """It would go ready without SYNC else, and a motion of it would never end."""
+    async with arms(1, 1) as (_, [arm, leg], record):
+        await leg.shut_down()
+        drives(record.hosts[1])[0].answer(0x6060, 0, Answer(delay=300 * MILLISECOND))
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(leg.initialise)
+            await trio.sleep(0.01)
+            await arm.shut_down()
+        with trio.fail_after(10.0):
+            await leg.move([0.1])
+        assert record.rows[-1] == pytest.approx([0.0, 0.1], abs=2e-6)

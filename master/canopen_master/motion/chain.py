@@ -228,7 +228,7 @@ class Chain(ChainView, Moving):
             others = [axis for axis in node.axes.values() if axis not in mine]
             if not any(axis.state in POWERED or node.was_axis_enabled(axis.number) for axis in others):
                 await self._participant.nmt_stop(node.node_id, bus=node.bus)
-        if all(chain.state is ChainState.OFF for chain in self._chains):
+        if all(chain.state is ChainState.OFF and chain._running is None for chain in self._chains):  # none begins, either
             self._participant.sync_stop()
         self._raise_first("shut down", failures)
 

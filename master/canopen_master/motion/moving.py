@@ -306,6 +306,7 @@ class Moving:
         except PathError as error:
             raise PathRefused("the path cannot be followed", seen=str(error)) from error
 
+    @enable_ki_protection
     async def _run(self, course: Course, start: PathPoint, torques: Torques | None) -> None:
         motion = self._begin(course, start, torques)
         await motion.wait()
