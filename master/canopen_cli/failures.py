@@ -125,7 +125,7 @@ def advice(steps: Iterable[str]) -> list[str]:
         if longer == LONGER:
             chosen.append(f"--timeout {limit.replace(' ', '')}" if limit else "a longer --timeout")
         elif not step.startswith("await "):
-            chosen.append(step)
+            chosen.append(step.partition(", then await ")[0])
     return chosen
 
 

@@ -79,7 +79,9 @@ def move(
     """
     screen = settings.screen()
     path_name = _take_files(settings, files)
-    if (to is None) == (path_name is None):
+    if to is not None and path_name is not None:
+        raise usage("CO001", f"a target and a path at once: --to and {path_name}", tries=("one of them",))
+    if to is None and path_name is None:
         raise usage("CO001", "where to? --to, or the CSV file of a path", tries=("--to 10,20,30", "path.csv"))
     chosen = choose_chain(settings, chain)
     path = None if path_name is None else read_path(_text(path_name), path_name, joints=chosen.joints)

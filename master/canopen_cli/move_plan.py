@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 from canopen_cli.problem import usage
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import Screen, counted, escape
 from canopen_data.path_file import PathFile
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.path_check import check_path
@@ -26,14 +26,18 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
     parts = [part.strip() for part in text.split(",")]
     if not any("=" in part for part in parts):
         if len(parts) != len(joints):
-            seen, tries = f"the joints are {','.join(joints)}", ("--to JOINT=POSITION",)
-            raise usage("CO001", f"--to has {len(parts)} positions", seen=seen, tries=tries)
+            seen, tries = f"its joints are {', '.join(joints)}", ("--to JOINT=POSITION", "--to A,B,... with each joint")
+            failed = f"--to {text!r} is {counted(len(parts), 'value')}, and the chain has {counted(len(joints), 'joint')}"
+            raise usage("CO001", failed, seen=seen, tries=tries)
         parts = [f"{joint}={part}" for joint, part in zip(joints, parts, strict=True)]
     found: dict[str, float] = {}
     for part in parts:
         name, equals, number = (each.strip() for each in part.partition("="))
-        if name not in joints or not equals or name in found:
-            raise usage("CO001", f"--to: {part!r} is no JOINT=POSITION of its own{did_you_mean(name, joints)}")
+        if name in found:
+            raise usage("CO001", f"--to: {name} has two positions", tries=("each joint once",))
+        if name not in joints or not equals:
+            seen = f"its joints are {', '.join(joints)}"
+            raise usage("CO001", f"--to: {part!r} is not JOINT=POSITION{did_you_mean(name, joints)}", seen=seen)
         try:
             found[name] = float(number)
         except ValueError:

@@ -43,6 +43,24 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
         raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was done")
 
 
+def check_writable(path: str | Path) -> None:
+    """Raise a Problem if the file cannot be opened for writing. For files that are written where they stand, not as `new_file`.
+
+    One that is not there is made and removed again: nothing else tells for sure. Pipes and devices are not tried.
+    """
+    target = Path(path)
+    is_new = not target.exists()
+    if not is_new and not target.is_file():
+        return
+    try:
+        with target.open("ab"):
+            pass
+        if is_new:
+            target.unlink()
+    except OSError as error:
+        raise _cannot_write(str(path), error) from error
+
+
 def write_file(path: str, data: bytes, *inputs: str) -> None:
     """Write a file as `whole_file` does. Raises a Problem if it is one of the inputs, or cannot be written."""
     _check_no_input(Path(path), inputs)
@@ -66,6 +84,8 @@ def new_file(path: str) -> Iterator[IO[bytes]]:
 
 def _cannot_write(path: str, error: OSError | ValueError) -> Problem:
     reason = error.strerror if isinstance(error, OSError) else error
+    if isinstance(error, PermissionError):
+        return Problem(ExitCode.PERMISSION, "CO109", f"cannot write {path}: {reason}", tries=("another folder",))
     return Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",))
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from canopen_cli.new_files import check_writable
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.recording import JointTrack, Recording
 
@@ -39,16 +39,10 @@ def check_plot(path: Path) -> None:
             f"cannot write {path}: the folder {path.parent} does not exist",
             tries=(f"mkdir -p {path.parent}",),
         )
-    if not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise Problem(
-            ExitCode.PERMISSION,
-            "CO109",
-            f"cannot write {path}: no permission",
-            tries=("--plot with another folder",),
-        )
     known = FigureCanvasAgg.get_supported_filetypes()
     if path.suffix.lstrip(".").lower() not in known:
         raise usage("CO140", f"cannot write a picture as {path.name!r}", tries=(f"one of .{', .'.join(sorted(known))}",))
+    check_writable(path)
 
 
 def write_plot(path: Path, recording: Recording, title: str, subtitle: str) -> None:

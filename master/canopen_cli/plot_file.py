@@ -19,9 +19,12 @@ from canopen_master.motion.record_reader import is_record, read_record
 
 COLUMNS = "joint", "unit", "from", "to", "largest\nspeed", "largest\nacceleration", "largest\nfollowing\nerror"
 
+_CLOSE = 1e-9
+"""Smaller numbers are shown as 0: they are left by rounding."""
+
 
 @click.command()
-@click.argument("file")
+@click.argument("file", type=click.Path(dir_okay=False))
 @click.option(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The picture: .png, .svg, .pdf.  [default: FILE.png]"
 )
@@ -86,4 +89,8 @@ def _as_json(joint: Course) -> dict[str, object]:
 
 def _row(joint: Course) -> tuple[str, ...]:
     name, unit, *numbers = _as_json(joint).values()
-    return escape(str(name)), escape(str(unit)), *("" if number is None else f"{number:.4g}" for number in numbers)
+    return (
+        escape(str(name)),
+        escape(str(unit)),
+        *("" if number is None else f"{0.0 if abs(number) < _CLOSE else number:.4g}" for number in numbers),
+    )

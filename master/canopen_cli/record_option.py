@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from canopen_cli.failures import problem_of
-from canopen_cli.new_files import check_new_file
+from canopen_cli.new_files import check_new_file, check_writable
 from canopen_cli.options import Settings
 from canopen_cli.screen import Screen, counted, escape
 from canopen_master.motion.chain import Chain
@@ -30,6 +30,7 @@ def check_record(settings: Settings, screen: Screen, path: Path | None) -> None:
         check_new_file(settings, screen, path)
         if path.suffix.lower() == PARQUET:
             pyarrow_modules(str(path))
+        check_writable(path)
 
 
 @asynccontextmanager

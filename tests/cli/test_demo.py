@@ -5,7 +5,6 @@ from __future__ import annotations
 import builtins
 import importlib
 import math
-import os
 import re
 import signal
 from collections.abc import AsyncIterator, Mapping, Sequence
@@ -441,8 +440,12 @@ def test_a_picture_that_this_user_may_not_write(run: Run, tmp_path: Path, monkey
     picture = tmp_path / "arm.png"
     if there:
         picture.touch()
-    monkeypatch.setattr(os, "access", lambda path, mode: path != (picture if there else tmp_path))
+
+    def refuse(path: Path, mode: str) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
     outcome = run("demo", "--plot", str(picture))
     assert outcome.status == ExitCode.PERMISSION
-    assert "no permission" in outcome.err
+    assert f"CO109: cannot write {picture}: Permission denied" in " ".join(outcome.err.split())
     assert "boot" not in outcome.err

@@ -140,12 +140,12 @@ def test_home_first(run: Run, fleets: list[Fleet]) -> None:
     ("arguments", "text"),
     [
         ((), "where to?"),
-        (("--to", "1,2"), "--to has 2 positions"),
+        (("--to", "1,2"), "--to '1,2' is 2 values, and the chain has 6 joints"),
         (("--to", "1,2,3,4,5,x"), "'x' is not a finite number"),
-        (("--to", "joint9=1"), "joint9=1"),
-        (("--to", "joint1=1,joint1=2"), "is no JOINT=POSITION of its own"),
+        (("--to", "joint9=1"), "'joint9=1' is not JOINT=POSITION"),
+        (("--to", "joint1=1,joint1=2"), "joint1 has two positions"),
         (("a.csv", "b.csv"), "one machine file and one path"),
-        (("--to", "1", "path.csv"), "where to?"),
+        (("--to", "1", "path.csv"), "a target and a path at once"),
         (("--chain", "x", "--to", "1"), "has no chain 'x'"),
         (("--to", "1,2,3,4,5,6", "--override", "0"), "0"),
     ],
@@ -155,6 +155,22 @@ def test_wrong_words(run: Run, fleets: list[Fleet], arguments: tuple[str, ...], 
     assert outcome.status == ExitCode.USAGE
     assert text in outcome.err
     assert not fleets
+
+
+@pytest.mark.parametrize("option", ["--record", "--plot"])
+def test_a_file_that_cannot_be_written_is_told_before_anything_has_power(run: Run, fleets: list[Fleet], option: str) -> None:
+    if not Path("/proc/self").is_dir():
+        pytest.skip("needs a folder in which nobody, not even root, may write")
+    outcome = run(*DEMO, "--to", "joint1=5", option, f"/proc/run.{'csv' if option == '--record' else 'png'}")
+    assert (outcome.status, "CO341: cannot write /proc/run." in outcome.err) == (ExitCode.BAD_FILE, True)
+    assert not fleets
+
+
+def test_the_advice_at_a_limit_switch_is_for_the_command_line(run: Run, fleets: list[Fleet]) -> None:
+    outcome = run(*DEMO, "--to", "joint1=500")
+    assert outcome.status == ExitCode.DRIVE_FAULT
+    assert "try:   move it the other way" in outcome.err
+    assert "await" not in outcome.err
 
 
 def test_files_that_cannot_be_used(run: Run, tmp_path: Path, cell: str) -> None:

@@ -96,6 +96,7 @@ def test_a_path_is_drawn_before_it_is_followed(run: Run, tmp_path: Path) -> None
 def test_what_cannot_be_drawn(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "run.csv"
     assert run("plot", str(file)).status == ExitCode.BAD_FILE
+    assert run("plot", str(tmp_path)).status == ExitCode.USAGE  # a folder
     file.write_text("a,b\n")
     outcome = run("plot", str(file))
     assert outcome.status == ExitCode.BAD_FILE
