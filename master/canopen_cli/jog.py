@@ -17,6 +17,7 @@ from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted
 from canopen_cli.terminal_keys import END, LEFT, RIGHT, Keys, ended_with_terminal, key_by_key, read_terminal
 from canopen_master.motion.chain import Chain
+from canopen_master.trajectories.scaled_joints import load_ruckig
 
 WAYS = {RIGHT: 1.0, "+": 1.0, LEFT: -1.0, "-": -1.0}
 ENDS = ("q", "\x1b", END)
@@ -43,7 +44,7 @@ def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, sp
     1 to 9 choose a joint. The cursor keys right and left (or + and -) move it, from their first repetition on: a tap moves
     nothing. It brakes within its limits when the key is released, that is, once 0.15 s have passed without a repetition; at
     another key, at Ctrl-C, and when the terminal is gone. It also brakes before the limits of its position. q ends, and takes the
-    power away.
+    power away. Needs ruckig.
 
     \b
     canopen jog -b demo                        a simulated arm
@@ -55,6 +56,7 @@ def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, sp
     chosen = choose_chain(settings, chain)
     if not is_terminal():
         raise usage("CO122", "a jog needs a terminal, whose keys are held", seen="nothing was sent", tries=("canopen move",))
+    load_ruckig("jogging")  # told before anything has power
     check_record(settings, screen, record)
     jogging = _Jogging(settings, screen, chosen, home, speed)
     with key_by_key():

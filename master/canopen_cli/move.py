@@ -30,6 +30,7 @@ from canopen_master.motion.chain import Chain
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.record_reader import read_record
 from canopen_master.motion.recording import Recorder
+from canopen_master.trajectories.scaled_joints import load_ruckig
 
 REFRESH = 0.1
 """Seconds between two updates of what is shown."""
@@ -86,6 +87,8 @@ def move(
     chosen = choose_chain(settings, chain)
     path = None if path_name is None else read_path(_text(path_name), path_name, joints=chosen.joints)
     targets = None if to is None else targets_of(to, chosen.joints)
+    if targets is not None:
+        load_ruckig("planning a motion")  # told before anything has power
     if settings.dry_run:
         rehearse_move(settings, screen, chosen, targets, path, override)
         return

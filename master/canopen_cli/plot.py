@@ -29,8 +29,8 @@ def check_plot(path: Path) -> None:
     except ImportError as missing:
         raise usage(
             "CO140",
-            f"--plot needs {missing.name or 'matplotlib'}, which is not installed",
-            tries=("pip install 'canopen-proto[plot]'", "the same command without --plot"),
+            f"a picture needs {missing.name or 'matplotlib'}, which is not installed",
+            tries=("pip install 'canopen-proto[plot]'",),
         ) from None
     if not path.parent.is_dir():
         raise Problem(

@@ -89,8 +89,8 @@ def _as_json(joint: Course) -> dict[str, object]:
 
 def _row(joint: Course) -> tuple[str, ...]:
     name, unit, *numbers = _as_json(joint).values()
-    return (
-        escape(str(name)),
-        escape(str(unit)),
-        *("" if number is None else f"{0.0 if abs(number) < _CLOSE else number:.4g}" for number in numbers),
-    )
+    return escape(str(name)), escape(str(unit)), *map(_shown, numbers)
+
+
+def _shown(number: object) -> str:
+    return f"{0.0 if abs(number) < _CLOSE else number:.4g}" if isinstance(number, float) else ""

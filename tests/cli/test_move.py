@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -163,6 +164,15 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_has_power(run: Ru
         pytest.skip("needs a folder in which nobody, not even root, may write")
     outcome = run(*DEMO, "--to", "joint1=5", option, f"/proc/run.{'csv' if option == '--record' else 'png'}")
     assert (outcome.status, "CO341: cannot write /proc/run." in outcome.err) == (ExitCode.BAD_FILE, True)
+    assert not fleets
+
+
+def test_what_is_not_installed_is_told_before_anything_has_power(
+    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "ruckig", None)
+    outcome = run(*DEMO, "--to", "joint1=5")
+    assert (outcome.status, "CO141" in outcome.err) == (ExitCode.USAGE, True)
     assert not fleets
 
 
