@@ -134,10 +134,11 @@ class PathClock:
         """Go on along the path, at the rate of the override. A stop under way comes to its end first."""
         self._resumes = self._is_stopping
 
-    def start_again(self) -> None:
+    def start_again(self, lost_cycles: int = 0) -> None:
         """Go on from the present point at the rate 0, and gather speed again: the joints have come to rest by themselves.
 
-        Drives do that if a SYNC stays away. They would have to jump to the speed of the path otherwise.
+        Drives do that if a SYNC stays away. They would have to jump to the speed of the path otherwise. lost_cycles: without a
+        SYNC; however many they are, the path is where it was.
         """
         if not self.is_finished:
             self._origin = self._time

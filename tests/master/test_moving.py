@@ -10,11 +10,13 @@ import pytest
 import trio
 from hypothesis import given
 from hypothesis import strategies as st
+from trio.testing import MockClock
 
-from canopen_master import ChainError, ChainState, MotionReplaced, PathRefused, PlanRefused, Progress, together
+from canopen_master import ChainError, ChainHalted, ChainState, MotionReplaced, PathRefused, PlanRefused, Progress, together
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.trajectory import Path, PathError, Segment
 from tests.examples import examples
+from tests.master.direct_world import patient
 from tests.master.path_world import AXIS, CYCLE, Record, arms, swing
 from tests.master.test_path_motion import ON_PATH, WITHIN, distance_from, moved
 from tests.master.world import virtual_time
@@ -257,3 +259,35 @@ async def test_what_else_is_refused() -> None:
             with pytest.raises(ChainError, match="it moves along a path"):
                 arm.set_positions([0, 0])
         assert record.rows[-1] == pytest.approx([0.5, -0.25], abs=2e-6)
+
+
+@pytest.mark.parametrize("blocked", [0.1, 1.0])
+@virtual_time
+async def test_a_jog_whose_whole_process_hangs_does_not_begin_again_by_itself(blocked: float) -> None:
+    """Periods without a SYNC count for the dead man; and drives that stood are not told to move on at full speed."""
+    async with arms(1, makers=patient) as (_, [arm], record):
+        async with arm.jog(renew_within=0.3) as jog:
+            jog.velocity([0.5])
+            await trio.sleep(0.25)
+            clock = trio.lowlevel.current_clock()
+            assert isinstance(clock, MockClock)
+            clock.jump(blocked)
+            await trio.sleep(3 * CYCLE)
+            stood = len(record.rows)
+            await trio.sleep(0.5)
+            with pytest.raises(PlanRefused, match="was not renewed in time"):
+                jog.velocity([0.5])
+        assert record.rows[-1] == pytest.approx(record.rows[stood - 1], abs=2e-6)
+
+
+@virtual_time
+async def test_a_jog_whose_chain_is_being_halted_says_so() -> None:
+    async with arms(1) as (_, [arm], _), trio.open_nursery() as nursery:
+        with pytest.raises(ChainHalted, match="by halt"):
+            async with arm.jog() as jog:
+                jog.velocity([0.5])
+                await trio.sleep(0.15)
+                nursery.start_soon(arm.halt)
+                await trio.sleep(2 * CYCLE)
+                assert arm.motion is not None  # it brakes
+                jog.velocity([0.5])

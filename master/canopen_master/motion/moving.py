@@ -212,11 +212,11 @@ class Moving:
             raise stream.failure
 
     def _check_goes_on(self, motion: Motion, what: str) -> None:
-        """Raise if a motion is over that should not be."""
+        """Raise if a motion is over that should not be, or if its chains are being halted."""
         if motion.is_over:
             self._raise_own_end(motion)
-            for member in self._members:
-                member.require_following(what)
+        for member in self._members:
+            member.require_following(what)
 
     # ---- while it runs ----
 

@@ -58,8 +58,8 @@ class Course(Protocol):
     def stop(self) -> object:
         """Begin to brake to rest, within the limits of the joints, and along the path if there is one."""
 
-    def start_again(self) -> None:
-        """Go on from rest: the drives have braked by themselves."""
+    def start_again(self, lost_cycles: int) -> None:
+        """Go on from rest: the drives have braked by themselves. lost_cycles: periods without a SYNC."""
 
     @property
     def is_finished(self) -> bool:
@@ -203,7 +203,7 @@ class Motion:
         course = self.course
         try:
             if skipped > SHORT_GAP:
-                course.start_again()
+                course.start_again(skipped)
             self.point = course.advance(self._period)
             if self._torques is not None:
                 self.torques = self._checked(self._torques(self.point))

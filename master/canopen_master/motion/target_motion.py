@@ -46,8 +46,9 @@ class StreamCourse:
         """See Course."""
         self._stream.stop()
 
-    def start_again(self) -> None:
-        """See Course. A stream goes on as it is: its caller sees that the joints have stood, and says what is to be."""
+    def start_again(self, lost_cycles: int) -> None:
+        """See Course. Lost cycles count for the dead man's switch."""
+        self._stream.start_again(lost_cycles)
 
     @property
     def is_finished(self) -> bool:

@@ -152,6 +152,18 @@ class TargetStream:
         self._goal, self._is_given = _Goal.STANDSTILL, False
         self._wanted = [0.0] * len(self._joints)
 
+    def start_again(self, lost_cycles: int) -> None:
+        """Go on from rest at the present point: the joints have come to rest by themselves, in cycles without a step.
+
+        These cycles count for the dead man's switch: nobody held it meanwhile.
+        """
+        self._unrenewed += lost_cycles
+        rest = [0.0] * len(self._joints)
+        self._point = PathPoint(self._point.positions, rest, rest)
+        self._reaches = self._reaches_of(self._states(self._point))
+        self._request.current_velocity, self._request.current_acceleration = rest, rest
+        self._is_given = False
+
     def step(self) -> PathPoint:
         """Go on by one cycle, and return where the joints are to be at its end, how fast, and how they accelerate.
 
