@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import click
+import trio
 
 from canopen_cli.chain_session import ChosenChain, choose_chain, open_chain
 from canopen_cli.demo_view import DemoView, JointView, Step
@@ -20,6 +22,8 @@ from canopen_master.motion.chain import Chain
 from canopen_master.trajectories.scaled_joints import load_ruckig
 
 WAYS = {RIGHT: 1.0, "+": 1.0, LEFT: -1.0, "-": -1.0}
+REFRESH = 0.2
+"""Seconds between two updates of what is shown while a joint moves."""
 ENDS = ("q", "\x1b", END)
 
 
@@ -109,9 +113,12 @@ class _Jogging:
         async with arm.jog() as jogging:
             velocities[self._joint] = WAYS[key] * self.speed * arm.devices[self._joint].limits.speed.value
             held = True
+            shown = -math.inf
             while held:
                 jogging.velocity(velocities)
-                self._show(arm, view, step, "moves")
+                if trio.current_time() - shown >= REFRESH:  # keys come faster, and drawing delays the cycle
+                    self._show(arm, view, step, "moves")
+                    shown = trio.current_time()
                 held = await keys.is_still_held(key)
 
     def _show(self, arm: Chain, view: DemoView, step: Step, doing: str) -> None:

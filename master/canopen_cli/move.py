@@ -194,13 +194,17 @@ class _Move:
             view.done(step, f"{name}, {path.duration:.2f} s")
 
     async def _show(self, arm: Chain, view: DemoView, step: Step, duration: float) -> None:
+        between = max(1, round(REFRESH / arm.settings.cycle_time))
+        cycle = 0
         async for progress in arm.progress():
             self._told = f"it had been moving for {progress.time:.1f} s, and stands on its path"
             step.progress = min(1.0, progress.time * self.override / duration) if duration else 1.0
+            cycle += 1
+            if cycle % between:
+                continue
             for joint, device, position in zip(view.joints, arm.devices, progress.positions, strict=True):
                 joint.state, joint.position = str(device.state), position
-            view.refresh()
-            await trio.sleep(REFRESH)
+            view.refresh()  # right behind a SYNC: drawing must not delay the next one, for the path would begin again from rest
 
     def story(self, confirmed: bool) -> list[str]:
         """Tell what was done if it did not come to its end."""
