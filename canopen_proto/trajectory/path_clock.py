@@ -20,7 +20,7 @@ from typing import Final, final
 
 from canopen_proto.trajectory.limit_check import JointLimits, check_cycle, check_same_count
 from canopen_proto.trajectory.path import TIME_TOLERANCE, Path, PathError, PathPoint
-from canopen_proto.trajectory.reserve import Reserve
+from canopen_proto.trajectory.reserve import Reserve, rest_time
 from canopen_proto.trajectory.speed_change import SpeedChange
 
 LONGEST_STOP: Final = 10.0
@@ -119,7 +119,8 @@ class PathClock:
             self._aim_at(override)
 
     def stop(self) -> float:
-        """Brake along the path to rest, as soon as this place of the path allows.
+        """Brake along the path to rest, as soon as this place of the path allows. Near the end of a path that ends at rest
+        nothing may be sooner than its end.
 
         Return the seconds until then, at most; 0 if the joints rest already.
         """
@@ -128,7 +129,7 @@ class PathClock:
             distance, rate, change = self._change.at(self._elapsed)
             self._begin(self._reserve.braking_at(self._time, rate, change), distance)
         self._is_stopping = True
-        return 0.0 if self.is_at_rest else self._change.duration - self._elapsed
+        return 0.0 if self.is_at_rest else rest_time(self._change, self.path.duration - self._origin) - self._elapsed
 
     def resume(self) -> None:
         """Go on along the path, at the rate of the override. A stop under way comes to its end first."""

@@ -15,6 +15,8 @@ These hold for each segment with its largest q', q'' and q'''. Of the pairs A, J
 stop is taken. They are found over the whole path, for any change at any time. A stop looks only as far ahead as it goes: often
 the joints have a constant speed there, and may brake as hard as they can. And where a joint gathers speed, braking along the path
 takes acceleration away at first: q'' r² and q' dr/dt have different signs, and |q'| A <= acceleration is enough.
+
+A stop that is stronger than that is tried too, and checked along its own way, where the rate falls: see stop_check.py.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from canopen_proto.trajectory.limit_check import Demand, JointLimits, demands_of
 from canopen_proto.trajectory.path import Path, PathError, PathPoint
 from canopen_proto.trajectory.polynomial import Extremes
 from canopen_proto.trajectory.speed_change import SpeedChange
+from canopen_proto.trajectory.stop_check import keeps_limits, motion_at, pieces_of, stretches_of
 
 FASTEST_CHANGE: Final = 20.0
 """The rate changes by no more per second, even where no joint has a limit."""
@@ -39,6 +42,15 @@ _STEEPNESS: Final[tuple[float, ...]] = (1.0, 2.0, 4.0, 8.0, 16.0)
 """The ratios J / A² that are tried. With 1 the change of the rate grows, and falls at once; with 16 it is mostly held."""
 _SEEN_CYCLES: Final = 3
 """Cycles for which a drive that computes a jerk from its positions still sees a knot."""
+
+_TRIED_STEEPNESS: Final = (3.0, 8.0)
+"""The ratios J / A² of a stop that is checked along its own way."""
+_LADDER: Final = 1.2
+"""Each stop that is tried takes so many times as long as the one before."""
+_WORTH: Final = 0.97
+"""A stop that is longer than this part of the known one is not worth its check."""
+_CHECKS: Final = 50
+"""So many joints are asked at most, about all stops that are tried: a stop begins in the turn of one cycle."""
 
 
 @final
@@ -52,13 +64,16 @@ class Reserve:
     """
 
     __slots__ = (
-        "_cycle_time", "_limits", "_needs", "max_change", "max_onset", "rests_at_end", "rests_at_start", "stop_time",
+        "_cycle_time", "_duration", "_limits", "_needs", "_stretches", "max_change", "max_onset", "rests_at_end",
+        "rests_at_start", "stop_time",
     )  # fmt: skip
 
     def __init__(self, path: Path, limits: Sequence[JointLimits], cycle_time: float, longest_stop: float) -> None:
         self._limits = limits
         self._cycle_time = cycle_time
+        self._duration = path.duration
         self._needs: list[list[Demand]] = []
+        self._stretches = [stretches_of(row) for row in path.segments]
         self.rests_at_start = self.rests_at_end = True
         start, end = path.start, path.end
         room = _Room()
@@ -82,7 +97,7 @@ class Reserve:
         """Return the shortest stop that begins at this time of the path.
 
         It looks at the place itself, then as far as the stop would go that this place allows, and so on until a stop ends within
-        what was looked at.
+        what was looked at. Then it tries whether a stronger one, or the end of the path, is sooner: see `rest_time`.
         """
         anywhere = self.braking(rate, change)
         room = _Room()
@@ -97,10 +112,66 @@ class Reserve:
                 nexts[joint] = number
             found = room.braking(rate, change)
             if found is None or found.duration >= anywhere.duration:
-                return anywhere
+                return self._sooner(time, rate, change, anywhere)
             if time + found.distance <= until:
-                return found
+                return self._sooner(time, rate, change, found)
             until = time + found.distance
+
+    def _sooner(self, time: float, rate: float, change: float, known: SpeedChange) -> SpeedChange:
+        """Return a stop that is over sooner than the known one if there is one that surely keeps the limits, else the known one.
+
+        The end of the path may be that stop. Of the others the shortest ones are tried first, and the joint that refused the last
+        one is asked first about the next.
+        """
+        left = self._duration - time
+        if self.rests_at_end:
+            onwards = max(0.0, rate + change * abs(change) / (2.0 * self.max_onset))
+            until_end = SpeedChange(rate, change, onwards, self.max_change, self.max_onset)
+            known = min(known, until_end, key=lambda each: rest_time(each, left))
+        ramps = [self._own_stop(joint, time, rate, change) for joint in range(len(self._stretches))]
+        order = sorted(range(len(ramps)), key=ramps.__getitem__, reverse=True)
+        seen = _SEEN_CYCLES * self._cycle_time
+        room = _CHECKS
+        within = rest_time(known, left) * _WORTH
+        takes = max(2.0 / FASTEST_CHANGE, ramps[order[0]])
+        while takes < within and room > 0:
+            for steepness in _TRIED_STEEPNESS:
+                most = (rate + 1.0 / steepness) / takes
+                onset = steepness * most * most
+                without = rate + change * abs(change) / (2.0 * onset)
+                if most > FASTEST_CHANGE or onset > FASTEST_ONSET or most < abs(change) or not 0.0 <= without <= 1.0:
+                    continue
+                stop = SpeedChange(rate, change, 0.0, most, onset)
+                if stop.distance > left and (not self.rests_at_end or rest_time(stop, left) > within):
+                    continue
+                if stop.duration > within and stop.distance <= left:
+                    continue
+                pieces = pieces_of(stop, time)
+                for number, joint in enumerate(order):
+                    room -= 1
+                    if not keeps_limits(pieces, self._stretches[joint], self._limits[joint], seen):
+                        order.insert(0, order.pop(number))
+                        break
+                else:
+                    return stop
+            takes *= _LADDER
+        return known
+
+    def _own_stop(self, joint: int, time: float, rate: float, change: float) -> float:
+        """Return the seconds that the joint would need to stop by its own ramp; 0 if it has not both limits."""
+        limits = self._limits[joint]
+        if limits.acceleration is None or limits.jerk is None or limits.acceleration + limits.jerk == math.inf:
+            return 0.0
+        speed, acceleration = motion_at(self._stretches[joint], time)
+        now = acceleration * rate * rate + speed * change
+        now = min(max(now, -limits.acceleration), limits.acceleration)
+        return SpeedChange(speed * rate, now, 0.0, limits.acceleration, limits.jerk).duration
+
+
+def rest_time(stop: SpeedChange, left: float) -> float:
+    """Return the seconds after which the joints rest, at the latest. left: of the path's time, when the change begins."""
+    end = stop.time_at(left)
+    return min(stop.duration, end) if stop.wanted == 0.0 else end
 
 
 def _rests(point: PathPoint, joint: int, velocity: float, acceleration: float) -> bool:

@@ -12,8 +12,9 @@ from typing import Final, TypeAlias, final
 from canopen_proto.machine import LocalProtocolError
 
 _ROUNDING: Final = 1 + 1e-9
+_HALVINGS: Final = 20
 
-_Phase: TypeAlias = tuple[float, float, float, float, float]
+Phase: TypeAlias = tuple[float, float, float, float, float]
 """Its start in s; distance, speed and acceleration there; its jerk."""
 
 
@@ -25,7 +26,7 @@ class SpeedChange:
     if the acceleration cannot end before.
     """
 
-    __slots__ = ("_phases", "distance", "duration", "wanted")
+    __slots__ = ("distance", "duration", "phases", "wanted")
 
     def __init__(self, speed: float, acceleration: float, wanted: float, max_acceleration: float, max_jerk: float) -> None:
         if not (
@@ -45,18 +46,19 @@ class SpeedChange:
             peak = max_acceleration
             held = max(0.0, gain - (2.0 * peak * peak - given * given) / (2.0 * max_jerk)) / peak
         time = distance = 0.0
-        self._phases: list[_Phase] = []
+        self.phases: Final[list[Phase]] = []
+        """Three, the jerk of the middle one is 0; then what follows, for ever."""
         for lasts, jerk in (
             (max(0.0, peak - given) / max_jerk, towards * max_jerk),
             (held, 0.0),
             (peak / max_jerk, -towards * max_jerk),
         ):
-            self._phases.append((time, distance, speed, acceleration, jerk))
+            self.phases.append((time, distance, speed, acceleration, jerk))
             time += lasts
             distance += lasts * (speed + lasts * (acceleration / 2.0 + lasts * jerk / 6.0))
             speed += lasts * (acceleration + lasts * jerk / 2.0)
             acceleration += lasts * jerk
-        self._phases.append((time, distance, wanted, 0.0, 0.0))
+        self.phases.append((time, distance, wanted, 0.0, 0.0))
         self.duration: Final = time
         """Seconds until the speed is the wanted one."""
         self.distance: Final = distance
@@ -65,12 +67,29 @@ class SpeedChange:
     def at(self, time: float) -> tuple[float, float, float]:
         """Return the distance, the speed and the acceleration `time` seconds (0 or more) after the start."""
         number = 3
-        while number and self._phases[number][0] > time:
+        while number and self.phases[number][0] > time:
             number -= 1
-        begin, distance, speed, acceleration, jerk = self._phases[number]
+        begin, distance, speed, acceleration, jerk = self.phases[number]
         t = time - begin
         return (
             distance + t * (speed + t * (acceleration / 2.0 + t * jerk / 6.0)),
             speed + t * (acceleration + t * jerk / 2.0),
             acceleration + t * jerk,
         )
+
+    def time_at(self, distance: float) -> float:
+        """Return the seconds after which it has gone this far, rounded up by 1e-6 of its duration at most; math.inf: never.
+
+        The speed must not be negative on the way.
+        """
+        beyond = distance - self.distance
+        if beyond > 0.0:
+            return self.duration + beyond / self.wanted if self.wanted > 0.0 else math.inf
+        early, late = 0.0, self.duration
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (early + late)
+            if self.at(middle)[0] < distance:
+                early = middle
+            else:
+                late = middle
+        return late

@@ -134,6 +134,10 @@ HARD_TO_STOP_ON = {
         [stepwise([(0.5, 2.0), (0.5, 0.0), (0.5, -2.0), (1.5, 0.0), (0.5, -2.0), (0.5, 0.0), (0.5, 2.0)], 3)],
         [JointLimits(speed=1.0, acceleration=1.25, jerk=2.5)],
     ),
+    "the same with a jerk that is ample": (
+        [stepwise([(0.5, 2.0), (0.5, 0.0), (0.5, -2.0), (1.5, 0.0), (0.5, -2.0), (0.5, 0.0), (0.5, 2.0)], 3)],
+        [JointLimits(speed=1.0, acceleration=1.25, jerk=20.0)],
+    ),
     "two joints, of which one rests in between": (
         [
             stepwise([(0.5, 4.0), (0.5, -4.0), (1.0, 0.0), (0.5, -4.0), (0.5, 4.0)], 3),
@@ -162,6 +166,74 @@ def test_a_stop_keeps_the_limits_wherever_it_begins(case: str) -> None:
             for seen in differences([each[joint] for each in points]):
                 for each, limit in zip(seen, (own.speed, own.acceleration, own.jerk), strict=True):
                     assert limit is None or each <= limit * (1 + ROUNDING) + 1e-6
+
+
+@st.composite
+def plans(draw: st.DrawFn) -> Path:
+    """One to three joints that go once or twice, each time in seven phases of constant jerk, as a plan does."""
+    rows: list[list[Segment]] = [[] for _ in range(draw(st.integers(1, 3)))]
+    ends = [0.0] * len(rows)
+    for _ in range(draw(st.integers(1, 2))):
+        jerked, even, cruise = (draw(st.integers(least, most)) / 100 for least, most in ((5, 30), (1, 50), (1, 80)))
+        for joint, row in enumerate(rows):
+            jerk = draw(st.integers(-10, 10))
+            way = stepwise([(jerked, jerk), (even, 0.0), (jerked, -jerk), (cruise, 0.0)], 3)
+            way = stepwise(
+                [(each.duration, 6 * each.coefficients[3]) for each in way]
+                + [(jerked, -jerk), (even, 0.0), (jerked, jerk)], 3
+            )  # fmt: skip
+            row += [Segment(each.duration, (each.coefficients[0] + ends[joint], *each.coefficients[1:])) for each in way]
+            ends[joint] = sum(each * row[-1].duration ** number for number, each in enumerate(row[-1].coefficients))
+    return Path(rows)
+
+
+@given(
+    st.one_of(paths(), plans()), st.floats(0.1, 0.6), st.sampled_from([0.2, 0.7, 1.0]), st.booleans(), st.integers(0, 700),
+    st.sampled_from([0.0, 0.4, 1.0]), st.integers(0, 60), st.booleans(),
+)  # fmt: skip
+@examples(60)
+def test_a_stop_at_any_moment_keeps_the_limits(
+    path: Path, reserve: float, override: float, moving: bool, cycles: int, then: float, later: int, goes_on: bool
+) -> None:
+    limits = limits_with_reserve(path, reserve)
+    moving = moving and not PathClock(path, limits, CYCLE, longest_stop=1e4).stop_time > path.duration
+    clock = PathClock(path, limits, CYCLE, override=override, moving=moving, longest_stop=1e4)
+    clock.advance(cycles * CYCLE)
+    clock.override = then  # the rate grows or falls when the stop begins
+    points = [clock.advance(CYCLE).positions for _ in range(later + 4)]
+    named = clock.stop()
+    assert named <= clock.stop_time * (1 + 1e-9)
+    most = min(math.ceil(named / CYCLE), 1500)
+    for number in range(most + 3):
+        points.append(clock.advance(CYCLE).positions)
+        if goes_on and number == most // 2:
+            clock.resume()
+            clock.override = 1.0
+    points += [clock.advance(CYCLE).positions for _ in range(30)]
+    for joint, own in enumerate(limits):
+        for seen in differences([each[joint] for each in points]):
+            for each, limit, rounding in zip(seen, (own.speed, own.acceleration, own.jerk), (1e-12, 1e-9, 1e-6), strict=True):
+                assert limit is not None
+                assert each <= limit * (1 + ROUNDING) + rounding * (1 + max(abs(p[joint]) for p in points))
+
+
+def test_a_stop_takes_little_longer_than_the_ramp_of_the_joint() -> None:
+    speed, limits = 90.0, [JointLimits(speed=90.0, acceleration=180.0, jerk=1800.0)]
+    jerk, acceleration = 0.8 * 1800.0, 0.8 * 180.0  # a plan with its reserve
+    even, jerked = speed / acceleration - acceleration / jerk, acceleration / jerk
+    up, down = [(jerked, jerk), (even, 0.0), (jerked, -jerk)], [(jerked, -jerk), (even, 0.0), (jerked, jerk)]
+    path = Path([stepwise([*up, (0.5, 0.0), *down], 3)])
+    ramp = speed / 180.0 + 180.0 / 1800.0
+    stops = []
+    for cycles in range(1, int(path.duration / 0.01), 3):
+        clock = PathClock(path, limits, 0.01)
+        clock.advance(cycles * 0.01)
+        stops.append(clock.stop())
+    assert max(stops) < 2.4 * ramp
+    assert sum(stops) / len(stops) < 1.1 * ramp
+    assert not clock.is_finished
+    clock.advance(stops[-1])  # near its end, the end of the path is the stop
+    assert clock.is_finished
 
 
 def test_a_stop_at_a_constant_speed_may_use_all_of_the_acceleration() -> None:
