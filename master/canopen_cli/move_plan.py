@@ -9,6 +9,7 @@ from typing import TypeAlias
 from canopen_cli.problem import usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data.path_file import PathFile
+from canopen_master.errors import PlanRefused
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.path_check import check_path
 from canopen_proto.dictionary.model import did_you_mean
@@ -70,7 +71,11 @@ def planned(arm: Chain, here: Sequence[float], there: Sequence[float]) -> Path:
     from canopen_master.trajectories.point_to_point import plan
 
     rest = [0.0] * len(here)
-    return plan(PathPoint(list(here), rest, rest), there, arm.path_limits)
+    try:
+        return plan(PathPoint(list(here), rest, rest), there, arm.path_limits)
+    except PlanRefused as error:
+        error.name_joint([device.name for device in arm.devices])
+        raise
 
 
 def told_legs(screen: Screen, arm: Chain, legs: Legs) -> None:

@@ -10,7 +10,8 @@ a value that does not fit, `LocalProtocolError` for a node-ID of 200. A procedur
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from canopen_master.silence import sdo_silence
@@ -201,6 +202,11 @@ class PlanRefused(MasterError, ValueError):
         self.joint = joint
         self.value = value
         self.limit = limit
+
+    def name_joint(self, names: Sequence[str]) -> None:
+        """Name the joint in the text, in place of its number. names: of all joints, in their order."""
+        if self.joint is not None:
+            self.failed = re.sub(rf"\bjoint {self.joint}\b", lambda _: names[self.joint or 0], self.failed)
 
 
 class PackageMissing(MasterError, ImportError):

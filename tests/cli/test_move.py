@@ -106,6 +106,7 @@ def test_what_is_beyond_a_limit_is_refused_before_it_moves(
     outcome = run("move", cell, "-b", "demo", *[str(path) if each == "PATH" else each for each in arguments])
     assert outcome.status == ExitCode.USAGE, outcome.err
     assert "40" in outcome.err
+    assert "shoulder" in outcome.err
     (drive, *_) = fleets[0].drives.values()
     assert drive.values[POSITION_ACTUAL_VALUE] == -14_000
     assert drive.drive.state is State.SWITCH_ON_DISABLED

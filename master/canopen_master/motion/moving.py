@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused
+from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused, PlanRefused
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_check import check_path
@@ -148,10 +148,13 @@ class Moving:
             self._require_movable("move")
             limits = self.path_limits
             start, present = self._present(), self.present_motion
-            path = plan(start, targets, limits, speed_factor=speed)
             try:
+                path = plan(start, targets, limits, speed_factor=speed)
                 clock = self._clock(path, limits, is_moving=any(start.velocities) or any(start.accelerations))
                 break
+            except PlanRefused as error:
+                error.name_joint([device.name for device in self._devices])
+                raise
             except PathRefused:
                 if present is None:
                     raise
