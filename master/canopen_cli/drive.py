@@ -31,9 +31,9 @@ COMMANDS: Final = {
         "drive_commission",
         "Commission a new drive, step by step: identity, file, units, limits, a small move, homing, a first move.",
     ),
-    "inputs": ("drive_io", "Show the digital inputs of a drive."),
-    "outputs": ("drive_io", "Show the digital outputs of a drive; with BIT=0 or BIT=1 set some of them."),
-    "probe": ("drive_io", "Arm a touch probe, wait for its edge, and show the position there."),
+    "inputs": ("drive_io", "Show the digital inputs of a drive (0x60FD)."),
+    "outputs": ("drive_io", "Show the digital outputs of a drive (0x60FE); with BIT=0 or BIT=1 set some of them."),
+    "probe": ("drive_io", "Arm a touch probe (0x60B8), wait for its edge, and show the position there."),
     "stop": ("drive_state", "Command a quick stop."),
     "disable": ("drive_state", "Take the power from a drive."),
 }

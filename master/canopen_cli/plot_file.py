@@ -31,7 +31,9 @@ _CLOSE = 1e-9
 @common
 @click.pass_obj
 def plot(settings: Settings, file: str, output: Path | None) -> None:
-    """Draw a recording: position, velocity, acceleration and following error of each joint, one above the other.
+    """Draw a recording (--record): position, velocity, acceleration and following error.
+
+    Each joint has its colour, and the four stand one above the other.
 
     Velocity and acceleration are those of the set-points, by their differences; the velocity that the drive told lies over it.
     A path (a CSV file for `canopen move`) is drawn without a following error; with -m in the units of the joints.
