@@ -229,7 +229,7 @@ from canopen_master import Chain, MotionReplaced, PathRefused, together
 from canopen_master.trajectories.through_points import through_points
 from canopen_proto.trajectory import cubic, from_function
 """
-"""What the blocks of the page find there."""
+"""The names that the blocks of the page find."""
 
 ArmExample = Callable[..., Awaitable[None]]
 

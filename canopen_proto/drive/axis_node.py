@@ -2,7 +2,7 @@
 
 The first axis stands on the RemoteNode itself. A further axis stands on a `FurtherAxis`: a view of the same node in which the
 objects of the first axis (0x6000 to 0x67FF) and those of this axis have changed places. Keys that go in, and dictionary, values,
-images and news that come out, have the numbers of the first axis. What belongs to the whole node is shared, and has the device's
+images and news that come out, have the numbers of the first axis. Objects of the whole node are shared, and have the device's
 numbers: PDOs with their mappings, SDO clients, events, errors of SDO. `on_device` translates between the two.
 """
 
@@ -286,7 +286,7 @@ class SwappedSet(MutableSet[Mux]):
 
 
 class SwappedCommands:
-    """What other masters write to a node, as an axis sees it."""
+    """The writes of other masters to a node, as an axis sees them."""
 
     def __init__(self, overhearing: Overhearing, axis: int) -> None:
         self._overhearing = overhearing

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 
 class Occupant:
-    """What moves an axis. name: for messages, as "move_to" or "chain arm". is_ending: it failed or was cancelled, and halts the
-    axis. taken_over_by: the stop that ended it; "" if none did.
+    """A command that moves an axis. name: for messages, as "move_to" or "chain arm". is_ending: it failed or was cancelled, and
+    halts the axis. taken_over_by: the stop that ended it; "" if none did.
     """
 
     __slots__ = ("is_ending", "name", "taken_over_by")
@@ -29,8 +29,8 @@ class Occupancy:
         self.is_inside = False
 
     def occupy(self, name: str) -> Occupant:
-        """Note what moves the axis from now on, for longer than a procedure: `release` ends it. Whoever occupies the axis looks
-        at `taken_over_by`."""
+        """Note what moves the axis from now on, for longer than a procedure: `release` ends it. The caller looks at
+        `taken_over_by`."""
         self.occupant = Occupant(name)
         return self.occupant
 

@@ -85,7 +85,7 @@ def stops(
 
 
 def _inside(axis: Axis, procedure: Procedure[T], occupant: Occupant | None) -> Procedure[T]:
-    """Run a procedure as `yield from` does. Whatever it calls is a part of it. An occupant that is taken over gets TakenOver."""
+    """Run a procedure as `yield from` does. All that it calls is a part of it. An occupant that is taken over gets TakenOver."""
     occupancy = axis.occupancy
     answer: object = None
     error: BaseException | None = None

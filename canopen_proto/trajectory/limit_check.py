@@ -64,7 +64,7 @@ class Violation(NamedTuple):
 
 
 class Demand(NamedTuple):
-    """What a segment, or a knot between two of them, asks of its joint. begin, and the times: of the path."""
+    """The demands of a segment, or of a knot between two of them, on its joint. begin, and the times: of the path."""
 
     begin: float
     speed: Extremes

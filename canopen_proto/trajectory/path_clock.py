@@ -135,13 +135,13 @@ class PathClock:
         """Go on along the path, at the rate of the override. A stop under way comes to its end first."""
         self._resumes = self._is_stopping
 
-    def start_again(self, lost_cycles: int = 0) -> None:
-        """Go on from the present point at the rate 0, and gather speed again: the joints have come to rest by themselves.
+    def after_gap(self, lost_cycles: int = 0, *, from_rest: bool = True) -> None:
+        """Go on after cycles without a SYNC. However many they are, the path is where it was.
 
-        Drives do that if a SYNC stays away. They would have to jump to the speed of the path otherwise. lost_cycles: without a
-        SYNC; however many they are, the path is where it was.
+        from_rest: at the rate 0, and gather speed again: the joints have come to rest by themselves, as drives do if a SYNC stays
+        away. They would have to jump to the speed of the path otherwise.
         """
-        if not self.is_finished:
+        if from_rest and not self.is_finished:
             self._origin = self._time
             wanted = 0.0 if self._is_stopping else self._override
             self._begin(SpeedChange(0.0, 0.0, wanted, self._reserve.max_change, self._reserve.max_onset), 0.0)

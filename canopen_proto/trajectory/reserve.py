@@ -55,7 +55,7 @@ _CHECKS: Final = 50
 
 @final
 class Reserve:
-    """What a path leaves free.
+    """The speed, acceleration and jerk that a path leaves free.
 
     max_change, max_onset: A and J for the whole path. stop_time: seconds that a stop takes with them at most, whenever it begins.
     rests_at_start, rests_at_end: whether no joint has a velocity or an acceleration there.
@@ -194,7 +194,7 @@ class _Cause(NamedTuple):
 
 @final
 class _Room:
-    """What a path leaves free for changes of its rate: for each ratio J / A² the largest A, and what set it."""
+    """The room that a path leaves for changes of its rate: for each ratio J / A² the largest A, and its cause."""
 
     __slots__ = ("causes", "changes")
 

@@ -3,8 +3,8 @@
 While the clock brakes, its rate r falls, and with it the acceleration of the path by r², the jerk by r³; see reserve.py. So a
 stop may be much stronger than the largest values on its way allow, each with the worst sign. Here a stop is cut in time. In each
 piece the rate and its changes lie in small intervals, and so do the derivatives of each joint's position: by their values at both
-ends, and by how far a function can leave the line between them (the largest second derivative times width² / 8). What follows for
-the jerk is an interval too, and the acceleration can leave its values at both ends no further than this jerk lets it.
+ends, and by how far a function can leave the line between them (the largest second derivative times width² / 8). The jerk follows
+as an interval too, and the acceleration can leave its values at both ends no further than this jerk lets it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What `canopen move` is to do: the target, the way there, and the check of it against the limits of each joint."""
+"""The task of `canopen move`: the target, the way there, and the check of it against the limits of each joint."""
 
 from __future__ import annotations
 

@@ -205,6 +205,19 @@ def test_the_dead_mans_switch_counts_cycles() -> None:
         stream.move_at([50.0])
 
 
+def test_a_short_gap_counts_for_the_dead_mans_switch_and_takes_no_speed() -> None:
+    stream = one_joint(-80.0, renew_cycles=25)
+    stream.move_at([5.0])
+    for _ in range(20):
+        stream.step()
+    before = stream.point
+    stream.after_gap(2, from_rest=False)
+    assert stream.point == before
+    stream.after_gap(4, from_rest=False)
+    stream.step()
+    assert stream.is_stopping
+
+
 def test_a_new_goal_renews_too() -> None:
     stream = one_joint(-80.0, renew_cycles=5)
     for number in range(20):

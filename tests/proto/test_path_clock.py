@@ -253,16 +253,16 @@ def test_joints_that_have_stopped_by_themselves_start_again_from_rest() -> None:
         clock.advance(CYCLE)
         if 1.0 < clock.time < 1.01 or 2.49 < clock.time < 2.495:
             here = clock.time
-            clock.start_again()
+            clock.after_gap()
             assert (clock.rate, clock.time) == (0.0, here)
             clock.advance(0.5)
             assert clock.time > here
-    clock.start_again()
+    clock.after_gap()
     assert clock.is_finished
     clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE)
     clock.advance(1.0)
     clock.stop()
-    clock.start_again()
+    clock.after_gap()
     assert clock.is_at_rest
     clock.advance(CYCLE)
     assert clock.rate == 0.0
@@ -430,7 +430,7 @@ def test_behind_a_gap_the_path_goes_on_from_rest_where_it_is(cycles: int, before
         act(clock, "stop" if before == "stop" else 0.5)
         clock.advance(CYCLE)
     here, positions = clock.time, clock.advance(0.0).positions
-    clock.start_again()
+    clock.after_gap()
     assert clock.rate == 0
     assert (clock.time, clock.advance(0.0).positions) == (here, positions)
     after = [clock.advance(CYCLE).positions for _ in range(40)]

@@ -58,8 +58,8 @@ class Course(Protocol):
     def stop(self) -> object:
         """Begin to brake to rest, within the limits of the joints, and along the path if there is one."""
 
-    def start_again(self, lost_cycles: int) -> None:
-        """Go on from rest: the drives have braked by themselves. lost_cycles: periods without a SYNC."""
+    def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
+        """Go on after so many cycles without a SYNC. from_rest: the drives have braked by themselves."""
 
     @property
     def is_finished(self) -> bool:
@@ -71,7 +71,7 @@ class Course(Protocol):
 
 
 class Follower(Protocol):
-    """What a motion needs of a chain."""
+    """A chain, as far as a motion needs it."""
 
     @property
     def devices(self) -> tuple[Device, ...]:
@@ -202,8 +202,8 @@ class Motion:
             return
         course = self.course
         try:
-            if skipped > SHORT_GAP:
-                course.start_again(skipped)
+            if skipped:
+                course.after_gap(skipped, from_rest=skipped > SHORT_GAP)
             self.point = course.advance(self._period)
             if self._torques is not None:
                 self.torques = self._checked(self._torques(self.point))

@@ -63,7 +63,7 @@ class RecordedJoint:
 
 @dataclass(frozen=True, slots=True)
 class RecordHead:
-    """What is said of a whole recording. cycle_time: seconds between two SYNCs. begun: date and time of day, UTC, ISO 8601."""
+    """The head of a recording. cycle_time: seconds between two SYNCs. begun: date and time of day, UTC, ISO 8601."""
 
     chain: str
     cycle_time: float

@@ -46,9 +46,9 @@ class StreamCourse:
         """See Course."""
         self._stream.stop()
 
-    def start_again(self, lost_cycles: int) -> None:
+    def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
         """See Course. Lost cycles count for the dead man's switch."""
-        self._stream.start_again(lost_cycles)
+        self._stream.after_gap(lost_cycles, from_rest=from_rest)
 
     @property
     def is_finished(self) -> bool:

@@ -1,4 +1,4 @@
-"""`ScaledJoint`: a joint in a unit in which its speed limit is 1. What planners share: their checks, their errors, ruckig.
+"""`ScaledJoint`: a joint in a unit in which its speed limit is 1. Checks, errors and ruckig, for all planners.
 
 ruckig compares with absolute tolerances of about 1e-8, so its origin is where the motion starts, too. In the user's units it
 refuses one in twenty tasks with joints between micrometres and encoder counts.

@@ -152,12 +152,14 @@ class TargetStream:
         self._goal, self._is_given = _Goal.STANDSTILL, False
         self._wanted = [0.0] * len(self._joints)
 
-    def start_again(self, lost_cycles: int) -> None:
-        """Go on from rest at the present point: the joints have come to rest by themselves, in cycles without a step.
+    def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
+        """Go on after cycles without a step. They count for the dead man's switch: nobody held it meanwhile.
 
-        These cycles count for the dead man's switch: nobody held it meanwhile.
+        from_rest: at the present point, since the joints have come to rest there by themselves.
         """
         self._unrenewed += lost_cycles
+        if not from_rest:
+            return
         rest = [0.0] * len(self._joints)
         self._point = PathPoint(self._point.positions, rest, rest)
         self._reaches = self._reaches_of(self._states(self._point))
