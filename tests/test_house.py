@@ -23,7 +23,8 @@ ARROWS = {
     "canopen_transports": {"canopen_proto"},
     "canopen_check": {"canopen_proto", "canopen_data"},
     "canopen_master": {"canopen_proto", "canopen_data", "canopen_transports"},
-    "canopen_cli": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check"},
+    "canopen_ros": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master"},
+    "canopen_cli": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check", "canopen_ros"},
 }
 """What each package may import. Nobody imports the command line."""
 
