@@ -23,7 +23,15 @@ from canopen_proto.sdo.client import SdoAborted
 from tests.cli.test_problem import test_each_error_has_its_status as table_of_errors
 
 PATH = Path(__file__).parent.parent / "docs" / "errors.md"
-PACKAGES = ("canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check", "canopen_ros", "canopen_cli")
+PACKAGES = (
+    "canopen_proto",
+    "canopen_data",
+    "canopen_transports",
+    "canopen_master",
+    "canopen_check",
+    "canopen_ros",
+    "canopen_cli",
+)
 CODE = re.compile(r"\bCO[0-9]{3}\b")
 NO_END = {"CO112", "CO113"}
 """Codes of reports after which receiving goes on: no command ends by them."""

@@ -1,0 +1,228 @@
+"""A ROS master of its own, nodes as processes, and simulated drives that the test itself serves, for the tests of the ROS 1 node.
+
+All in real time: the tests wait for conditions, with a generous limit, and every process is ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Final, TypeVar
+
+import pytest
+import trio
+
+import canopen_data
+import canopen_master
+import canopen_proto
+import canopen_ros
+import canopen_transports
+from canopen_cli.fleet import DEMO_NODES, Fleet, drive_maker, simulated_devices
+from canopen_proto.cia402.states import State
+from canopen_transports.tcp import BusServer, serve_bus
+
+T = TypeVar("T")
+
+PATIENCE: Final = 60.0
+"""Seconds, for a machine that is busy with other things."""
+TOOLS: Final = ("roslaunch", "rosrun", "rosservice", "rostopic")
+
+missing: Final = [module for module in ("rospy", "actionlib", "genpy") if importlib.util.find_spec(module) is None]
+missing_tools: Final = [tool for tool in TOOLS if shutil.which(tool) is None]
+needs_ros = pytest.mark.skipif(
+    bool(missing or missing_tools),
+    reason=f"NOT RUN: no ROS 1 for this Python ({', '.join(missing + missing_tools)}): see docs/ros.md for what to install",
+)
+
+
+def until(condition: Callable[[], T | None], what: str, check: Callable[[], object] = lambda: None) -> T:
+    """Wait until a condition gives something true, and return that. check: raises if it can no longer come."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        found = condition()
+        if found:
+            return found
+        check()
+        time.sleep(0.02)
+    raise AssertionError(f"not within {PATIENCE:g} s: {what}")
+
+
+class Drives:
+    """Six simulated joints of an arm on a bus that other processes can join (`locator`), served by a thread of the test."""
+
+    def __init__(self) -> None:
+        self.locator = ""
+        self._thread = threading.Thread(target=trio.run, args=(self._serve,), name="drives")
+        self._ready = threading.Event()
+        self._fleet: Fleet
+        self._token: trio.lowlevel.TrioToken
+        self._end: trio.Event
+
+    async def _serve(self) -> None:
+        self._token, self._end = trio.lowlevel.current_trio_token(), trio.Event()
+        async with trio.open_nursery() as nursery:
+            (self.locator,) = await nursery.start(serve_bus, "127.0.0.1", 0, BusServer())
+            makers = [drive_maker(number, node_id) for number, node_id in enumerate(DEMO_NODES)]
+            async with simulated_devices({self.locator: makers}) as self._fleet:
+                self._ready.set()
+                await self._end.wait()
+            nursery.cancel_scope.cancel()
+
+    def __enter__(self) -> Drives:
+        self._thread.start()
+        assert self._ready.wait(PATIENCE)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        trio.from_thread.run_sync(self._end.set, trio_token=self._token)
+        self._thread.join(PATIENCE)
+
+    def _ask(self, question: Callable[[Fleet], T]) -> T:
+        return trio.from_thread.run_sync(question, self._fleet, trio_token=self._token)
+
+    @property
+    def moving(self) -> list[int]:
+        """The node-IDs of the drives that really move."""
+        return self._ask(lambda fleet: fleet.moving)
+
+    @property
+    def states(self) -> dict[int, State]:
+        return self._ask(lambda fleet: {node_id: node.drive.state for node_id, node in fleet.drives.items()})
+
+    def all_move(self) -> bool:
+        """Whether all six move."""
+        return len(self.moving) == len(DEMO_NODES)
+
+    def all_stand(self) -> bool:
+        """Whether none of the six moves."""
+        return not self.moving
+
+
+class Process:
+    """A process with what it has printed, in a session of its own, so that all of its children can be ended."""
+
+    def __init__(self, arguments: Sequence[str] | str, environment: Mapping[str, str], output: Path) -> None:
+        self._output = output
+        with output.open("wb") as file:
+            self.process = subprocess.Popen(
+                arguments,
+                shell=isinstance(arguments, str),
+                executable="/bin/bash" if isinstance(arguments, str) else None,
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    @property
+    def text(self) -> str:
+        """All that it has printed."""
+        return self._output.read_text(encoding="utf-8", errors="replace")
+
+    def must_live(self) -> None:
+        if self.process.poll() is not None:
+            raise AssertionError(f"ended with status {self.process.returncode}:\n{self.text}")
+
+    def prints(self, text: str) -> None:
+        """Wait until it has printed a text."""
+        until(lambda: text in self.text, f"it prints {text!r}; it printed:\n{self.text}")
+
+    def interrupt(self) -> None:
+        """Press Ctrl-C: SIGINT to it alone, as roslaunch passes it on."""
+        self.process.send_signal(signal.SIGINT)
+
+    def wait(self) -> int:
+        """Wait for its end, and return its exit status."""
+        try:
+            return self.process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still there after {PATIENCE:g} s; it printed:\n{self.text}") from None
+
+    def kill(self) -> None:
+        """End it and its children at once."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait(PATIENCE)
+
+
+class Ros:
+    """A ROS environment with a free port for its master, which roslaunch starts."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._processes: list[Process] = []
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port: int = free.getsockname()[1]
+        package = Path(canopen_ros.__file__).parent
+        sources = {Path(each.__file__).parents[1] for each in (canopen_proto, canopen_data, canopen_transports, canopen_master)}
+        paths = os.pathsep.join(str(path) for path in sources if path.name != "site-packages")  # of an installation: none
+        self.environment = {
+            **os.environ,
+            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+            "PYTHONPATH": paths,
+            "PYTHONUNBUFFERED": "1",
+            "ROS_MASTER_URI": f"http://127.0.0.1:{self.port}",
+            "ROS_IP": "127.0.0.1",
+            "ROS_HOME": str(folder),
+            "ROS_LOG_DIR": str(folder / "log"),
+            "ROS_PACKAGE_PATH": os.pathsep.join([str(package), "/usr/share"]),
+        }
+
+    def __enter__(self) -> Ros:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        for process in reversed(self._processes):
+            if error is not None:
+                print(f"--- {process.process.args}\n{process.text}")
+            process.kill()
+
+    def start(self, command: str | Sequence[str], **environment: str) -> Process:
+        """Start a command (a text: of the shell) and return at once."""
+        output = self._folder / f"output{len(self._processes)}.txt"
+        process = Process(command, {**self.environment, **environment}, output)
+        self._processes.append(process)
+        return process
+
+    def run(self, command: str | Sequence[str], status: int = 0, **environment: str) -> str:
+        """Run a command to its end and return what it printed; it has to end with this status."""
+        process = self.start(command, **environment)
+        assert process.wait() == status, process.text
+        return process.text
+
+    def launch(self, arguments: str, **environment: str) -> Process:
+        """`roslaunch ros_canopen ARGUMENTS`, with a master at our port; returns when the node offers its services."""
+        process = self.start(f"exec roslaunch -p {self.port} ros_canopen {arguments}", **environment)
+        until(self.has_services, "the node offers its services", process.must_live)
+        return process
+
+    def has_services(self) -> bool:
+        """Whether the last service of the node is registered at the master."""
+        import rosgraph
+
+        try:
+            rosgraph.Master("/test", self.environment["ROS_MASTER_URI"]).lookupService("/set_object")
+        except (OSError, rosgraph.MasterError):
+            return False
+        return True
+
+
+@contextmanager
+def ros_in(folder: Path) -> Iterator[Ros]:
+    """A ROS environment; all processes are ended with the block."""
+    with Ros(folder) as ros:
+        yield ros
