@@ -6,6 +6,7 @@
     path_clock.py      `PathClock`: runs a path, slows it down, stops on it, goes on
     reserve.py         what a path leaves free of its limits, for braking
     speed_change.py    `SpeedChange`: a speed changes with limited acceleration and jerk
+    steps.py           long checks in steps, for callers that must not stand still
     polynomial.py      value, derivative and extremes of a polynomial
 
 Units: positions in the user's unit of each joint, times in seconds.

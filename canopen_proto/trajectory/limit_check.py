@@ -13,15 +13,18 @@ Units: the user's unit of each joint, seconds.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from canopen_proto.trajectory.path import POSITION_TOLERANCE, Path, PathError, Segment
-from canopen_proto.trajectory.polynomial import Extremes, derivative_of, extremes_of, value_at
+from canopen_proto.trajectory.path import POSITION_TOLERANCE, Path, PathError
+from canopen_proto.trajectory.polynomial import Extremes, extremes_of
+from canopen_proto.trajectory.steps import PART, finished
 
 EXACT: Final = 1 + 1e-6
 """A path at the limit itself is not refused for a rounding error of floating point."""
+_NO_JUMP: Final = (1e-12, 1e-9)
+"""A velocity, or an acceleration, that changes by no more than this at a knot does not jump (above 1: this part of itself)."""
 _KINDS: Final = ("speed", "acceleration", "jerk")
 
 
@@ -90,13 +93,22 @@ def first_violation(path: Path, limits: Sequence[JointLimits], cycle_time: float
     cycle_time: in s; see this module's text. Of each segment that exceeds a limit the place where it does so most is compared.
     A position may be off by POSITION_TOLERANCE, another value by EXACT. Raises PathError for arguments that do not fit the path.
     """
+    return finished(first_violation_in_steps(path, limits, cycle_time))
+
+
+def first_violation_in_steps(
+    path: Path, limits: Sequence[JointLimits], cycle_time: float
+) -> Generator[None, None, Violation | None]:
+    """Find what `first_violation` returns, in steps; see steps.py."""
     check_same_count(path, limits)
     check_cycle(cycle_time)
     first: Violation | None = None
     for joint, own in enumerate(limits):
-        for found in _violations(path, joint, own, cycle_time):
-            if first is None or found.time < first.time:
-                first = found
+        for number in range(0, len(path.pieces[joint]), PART):
+            for found in _violations(path, joint, own, cycle_time, number):
+                if first is None or found.time < first.time:
+                    first = found
+            yield
     return first
 
 
@@ -106,64 +118,89 @@ def reach_of(path: Path, joint: int) -> tuple[float, float]:
     return min([each.low for each in found]), max([each.high for each in found])
 
 
-def demands_of(path: Path, joint: int, cycle_time: float) -> Iterator[Demand]:
-    """Yield what each segment of a joint asks for, and before it what the knot at its begin does."""
-    begin = 0.0
-    before: Segment | None = None
-    for segment in path.segments[joint]:
-        if before is not None:
-            yield _demand_of_knot(before, segment, begin, cycle_time)
-        duration = segment.duration
-        speed = derivative_of(segment.coefficients)
-        acceleration = derivative_of(speed)
-        yield Demand(
-            begin,
-            extremes_of(speed, duration, begin),
-            extremes_of(acceleration, duration, begin),
-            extremes_of(derivative_of(acceleration), duration, begin),
-        )
-        before = segment
-        begin += duration
+def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count: int | None = None) -> Iterator[Demand]:
+    """Yield what segments of a joint ask for, and before each of them what the knot at its begin does, if anything jumps there.
+
+    first, count: from this segment on, and so many of them; all, unless told otherwise.
+    """
+    pieces = path.pieces[joint]
+    v1 = a1 = j1 = 0.0  # where the segment before ends
+    if first:
+        _, d, _, c1, c2, c3, c4, c5 = pieces[first - 1]
+        v1, a1, j1 = end_of(d, c1, c2, c3, c4, c5)
+    for number in range(first, len(pieces) if count is None else min(first + count, len(pieces))):
+        begin, d, _, c1, c2, c3, c4, c5 = pieces[number]
+        a, j = 2.0 * c2, 6.0 * c3
+        if number and jumps(v1, a1, c1, a):  # else it asks for no more than its neighbours
+            jump = (c1 - v1) / cycle_time
+            jerk = (abs(jump) + abs(a - a1)) / cycle_time + max(abs(j1), abs(j))
+            yield Demand(
+                begin,
+                _between(v1, begin, c1, begin),
+                _between(jump + a1, begin, jump + a, begin),
+                Extremes(0.0, begin, jerk, begin),
+            )
+        v1, a1, j1 = end_of(d, c1, c2, c3, c4, c5)
+        end = begin + d
+        if c4 == 0.0 == c5:  # of constant jerk, as nearly all are
+            speed = _between(c1, begin, v1, end)
+            if a < 0.0 < a1 or a1 < 0.0 < a:
+                turn = c1 - a * a / (2.0 * j)
+                if a < 0.0:
+                    speed = Extremes(turn, begin - a / j, speed.high, speed.high_time)
+                else:
+                    speed = Extremes(speed.low, speed.low_time, turn, begin - a / j)
+            yield Demand(begin, speed, _between(a, begin, a1, end), Extremes(j, begin, j, begin))
+        else:
+            yield Demand(
+                begin,
+                extremes_of((c1, a, 3.0 * c3, 4.0 * c4, 5.0 * c5), d, begin),
+                extremes_of((a, j, 12.0 * c4, 20.0 * c5), d, begin),
+                extremes_of((j, 24.0 * c4, 60.0 * c5), d, begin),
+            )
 
 
-def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float) -> Iterator[Violation]:
-    lowest = -math.inf if limits.lowest is None else limits.lowest - POSITION_TOLERANCE * max(1.0, abs(limits.lowest))
-    highest = math.inf if limits.highest is None else limits.highest + POSITION_TOLERANCE * max(1.0, abs(limits.highest))
-    begin = 0.0
-    for duration, coefficients in path.segments[joint]:
-        reach = value_at([abs(each) for each in coefficients], duration) - abs(coefficients[0])  # it goes no further than that
-        if coefficients[0] - reach < lowest or coefficients[0] + reach > highest:
-            low, low_time, high, high_time = extremes_of(coefficients, duration, begin)
-            if limits.lowest is not None and low < lowest:
-                yield Violation(joint, low_time, "position", low, limits.lowest)
-            if limits.highest is not None and high > highest:
-                yield Violation(joint, high_time, "position", high, limits.highest)
-        begin += duration
-    for demand in demands_of(path, joint, cycle_time):
-        for kind, found, limit in zip(_KINDS, demand[1:], (limits.speed, limits.acceleration, limits.jerk), strict=True):
-            if limit is not None and -found.low > limit * EXACT:
-                yield Violation(joint, found.low_time, kind, found.low, limit)
-            if limit is not None and found.high > limit * EXACT:
-                yield Violation(joint, found.high_time, kind, found.high, limit)
+def jumps(velocity: float, acceleration: float, next_velocity: float, next_acceleration: float) -> bool:
+    """Return whether velocity or acceleration jump at a knot, by more than a rounding error."""
+    return abs(next_velocity - velocity) > _NO_JUMP[0] * max(1.0, abs(next_velocity)) or abs(
+        next_acceleration - acceleration
+    ) > _NO_JUMP[1] * max(1.0, abs(next_acceleration))
 
 
-def _demand_of_knot(before: Segment, after: Segment, time: float, cycle_time: float) -> Demand:
-    left: Sequence[float] = before.coefficients
-    right: Sequence[float] = after.coefficients
-    ends, starts = [], []
-    for _ in range(3):
-        left, right = derivative_of(left), derivative_of(right)
-        ends.append(value_at(left, before.duration))
-        starts.append(right[0] if right else 0.0)
-    jump = (starts[0] - ends[0]) / cycle_time
-    jerk = (abs(jump) + abs(starts[1] - ends[1])) / cycle_time + max(abs(ends[2]), abs(starts[2]))
-    return Demand(
-        time,
-        _between(ends[0], starts[0], time),
-        _between(jump + ends[1], jump + starts[1], time),
-        _between(0.0, jerk, time),
+def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float, first: int) -> Iterator[Violation]:
+    """Yield the violations of PART segments, from this one on."""
+    if limits.lowest is not None or limits.highest is not None:
+        lowest = -math.inf if limits.lowest is None else limits.lowest - POSITION_TOLERANCE * max(1.0, abs(limits.lowest))
+        highest = math.inf if limits.highest is None else limits.highest + POSITION_TOLERANCE * max(1.0, abs(limits.highest))
+        for begin, d, c0, c1, c2, c3, c4, c5 in path.pieces[joint][first : first + PART]:
+            reach = d * (abs(c1) + d * (abs(c2) + d * (abs(c3) + d * (abs(c4) + d * abs(c5)))))  # it goes no further than that
+            if c0 - reach < lowest or c0 + reach > highest:
+                low, low_time, high, high_time = extremes_of((c0, c1, c2, c3, c4, c5), d, begin)
+                if limits.lowest is not None and low < lowest:
+                    yield Violation(joint, low_time, "position", low, limits.lowest)
+                if limits.highest is not None and high > highest:
+                    yield Violation(joint, high_time, "position", high, limits.highest)
+    own = [math.inf if limit is None else limit for limit in (limits.speed, limits.acceleration, limits.jerk)]
+    for demand in demands_of(path, joint, cycle_time, first, PART):
+        for order, peaks in enumerate((demand.speed, demand.acceleration, demand.jerk)):
+            low, low_time, high, high_time = peaks
+            if -low > own[order] * EXACT:
+                yield Violation(joint, low_time, _KINDS[order], low, own[order])
+            if high > own[order] * EXACT:
+                yield Violation(joint, high_time, _KINDS[order], high, own[order])
+
+
+def end_of(d: float, c1: float, c2: float, c3: float, c4: float, c5: float) -> tuple[float, float, float]:
+    """Return velocity, acceleration and jerk at the end of a segment."""
+    return (
+        c1 + d * (2.0 * c2 + d * (3.0 * c3 + d * (4.0 * c4 + d * (5.0 * c5)))),
+        2.0 * c2 + d * (6.0 * c3 + d * (12.0 * c4 + d * (20.0 * c5))),
+        6.0 * c3 + d * (24.0 * c4 + d * (60.0 * c5)),
     )
 
 
-def _between(one: float, other: float, time: float) -> Extremes:
-    return Extremes(min(one, other), time, max(one, other), time)
+def _between(one: float, one_time: float, other: float, other_time: float) -> Extremes:
+    """Return the extremes of what only rises or falls from one value to the other."""
+    if one < other:
+        return Extremes(one, one_time, other, other_time)
+    return Extremes(other, other_time if other < one else one_time, one, one_time)

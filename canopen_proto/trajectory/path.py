@@ -50,7 +50,7 @@ class PathPoint(NamedTuple):
     accelerations: list[float]
 
 
-_Piece: TypeAlias = tuple[float, float, float, float, float, float, float, float]
+Piece: TypeAlias = tuple[float, float, float, float, float, float, float, float]
 """The begin of a segment in the path's time, its duration, and its six coefficients."""
 
 
@@ -64,7 +64,7 @@ class Path:
     Raises PathError that names joint and segment, both counted from 0.
     """
 
-    __slots__ = ("_begins", "_pieces", "duration", "joints", "segments")
+    __slots__ = ("_begins", "duration", "joints", "pieces", "segments")
 
     def __init__(self, joints: Sequence[Sequence[Segment]]) -> None:
         if not joints:
@@ -74,12 +74,13 @@ class Path:
         self.joints: Final = len(self.segments)
         """How many joints it has."""
         self._begins: list[list[float]] = []
-        self._pieces: list[list[_Piece]] = []
+        self.pieces: Final[list[list[Piece]]] = []
+        """The same, as they are evaluated."""
         ends = []
         for joint, row in enumerate(self.segments):
             pieces = _pieces(joint, row)
             self._begins.append([piece[0] for piece in pieces])
-            self._pieces.append(pieces)
+            self.pieces.append(pieces)
             ends.append(pieces[-1][0] + pieces[-1][1])
         self.duration: Final = max(ends)
         """In seconds."""
@@ -94,7 +95,7 @@ class Path:
         """Return the point at `time` seconds; before 0 that at 0, beyond `duration` that at the end."""
         clamped = min(max(time, 0.0), self.duration)
         positions, velocities, accelerations = [], [], []
-        for begins, pieces in zip(self._begins, self._pieces, strict=True):
+        for begins, pieces in zip(self._begins, self.pieces, strict=True):
             begin, duration, c0, c1, c2, c3, c4, c5 = pieces[bisect_right(begins, clamped) - 1]
             t = min(clamped - begin, duration)
             positions.append(c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))))
@@ -125,28 +126,39 @@ class Path:
         return f"<Path of {self.joints} joint{'s' * (self.joints != 1)}, {self.duration:g} s>"
 
 
-def _pieces(joint: int, row: Sequence[Segment]) -> list[_Piece]:
+def _pieces(joint: int, row: Sequence[Segment]) -> list[Piece]:
     """Check the segments of one joint, and return them as they are evaluated."""
     if not row:
         raise PathError(f"Joint {joint} of the path has no segment. Try: one segment of one coefficient for a joint that rests.")
-    pieces: list[_Piece] = []
+    pieces: list[Piece] = []
     begin = 0.0
     end = math.nan
     for number, (duration, coefficients) in enumerate(row):
-        where = f"Segment {number} of joint {joint}, which begins at {begin:g} s,"
-        if not (math.isfinite(duration) and duration > 0.0):
-            raise PathError(f"{where} has the duration {duration!r}. Try: a finite number of seconds above 0.")
-        if not 1 <= len(coefficients) <= MAX_DEGREE + 1:
-            raise PathError(
-                f"{where} has {len(coefficients)} coefficients. Try: 1 to {MAX_DEGREE + 1}, the position at its start first."
-            )
-        if not all(math.isfinite(each) for each in coefficients):
-            raise PathError(f"{where} has a coefficient that is no finite number: {tuple(coefficients)}.")
-        given = [float(each) for each in coefficients]
-        c0, c1, c2, c3, c4, c5 = given + [0.0] * (MAX_DEGREE + 1 - len(given))
+        if not (0.0 < duration < math.inf and 1 <= len(coefficients) <= MAX_DEGREE + 1 and all(map(math.isfinite, coefficients))):
+            raise _no_segment(joint, number, begin, duration, coefficients)
+        c0, c1, c2, c3, c4, c5 = [*map(float, coefficients), 0.0, 0.0, 0.0, 0.0, 0.0][: MAX_DEGREE + 1]
         if number and abs(c0 - end) > POSITION_TOLERANCE * max(1.0, abs(end)):
-            raise PathError(f"{where} starts at {c0!r}, but the segment before ends at {end!r}. Try: the same position for both.")
+            raise PathError(
+                f"{_name_of(joint, number, begin)} starts at {c0!r}, but the segment before ends at {end!r}. "
+                "Try: the same position for both."
+            )
         pieces.append((begin, float(duration), c0, c1, c2, c3, c4, c5))
         end = c0 + duration * (c1 + duration * (c2 + duration * (c3 + duration * (c4 + duration * c5))))
         begin += duration
     return pieces
+
+
+def _no_segment(joint: int, number: int, begin: float, duration: float, coefficients: Sequence[float]) -> PathError:
+    """Return the error for a segment that is none by itself."""
+    where = _name_of(joint, number, begin)
+    if not 0.0 < duration < math.inf:
+        return PathError(f"{where} has the duration {duration!r}. Try: a finite number of seconds above 0.")
+    if not 1 <= len(coefficients) <= MAX_DEGREE + 1:
+        return PathError(
+            f"{where} has {len(coefficients)} coefficients. Try: 1 to {MAX_DEGREE + 1}, the position at its start first."
+        )
+    return PathError(f"{where} has a coefficient that is no finite number: {tuple(coefficients)}.")
+
+
+def _name_of(joint: int, number: int, begin: float) -> str:
+    return f"Segment {number} of joint {joint}, which begins at {begin:g} s,"

@@ -18,10 +18,11 @@ import math
 from collections.abc import Sequence
 from typing import Final, final
 
-from canopen_proto.trajectory.limit_check import JointLimits, check_cycle, check_same_count
+from canopen_proto.trajectory.limit_check import JointLimits
 from canopen_proto.trajectory.path import TIME_TOLERANCE, Path, PathError, PathPoint
-from canopen_proto.trajectory.reserve import Reserve, rest_time
+from canopen_proto.trajectory.reserve import Reserve, reserve_in_steps, rest_time
 from canopen_proto.trajectory.speed_change import SpeedChange
+from canopen_proto.trajectory.steps import finished
 
 LONGEST_STOP: Final = 10.0
 """Seconds that a stop along the path may take, unless the caller says otherwise."""
@@ -33,7 +34,8 @@ class PathClock:
     """Runs a path once, from its start to its end.
 
     limits: one for each joint. cycle_time: in s; jumps at knots count as spread over it. override: 0 to 1, see `override`.
-    moving: the joints already have the velocities and accelerations of the path's start. longest_stop: in s.
+    moving: the joints already have the velocities and accelerations of the path's start. longest_stop: in s. reserve: what
+    `reserve_in_steps` has found for the same path, limits and times; without it that is done here, at once.
 
     Raises PathError if a stop along the path may take longer than that, with the joint and the place that are to blame.
     """
@@ -52,12 +54,12 @@ class PathClock:
         override: float = 1.0,
         moving: bool = False,
         longest_stop: float = LONGEST_STOP,
+        reserve: Reserve | None = None,
     ) -> None:
-        check_same_count(path, limits)
-        check_cycle(cycle_time)
         check_override(override)
         self.path: Final = path
-        reserve = Reserve(path, limits, cycle_time, longest_stop)
+        if reserve is None:
+            reserve = finished(reserve_in_steps(path, limits, cycle_time, longest_stop))
         self._reserve: Final = reserve
         self.stop_time: Final = reserve.stop_time
         """Seconds that a stop takes at most, whenever it begins. Most are shorter: `stop` says how long."""

@@ -22,7 +22,7 @@ class Extremes(NamedTuple):
     @property
     def magnitude(self) -> float:
         """The largest magnitude."""
-        return max(self.high, -self.low)
+        return self.high if self.high >= -self.low else -self.low
 
 
 def value_at(coefficients: Sequence[float], time: float) -> float:

@@ -23,14 +23,15 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
-from typing import Final, NamedTuple, final
+from collections.abc import Generator, Sequence
+from typing import Final, NamedTuple, TypeAlias, final
 
-from canopen_proto.trajectory.limit_check import Demand, JointLimits, demands_of
+from canopen_proto.trajectory.limit_check import Demand, JointLimits, check_cycle, check_same_count, demands_of
 from canopen_proto.trajectory.path import Path, PathError, PathPoint
 from canopen_proto.trajectory.polynomial import Extremes
 from canopen_proto.trajectory.speed_change import SpeedChange
-from canopen_proto.trajectory.stop_check import keeps_limits, motion_at, pieces_of, stretches_of
+from canopen_proto.trajectory.steps import PART
+from canopen_proto.trajectory.stop_check import Stretch, keeps_limits, motion_at, pieces_of, stretches_of
 
 FASTEST_CHANGE: Final = 20.0
 """The rate changes by no more per second, even where no joint has a limit."""
@@ -53,14 +54,17 @@ _CHECKS: Final = 50
 """So many joints are asked at most, about all stops that are tried: a stop begins in the turn of one cycle."""
 
 
+Need: TypeAlias = tuple[float, float, float, float, bool]
+"""A `Demand`, as far as a stop has to know it: its begin, the largest amounts of speed, acceleration and jerk; and whether the
+joint gathers speed, all along."""
+
+
 @final
 class Reserve:
-    """The speed, acceleration and jerk that a path leaves free.
+    """The speed, acceleration and jerk that a path leaves free; made by `reserve_in_steps`.
 
     max_change, max_onset: A and J for the whole path. stop_time: seconds that a stop takes with them at most, whenever it begins.
     rests_at_start, rests_at_end: whether no joint has a velocity or an acceleration there.
-
-    Raises PathError if stop_time is above `longest_stop`, with the joint and the place to blame.
     """
 
     __slots__ = (
@@ -68,26 +72,24 @@ class Reserve:
         "rests_at_start", "stop_time",
     )  # fmt: skip
 
-    def __init__(self, path: Path, limits: Sequence[JointLimits], cycle_time: float, longest_stop: float) -> None:
+    def __init__(
+        self,
+        duration: float,
+        limits: Sequence[JointLimits],
+        cycle_time: float,
+        needs: list[list[Need]],
+        stretches: list[list[Stretch]],
+        best: tuple[float, float, float],
+        rests: tuple[bool, bool],
+    ) -> None:
+        """duration: of the path. needs, stretches: of its joints. best: see `_Room.best`. rests: at start and end."""
         self._limits = limits
         self._cycle_time = cycle_time
-        self._duration = path.duration
-        self._needs: list[list[Demand]] = []
-        self._stretches = [stretches_of(row) for row in path.segments]
-        self.rests_at_start = self.rests_at_end = True
-        start, end = path.start, path.end
-        room = _Room()
-        for joint, own in enumerate(limits):
-            speed = acceleration = 0.0
-            needs = list(demands_of(path, joint, cycle_time))
-            for demand in needs:
-                room.narrow(joint, demand, own)
-                speed = max(speed, demand.speed.magnitude)
-                acceleration = max(acceleration, demand.acceleration.magnitude)
-            self._needs.append(needs)
-            self.rests_at_start = self.rests_at_start and _rests(start, joint, REST * speed, REST * acceleration)
-            self.rests_at_end = self.rests_at_end and _rests(end, joint, REST * speed, REST * acceleration)
-        self.max_change, self.max_onset, self.stop_time = room.best(longest_stop)
+        self._duration = duration
+        self._needs = needs
+        self._stretches = stretches
+        self.max_change, self.max_onset, self.stop_time = best
+        self.rests_at_start, self.rests_at_end = rests
 
     def braking(self, rate: float, change: float) -> SpeedChange:
         """Return how the clock brakes from this rate and change of rate, anywhere on the path."""
@@ -106,8 +108,8 @@ class Reserve:
         while True:
             for joint, needs in enumerate(self._needs):
                 number = nexts[joint]
-                while number < len(needs) and needs[number].begin <= until:
-                    room.narrow(joint, needs[number], self._limits[joint], for_stop=True)
+                while number < len(needs) and needs[number][0] <= until:
+                    room.narrow(joint, needs[number], self._limits[joint])
                     number += 1
                 nexts[joint] = number
             found = room.braking(rate, change)
@@ -168,6 +170,42 @@ class Reserve:
         return SpeedChange(speed * rate, now, 0.0, limits.acceleration, limits.jerk).duration
 
 
+def reserve_in_steps(
+    path: Path, limits: Sequence[JointLimits], cycle_time: float, longest_stop: float
+) -> Generator[None, None, Reserve]:
+    """Find what a path leaves free, in steps; see steps.py.
+
+    Raises PathError for arguments that do not fit the path; and if its stop_time is above `longest_stop`, with the joint and the
+    place to blame.
+    """
+    check_same_count(path, limits)
+    check_cycle(cycle_time)
+    rests_at_start = rests_at_end = True
+    start, end = path.start, path.end
+    room = _Room()
+    all_needs, all_stretches = [], []
+    for joint, own in enumerate(limits):
+        most_speed = most_acceleration = 0.0
+        needs: list[Need] = []
+        stretches: list[Stretch] = []
+        for number in range(0, len(path.pieces[joint]), PART):
+            for demand in demands_of(path, joint, cycle_time, number, PART):
+                begin, speed, acceleration, jerk = demand
+                need = begin, speed.magnitude, acceleration.magnitude, jerk.magnitude, _gathers_speed(speed, acceleration)
+                room.narrow(joint, need, own, demand)
+                most_speed = max(most_speed, need[1])
+                most_acceleration = max(most_acceleration, need[2])
+                needs.append(need)
+            stretches += stretches_of(path.pieces[joint], number, PART)
+            yield
+        all_needs.append(needs)
+        all_stretches.append(stretches)
+        rests_at_start = rests_at_start and _rests(start, joint, REST * most_speed, REST * most_acceleration)
+        rests_at_end = rests_at_end and _rests(end, joint, REST * most_speed, REST * most_acceleration)
+    rests = rests_at_start, rests_at_end
+    return Reserve(path.duration, limits, cycle_time, all_needs, all_stretches, room.best(longest_stop), rests)
+
+
 def rest_time(stop: SpeedChange, left: float) -> float:
     """Return the seconds after which the joints rest, at the latest. left: of the path's time, when the change begins."""
     end = stop.time_at(left)
@@ -202,11 +240,14 @@ class _Room:
         self.changes = [min(FASTEST_CHANGE, math.sqrt(FASTEST_ONSET / steepness)) for steepness in _STEEPNESS]
         self.causes: list[_Cause | None] = [None] * len(_STEEPNESS)
 
-    def narrow(self, joint: int, demand: Demand, limits: JointLimits, *, for_stop: bool = False) -> None:
-        """Lower each A to what this part of the path leaves free. for_stop: dr/dt grows no more, wherever it is above 0."""
-        speed, acceleration, jerk = demand.speed.magnitude, demand.acceleration.magnitude, demand.jerk.magnitude
+    def narrow(self, joint: int, need: Need, limits: JointLimits, demand: Demand | None = None) -> None:
+        """Lower each A to what this part of the path leaves free. demand: the need as it was found, which may be to blame.
+
+        Without it the room is for a stop: dr/dt grows no more, wherever it is above 0.
+        """
+        _, speed, acceleration, jerk, gathers_speed = need
         most = math.inf if limits.acceleration is None else limits.acceleration
-        free = most if for_stop and acceleration <= most and _gathers_speed(demand) else max(0.0, most - acceleration)
+        free = most if demand is None and gathers_speed and acceleration <= most else max(0.0, most - acceleration)
         most_jerk = math.inf if limits.jerk is None else limits.jerk
         # A falls with the ratio and J grows, so these two are the largest ones: most parts of a path allow even both.
         change, onset = self.changes[0], _STEEPNESS[-1] * self.changes[-1] * self.changes[-1]
@@ -216,12 +257,14 @@ class _Room:
             change = self.changes[number]
             if speed * change > free:
                 change = free / speed
-                self.causes[number] = _Cause(joint, "acceleration", demand.acceleration, most)
+                if demand is not None:
+                    self.causes[number] = _Cause(joint, "acceleration", demand.acceleration, most)
             if jerk + 3.0 * acceleration * change + speed * steepness * change * change > most_jerk:
                 left = max(0.0, most_jerk - jerk)
                 root = 3.0 * acceleration + math.sqrt(9.0 * acceleration * acceleration + 4.0 * speed * steepness * left)
                 change = 2.0 * left / root if root else 0.0
-                self.causes[number] = _Cause(joint, "jerk", demand.jerk, most_jerk)
+                if demand is not None:
+                    self.causes[number] = _Cause(joint, "jerk", demand.jerk, most_jerk)
             self.changes[number] = change
 
     def best(self, longest_stop: float) -> tuple[float, float, float]:
@@ -262,11 +305,10 @@ class _Room:
         return fastest
 
 
-def _gathers_speed(demand: Demand) -> bool:
+def _gathers_speed(speed: Extremes, acceleration: Extremes) -> bool:
     """Return whether velocity and acceleration have one sign, all along."""
-    speed, acceleration = demand.speed, demand.acceleration
     return (speed.low >= 0.0 and acceleration.low >= 0.0) or (speed.high <= 0.0 and acceleration.high <= 0.0)
 
 
-def _begin_of(demand: Demand) -> float:
-    return demand.begin
+def _begin_of(need: Need) -> float:
+    return need[0]

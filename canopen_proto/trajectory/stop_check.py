@@ -12,59 +12,39 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
-from canopen_proto.trajectory.limit_check import JointLimits
-from canopen_proto.trajectory.path import Segment
-from canopen_proto.trajectory.polynomial import derivative_of, value_at
+from canopen_proto.trajectory.limit_check import JointLimits, end_of, jumps
+from canopen_proto.trajectory.path import Piece
 from canopen_proto.trajectory.speed_change import SpeedChange
 
 _PARTS: Final = 3
 """So many pieces for each of the three phases of a stop."""
 _ROUNDING: Final = 1 + 1e-9
-_NO_JUMP: Final = (1e-12, 1e-9)
-"""A velocity, or an acceleration, that changes by no more than this at a knot does not jump (above 1: this part of itself)."""
 
 
-class Stretch(NamedTuple):
-    """A segment of one joint, as a stop needs it: its begin and end, the coefficients of its velocity, the largest magnitudes of
-    its third, fourth and fifth derivative; and of the knot at its begin the jumps of velocity and acceleration."""
+Stretch: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, bool]
+"""A segment of one joint, as a stop needs it: its begin and end, the coefficients of its velocity (not yet multiplied by their
+powers), the largest magnitudes of its third, fourth and fifth derivative; and whether velocity or acceleration jump at its begin.
+Plain tuples of numbers are no work for the garbage collector; long paths have many thousands."""
 
-    begin: float
-    end: float
-    c1: float
-    c2: float
-    c3: float
-    c4: float
-    c5: float
-    third: float
-    fourth: float
-    fifth: float
-    jumps: bool
-
-
-Piece: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+StopPiece: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 """A piece of a stop. At its begin and its end: the path's time, the rate, the change of the rate; how long it takes, how its
 change changes; the highest rate in it."""
 
 
-def stretches_of(row: Sequence[Segment]) -> list[Stretch]:
-    """Return a joint's segments as a stop needs them."""
+def stretches_of(pieces: Sequence[Piece], first: int, count: int) -> list[Stretch]:
+    """Return so many segments of a joint, from this one on, as a stop needs them."""
     found: list[Stretch] = []
-    begin = velocity = acceleration = 0.0
-    for number, (duration, coefficients) in enumerate(row):
-        given = [*coefficients, 0.0, 0.0, 0.0, 0.0, 0.0]
-        c1, c2, c3, c4, c5 = given[1:6]
-        fifth, fourth = 120.0 * abs(c5), max(abs(24.0 * c4), abs(24.0 * c4 + 120.0 * c5 * duration))
-        third = max(abs(6.0 * c3), abs(value_at([6.0 * c3, 24.0 * c4, 60.0 * c5], duration))) + duration * duration * fifth / 8.0
-        jumps = number > 0 and any(
-            abs(now - before) > least * max(1.0, abs(now))
-            for now, before, least in ((c1, velocity, _NO_JUMP[0]), (2.0 * c2, acceleration, _NO_JUMP[1]))
-        )
-        found.append(Stretch(begin, begin + duration, c1, c2, c3, c4, c5, third, fourth, fifth, jumps))
-        slope = derivative_of(given[:6])
-        velocity, acceleration = value_at(slope, duration), value_at(derivative_of(slope), duration)
-        begin += duration
+    velocity = acceleration = 0.0
+    for number in range(max(0, first - 1), min(first + count, len(pieces))):
+        begin, duration, _, c1, c2, c3, c4, c5 = pieces[number]
+        is_jump = number > 0 and jumps(velocity, acceleration, c1, 2.0 * c2)
+        velocity, acceleration, jerk = end_of(duration, c1, c2, c3, c4, c5)
+        if number >= first:
+            fifth, fourth = 120.0 * abs(c5), max(abs(24.0 * c4), abs(24.0 * c4 + 120.0 * c5 * duration))
+            third = max(abs(6.0 * c3), abs(jerk)) + duration * duration * fifth / 8.0
+            found.append((begin, begin + duration, c1, c2, c3, c4, c5, third, fourth, fifth, is_jump))
     return found
 
 
@@ -78,9 +58,9 @@ def motion_at(stretches: Sequence[Stretch], time: float) -> tuple[float, float]:
     )
 
 
-def pieces_of(stop: SpeedChange, time: float) -> list[Piece]:
+def pieces_of(stop: SpeedChange, time: float) -> list[StopPiece]:
     """Cut a stop that begins at this time of the path."""
-    pieces: list[Piece] = []
+    pieces: list[StopPiece] = []
     for number in range(3):
         begin, distance, rate, change, onset = stop.phases[number]
         lasts = (stop.phases[number + 1][0] - begin) / _PARTS
@@ -96,7 +76,7 @@ def pieces_of(stop: SpeedChange, time: float) -> list[Piece]:
     return pieces
 
 
-def keeps_limits(pieces: Sequence[Piece], stretches: Sequence[Stretch], limits: JointLimits, seen: float) -> bool:
+def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limits: JointLimits, seen: float) -> bool:
     """Return whether a joint surely keeps its limits of acceleration and jerk during these pieces of a stop.
 
     seen: seconds for which a drive still sees a knot. Where velocity or acceleration jump the answer is False.
@@ -106,14 +86,14 @@ def keeps_limits(pieces: Sequence[Piece], stretches: Sequence[Stretch], limits: 
     since = pieces[0][0]
     number = max(0, bisect_right(stretches, since, key=_begin_of) - 1)
     before = number
-    while stretches[before].begin >= since - seen:
-        if stretches[before].jumps:
+    while stretches[before][0] >= since - seen:
+        if stretches[before][10]:
             return False
         if before == 0:
             break
         before -= 1
     count = len(stretches)
-    goal = stretches[-1].end
+    goal = stretches[-1][1]
     for place, rate, change, further, slower, last, lasts, onset, highest in pieces:
         if place >= goal:
             return True
@@ -167,7 +147,7 @@ def keeps_limits(pieces: Sequence[Piece], stretches: Sequence[Stretch], limits: 
             if further <= end or number + 1 == count:
                 break
             number += 1
-            if stretches[number].jumps:
+            if stretches[number][10]:
                 return False
         if lowest_jerk < -most_jerk or highest_jerk > most_jerk:
             return False
@@ -182,4 +162,4 @@ def keeps_limits(pieces: Sequence[Piece], stretches: Sequence[Stretch], limits: 
 
 
 def _begin_of(stretch: Stretch) -> float:
-    return stretch.begin
+    return stretch[0]

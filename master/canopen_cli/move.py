@@ -161,11 +161,11 @@ class _Move:
                     view.done(step, "all joints have their reference")
                 await arm.follow()
                 try:
-                    legs = legs_of(arm, self.targets, self.path)
+                    legs = await legs_of(arm, self.targets, self.path)
                 except MasterError:
                     await arm.shut_down()  # nothing is going to move
                     raise
-                told_legs(self.screen, arm, legs)
+                await told_legs(self.screen, arm, legs)
                 arm.override = self.override
                 async with recorded(self.settings, self.screen, arm, file, told=self.told) as self.recorder:
                     await self._move(arm, legs, view)

@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import TypeAlias
 
+import trio
+
 from canopen_cli.problem import usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data.path_file import PathFile
@@ -48,7 +50,7 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def legs_of(arm: Chain, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
+async def legs_of(arm: Chain, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
     """Return the way of a chain that stands and follows set-points: to the targets, or to the start of a path and along it.
 
     Raises PathRefused for a path beyond a limit, PlanRefused, PackageMissing.
@@ -58,7 +60,7 @@ def legs_of(arm: Chain, targets: dict[str, float] | None, path: PathFile | None)
         assert targets is not None
         there = [targets.get(device.name, position) for device, position in zip(arm.devices, here, strict=True)]
         return [("to the target", planned(arm, here, there))]
-    check_path(arm.devices, path.path, path.path.start, arm.path_limits, arm.settings.cycle_time)
+    await check_path(arm.devices, path.path, path.path.start, arm.path_limits, arm.settings.cycle_time)
     begin = path.path.start.positions
     along = ("along the path", path.path)
     if all(abs(a - b) <= device.axis.amount_from_counts(1) for device, a, b in zip(arm.devices, here, begin, strict=True)):
@@ -78,7 +80,7 @@ def planned(arm: Chain, here: Sequence[float], there: Sequence[float]) -> Path:
         raise
 
 
-def told_legs(screen: Screen, arm: Chain, legs: Legs) -> None:
+async def told_legs(screen: Screen, arm: Chain, legs: Legs) -> None:
     """Show each part of the motion, with what it asks of each joint, and the limits."""
     if screen.json_output:
         return
@@ -93,6 +95,7 @@ def told_legs(screen: Screen, arm: Chain, legs: Legs) -> None:
             pairs = [cell for pair in zip(map(_shown, asked), map(_shown, most), strict=True) for cell in pair]
             ends = path.start.positions[number], path.end.positions[number]
             rows.append((escape(device.name), *map(_shown, (*ends, lowest, highest)), *pairs))
+            await trio.lowlevel.checkpoint()  # a SYNC may be due
         screen.table(COLUMNS, rows, right=COLUMNS[1:])
 
 

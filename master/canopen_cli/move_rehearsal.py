@@ -55,8 +55,8 @@ def rehearse_move(
             _, arm = await stack.enter_async_context(open_chain(apart, elsewhere))
             await arm.initialise()
             await arm.follow()
-            legs = legs_of(arm, targets, path)
-            told_legs(screen, arm, legs)
+            legs = await legs_of(arm, targets, path)
+            await told_legs(screen, arm, legs)
             arm.override = override
             frames.records.clear()
             for _, leg in legs:

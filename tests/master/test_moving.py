@@ -14,7 +14,7 @@ from trio.testing import MockClock
 
 from canopen_master import ChainError, ChainHalted, ChainState, MotionReplaced, PathRefused, PlanRefused, Progress, together
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.trajectory import Path, PathError, Segment
+from canopen_proto.trajectory import Path, PathError, Segment, from_function
 from tests.examples import examples
 from tests.master.direct_world import patient
 from tests.master.path_world import AXIS, CYCLE, Record, arms, swing
@@ -291,3 +291,55 @@ async def test_a_jog_whose_chain_is_being_halted_says_so() -> None:
                 await trio.sleep(2 * CYCLE)
                 assert arm.motion is not None  # it brakes
                 jog.velocity([0.5])
+
+
+def long_path() -> Path:
+    """A path of 2000 points from rest to rest."""
+    duration = CYCLE * 2000
+    return from_function(lambda time: [0.15 - 0.15 * math.cos(math.tau * time / duration)] * 2, duration, CYCLE)
+
+
+@virtual_time
+async def test_sync_goes_on_while_a_long_path_is_checked() -> None:
+    async with arms(2) as (_, [arm], _), trio.open_nursery() as nursery:
+        await arm.follow()
+        clock = trio.lowlevel.current_clock()
+        assert isinstance(clock, MockClock)
+        path = long_path()
+
+        async def take_time() -> None:
+            while arm.motion is None:
+                clock.jump(0.0005)  # a step of the check takes that
+                await trio.lowlevel.checkpoint()
+
+        begin, syncs = trio.current_time(), arm.sync_cycles
+        nursery.start_soon(take_time)
+        nursery.start_soon(arm.follow, path)
+        await moved(arm, CYCLE)
+        assert trio.current_time() - begin > 0.1  # it has so many steps
+        assert (trio.current_time() - begin) / CYCLE == pytest.approx(arm.sync_cycles - syncs, abs=2)
+        assert arm.skipped_cycles == 0
+        nursery.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize("end", ["moves", "halts"])
+@virtual_time
+async def test_what_happens_while_a_path_is_checked_counts(end: str) -> None:
+    async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+        await arm.follow()
+        path = long_path()
+
+        async def follow() -> None:
+            with pytest.raises(ChainError, match="it moves along" if end == "moves" else "by halt"):
+                await arm.follow(path)
+
+        nursery.start_soon(follow)
+        await trio.lowlevel.checkpoint()
+        await trio.lowlevel.checkpoint()
+        assert arm.motion is None
+        if end == "moves":
+            await arm.move([0.1, 0.1])
+            assert record.rows[-1] == pytest.approx([0.1, 0.1], abs=3e-6)
+        else:
+            await arm.halt()
+            assert record.rows[-1] == [0.0, 0.0]

@@ -27,12 +27,13 @@ from trio.lowlevel import enable_ki_protection
 from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused, PlanRefused
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
-from canopen_master.motion.path_check import check_path
+from canopen_master.motion.path_check import check_path, check_start, in_steps
 from canopen_master.motion.path_motion import LONGEST_STOP, Course, Follower, Motion, Torques
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamCourse, Targets
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
 from canopen_proto.trajectory.path_clock import check_override
+from canopen_proto.trajectory.reserve import Reserve, reserve_in_steps
 
 if TYPE_CHECKING:
     from canopen_master.trajectories.target_stream import TargetStream
@@ -129,10 +130,13 @@ class Moving:
             return
         await self._begin_following("follow a path")
         self._require_free("follow a path")
-        start = self._present()
         limits = self.path_limits
-        check_path(self._devices, path, start, limits, self._period)
-        await self._run(self._clock(path, limits, is_moving=False), start, torques)
+        await check_path(self._devices, path, self._present(), limits, self._period)
+        reserve = await self._reserve(path, limits)
+        self._require_free("follow a path")  # other tasks ran meanwhile
+        start = self._present()
+        check_start(self._devices, path, start, limits, self._period)
+        await self._run(self._clock(path, limits, reserve, is_moving=False), start, torques)
 
     async def move(self, targets: Sequence[float], *, speed: float = 1.0, torques: Torques | None = None) -> None:
         """Move all joints to their targets, as fast as their limits allow, and to arrive together; return when they are there.
@@ -150,7 +154,12 @@ class Moving:
             start, present = self._present(), self.present_motion
             try:
                 path = plan(start, targets, limits, speed_factor=speed)
-                clock = self._clock(path, limits, is_moving=any(start.velocities) or any(start.accelerations))
+                is_moving = any(start.velocities) or any(start.accelerations)
+                reserve = None if is_moving else await self._reserve(path, limits)
+                if self._present() != start:
+                    continue  # other tasks ran meanwhile
+                clock = self._clock(path, limits, reserve, is_moving=is_moving)
+                self._require_movable("move")
                 break
             except PlanRefused as error:
                 error.name_joint([device.name for device in self._devices])
@@ -303,11 +312,27 @@ class Moving:
         positions = [position for member in self._members for position in member.desired]
         return PathPoint(positions, [0.0] * len(positions), [0.0] * len(positions))
 
-    def _clock(self, path: Path, limits: Sequence[JointLimits], *, is_moving: bool) -> PathClock:
+    async def _reserve(self, path: Path, limits: Sequence[JointLimits]) -> Reserve:
+        """Find what the path leaves free, while other tasks go on. Raises PathRefused."""
         try:
-            return PathClock(path, limits, self._period, override=self._override, moving=is_moving, longest_stop=LONGEST_STOP)
+            return await in_steps(reserve_in_steps(path, limits, self._period, LONGEST_STOP))
         except PathError as error:
-            raise PathRefused("the path cannot be followed", seen=str(error)) from error
+            raise _cannot_be_followed(error) from error
+
+    def _clock(self, path: Path, limits: Sequence[JointLimits], reserve: Reserve | None, *, is_moving: bool) -> PathClock:
+        """Return the clock of a path. reserve: of `_reserve`; None: it is found in this turn."""
+        try:
+            return PathClock(
+                path,
+                limits,
+                self._period,
+                override=self._override,
+                moving=is_moving,
+                longest_stop=LONGEST_STOP,
+                reserve=reserve,
+            )
+        except PathError as error:
+            raise _cannot_be_followed(error) from error
 
     @enable_ki_protection
     async def _run(self, course: Course, start: PathPoint, torques: Torques | None) -> None:
@@ -351,6 +376,10 @@ class Moving:
         self._members[0].check_open()
         motion = self.present_motion
         await (self._members[0].begun if motion is None else motion.news).park()
+
+
+def _cannot_be_followed(error: PathError) -> PathRefused:
+    return PathRefused("the path cannot be followed", seen=str(error))
 
 
 class Progresses:

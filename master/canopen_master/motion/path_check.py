@@ -1,26 +1,60 @@
-"""The check of a whole path before any joint moves: where it begins, its limits, and whether the chain can stop on it."""
+"""The check of a whole path before any joint moves: where it begins, its limits, and whether the chain can stop on it.
+
+A path of thousands of points takes a second of calculation. It is done in steps of some 0.5 ms, and the other tasks of the
+process run between them: a stall would be a gap of SYNC, for this chain and for others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Generator, Sequence
+from typing import Final, TypeVar
+
+import trio
 
 from canopen_master.errors import PathRefused
 from canopen_master.motion.device import Device
-from canopen_proto.trajectory import JointLimits, Path, PathPoint, Violation, first_violation
+from canopen_proto.trajectory import JointLimits, Path, PathPoint, Violation
+from canopen_proto.trajectory.limit_check import first_violation_in_steps
 
 START_COUNTS: Final = 2
 """Counts that a joint may be off the start of a path, at least: conversions of units round."""
 START_TIME: Final = 0.001
 """Seconds at its speed limit that a joint may be off the start of a path, at most."""
+T = TypeVar("T")
 _UNITS: Final = {"position": "", "speed": " per second", "acceleration": " per second²", "jerk": " per second³"}
 
 
-def check_path(devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float) -> None:
+async def in_steps(steps: Generator[None, None, T]) -> T:
+    """Do a calculation step by step, and let other tasks run in between. Return its result, or raise its error."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+        await trio.lowlevel.checkpoint()
+
+
+async def check_path(
+    devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float
+) -> None:
     """Check a path before the joints follow it. Raises PathRefused.
 
-    start: where the joints stand. limits: of each joint. cycle_time: in s. The step to the start of the path, in one cycle, must
-    be within the acceleration of the joint, and no longer than its way in START_TIME; START_COUNTS are allowed in any case.
+    start: where the joints stand; see `check_start`. limits: of each joint. cycle_time: in s.
+    """
+    check_start(devices, path, start, limits, cycle_time)
+    violation = await in_steps(first_violation_in_steps(path, limits, cycle_time))
+    if violation is not None:
+        raise beyond_limit(devices[violation.joint], violation)
+
+
+def check_start(
+    devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float
+) -> None:
+    """Check that a path has a row for each joint, and begins where they stand. Raises PathRefused.
+
+    The step to the start of the path, in one cycle, must be within the acceleration of the joint, and no longer than its way in
+    START_TIME; START_COUNTS are allowed in any case.
     """
     if path.joints != len(devices):
         names = ", ".join(device.name for device in devices)
@@ -39,9 +73,6 @@ def check_path(devices: Sequence[Device], path: Path, start: PathPoint, limits: 
                 f"{tolerance:.3g} are allowed",
                 tries=("await chain.move(path.start.positions) first", "a path that begins at chain.desired_positions"),
             )
-    violation = first_violation(path, limits, cycle_time)
-    if violation is not None:
-        raise beyond_limit(devices[violation.joint], violation)
 
 
 def beyond_limit(device: Device, violation: Violation) -> PathRefused:
