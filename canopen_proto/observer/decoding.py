@@ -4,8 +4,8 @@ A `Decoder` gets all frames in their order and returns a `Meaning` for each. It 
 v4.2.0, 7.3.3) and the devices' dictionaries: names and types of objects, and the PDOs that they describe. It follows SDO
 transfers through their segments and blocks, and uses PDO parameters from the moment when the recording shows them (pdo.py).
 
-Left out: COB-IDs of other services that were changed at run time, SDO channels beyond the first, and the details of LSS and of
-services of other standards.
+Left out: COB-IDs of other services that were changed at run time, SDO channels beyond the first, and services of other
+standards but LSS.
 """
 
 from __future__ import annotations
@@ -33,15 +33,12 @@ from canopen_proto.frame import (
     Frame,
     routing_key,
 )
+from canopen_proto.lss import messages as lss
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.observer.pdo import OverheardPdo, OverheardPdos
 from canopen_proto.observer.sdo import OverheardChannel, bytes_text, shown_value
 from canopen_proto.pdo.mapping import MappedEntry
 from canopen_proto.time_stamp import time_of
-
-LSS_FROM_SLAVE: Final = 0x7E4
-LSS_FROM_MASTER: Final = 0x7E5
-"""CiA 305. They are not in the predefined connection set, but nothing else may use them."""
 
 _EMPTY: Final = ObjectDictionary((), source="nothing")
 _PDO_FUNCTIONS: Final = range(TPDO1 >> 7, (RPDO4 >> 7) + 1)
@@ -89,9 +86,8 @@ class Decoder:
             return Meaning("SYNC", 0, f"counter {data[0]}" if data else "")
         if frame.can_id == TIME:
             return Meaning("TIME", 0, _time_text(data))
-        if frame.can_id in (LSS_FROM_MASTER, LSS_FROM_SLAVE):
-            who = "master" if frame.can_id == LSS_FROM_MASTER else "slave"
-            return Meaning("LSS", 0, f"{who}: {data.hex(' ')}")
+        if frame.can_id in (lss.FROM_MASTER, lss.FROM_SLAVE):
+            return Meaning("LSS", 0, lss.text_of(frame))
         if node_id:
             if function == EMCY:
                 return Meaning("EMCY", node_id, _emergency_text(data))

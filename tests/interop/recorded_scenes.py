@@ -115,4 +115,4 @@ SCENES = [
         rpdo_by_sync=True,
     ),
 ]
-OUT_OF_SCOPE = {"canopennode-lss-selective", "lely-slave-lss"}
+OUT_OF_SCOPE = {"canopennode-lss-selective", "lely-slave-lss"}  # test_lss_sessions.py replays them

@@ -77,7 +77,7 @@ def meanings(*frames: str, of: int | None = 5) -> list[str]:
         ("506#AABB", "RPDO 4 6 aa bb"),
         ("286#R", "TPDO 2 6 requested by a remote frame"),
         ("606#R8", "? 0 a remote frame, 8 bytes"),
-        ("7E5#0401", "LSS 0 master: 04 01"),
+        ("7E5#0401000000000000", "LSS 0 all slaves: configuration"),
         ("7E4#0401", "LSS 0 slave: 04 01"),
         ("7E0#0401", "? 0 04 01"),
         ("780#", "? 0 nothing"),
