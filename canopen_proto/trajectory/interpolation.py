@@ -46,7 +46,7 @@ def cubic(times: Sequence[float], positions: Rows, velocities: Rows | None = Non
     steps = _steps(times)
     columns = _columns(positions, len(times), 0, "positions")
     if velocities is None:
-        slopes = [_spline_velocities(steps, row, None if natural else (0.0, 0.0)) for row in columns]
+        slopes = [spline_velocities(steps, row, None if natural else (0.0, 0.0)) for row in columns]
     else:
         slopes = _columns(velocities, len(times), len(columns), "velocities")
     return Path([_cubics(steps, row, own) for row, own in zip(columns, slopes, strict=True)])
@@ -75,7 +75,7 @@ def from_function(function: Callable[[float], Sequence[float]], duration: float,
     times = [duration * number / count for number in range(count + 1)]
     columns = _columns([function(time) for time in times], len(times), 0, "positions")
     steps = _steps(times)
-    return Path([_cubics(steps, row, _spline_velocities(steps, row, _end_velocities(row, duration / count))) for row in columns])
+    return Path([_cubics(steps, row, spline_velocities(steps, row, _end_velocities(row, duration / count))) for row in columns])
 
 
 def _steps(times: Sequence[float]) -> list[float]:
@@ -133,7 +133,7 @@ def _quintics(
     return row
 
 
-def _spline_velocities(steps: Sequence[float], positions: Sequence[float], ends: tuple[float, float] | None) -> list[float]:
+def spline_velocities(steps: Sequence[float], positions: Sequence[float], ends: tuple[float, float] | None) -> list[float]:
     """Return the velocities with which the accelerations do not jump. ends: those at the ends; None: no acceleration there.
 
     A system of equations with three diagonals, solved from the front to the back and then backwards. Each of its rows has the

@@ -69,11 +69,21 @@ def parse_machine(content: str, source: str = "machine.toml", folder: Path | Non
 
     Raises DictionaryError with every error in it.
     """
-    tables = parse_toml(content, source)
-    reading = TomlReading(source, "machine", places_of(content))
+    return _machine_of(parse_toml(content, source), TomlReading(source, "machine", places_of(content)), folder)
+
+
+def machine_of_tables(tables: dict[str, Any], source: str, folder: Path | None = None) -> MachineFile:
+    """Return the machine that tables describe, with the keys of a machine file, but from elsewhere.
+
+    As `parse_machine` otherwise.
+    """
+    return _machine_of(tables, TomlReading(source, "machine", {}), folder)
+
+
+def _machine_of(tables: dict[str, Any], reading: TomlReading, folder: Path | None) -> MachineFile:
     machine = _Reader(reading, tables, folder).machine()
     reading.raise_errors()
-    return replace(machine, source=source, folder=folder)
+    return replace(machine, source=reading.source, folder=folder)
 
 
 class _Reader:

@@ -88,7 +88,6 @@ class _Operation:
 class Chain(ChainView, Moving):
     """See this module's text; `ChainView` says what is known of it, `Moving` how it moves along paths.
 
-    motion: that along a path, or by a stream of targets, at present; None: it stands, or a loop gives the set-points.
     begun: woken when a motion begins.
     """
 
@@ -107,7 +106,6 @@ class Chain(ChainView, Moving):
         self._participant = participant
         self._heartbeat_timeout = heartbeat_timeout
         self._chains = chains
-        self.motion: Motion | None = None
         self.begun = trio.lowlevel.ParkingLot()
         self._supervision = Supervision(participant, self.devices, self._joint_failed)
         self._followed = False  # set-points, before it was stopped
@@ -170,7 +168,7 @@ class Chain(ChainView, Moving):
             name = f"chain {self.name}"
             followed = await self._for_all(what, lambda device: follow(device, name, cycle_time, mode_of(device, self.settings)))
             if self.state is not ChainState.READY:  # a joint failed just now
-                raise self._stop_reason()
+                raise self.stop_reason()
         except BaseException:
             self._release_joints()
             raise
@@ -373,9 +371,9 @@ class Chain(ChainView, Moving):
             state = ChainState.HALTED if self._culprit is None else ChainState.FAULT
         if state is ChainState.FAULT:
             self._participant.check_open()
-            raise self._stop_reason()
+            raise self.stop_reason()
         if state is ChainState.HALTED and ChainState.HALTED not in states:
-            raise self._stop_reason()
+            raise self.stop_reason()
         self._require_idle(what)
         if state not in states:
             if state is ChainState.READY:
@@ -462,9 +460,10 @@ class Chain(ChainView, Moving):
         if self.state is ChainState.FOLLOWING:
             return None
         await self._joints_stopped()
-        return self._stop_reason()
+        return self.stop_reason()
 
-    def _stop_reason(self) -> ChainError:
+    def stop_reason(self) -> ChainError:
+        """Return why the chain was stopped."""
         if self._culprit is not None:
             return joint_fault(self.name, *self._culprit)
         return chain_halted(self.name, self._why_halted or "by another command")

@@ -5,10 +5,13 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping, Sequence
 
+import trio
+
 from canopen_master.errors import CHAIN_NOT_READY, ChainError
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.cycles import SetPoints
 from canopen_master.motion.device import Device
+from canopen_master.motion.path_motion import Motion
 
 
 class ChainState(enum.Enum):
@@ -29,17 +32,44 @@ class ChainState(enum.Enum):
 
 
 class ChainView:
-    """See this module's text. name: of the chain. devices: its joints, in the order of the file. state: a ChainState."""
+    """See this module's text. name: of the chain. devices: its joints, in the order of the file.
+
+    changed: woken when `state` or `motion` changes.
+    """
 
     def __init__(self, name: str, devices: Sequence[Device], settings: ChainSettings) -> None:
         self.name = name
         self.devices = tuple(devices)
         self.settings = settings
-        self.state = ChainState.OFF
+        self.changed = trio.lowlevel.ParkingLot()
+        self._state = ChainState.OFF
+        self._motion: Motion | None = None
         self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
 
     def __repr__(self) -> str:
         return f"<Chain {self.name}: {', '.join(device.name for device in self.devices)}; {self.state.value}>"
+
+    @property
+    def state(self) -> ChainState:
+        """Which commands it takes."""
+        return self._state
+
+    @state.setter
+    def state(self, state: ChainState) -> None:
+        if state is not self._state:
+            self._state = state
+            self.changed.unpark_all()
+
+    @property
+    def motion(self) -> Motion | None:
+        """That along a path, or by a stream of targets, at present; None: it stands, or a loop gives the set-points."""
+        return self._motion
+
+    @motion.setter
+    def motion(self, motion: Motion | None) -> None:
+        if motion is not self._motion:
+            self._motion = motion
+            self.changed.unpark_all()
 
     @property
     def joints(self) -> Mapping[str, Device]:

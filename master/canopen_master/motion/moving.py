@@ -27,7 +27,7 @@ from trio.lowlevel import enable_ki_protection
 from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused, PlanRefused
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
-from canopen_master.motion.path_check import check_path, check_start, in_steps
+from canopen_master.motion.path_check import check_now, check_path, check_start, in_steps
 from canopen_master.motion.path_motion import LONGEST_STOP, Course, Follower, Motion, Torques
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamCourse, Targets
 from canopen_proto.machine import LocalProtocolError
@@ -37,6 +37,9 @@ from canopen_proto.trajectory.reserve import Reserve, reserve_in_steps
 
 if TYPE_CHECKING:
     from canopen_master.trajectories.target_stream import TargetStream
+
+PathMaker = Callable[[PathPoint], Path]
+"""Makes a path from where the joints are and how they move."""
 
 ROUNDING: Final = 1e-9
 """In cycles: 0.2 s are 20 cycles of 0.01 s, though 0.2 / 0.01 may be a little more."""
@@ -109,13 +112,17 @@ class Moving:
 
     # ---- along a path ----
 
-    async def follow(self, path: Path | None = None, *, torques: Torques | None = None) -> None:
+    async def follow(self, path: Path | PathMaker | None = None, *, torques: Torques | None = None) -> None:
         """Follow a path, from its start, where the joints have to stand, to its end; return when they are there.
 
         path: with the joints in the order of the chain. It is checked as a whole before anything moves. It runs at the rate of
         `override`, slower if SYNCs are late, and never faster to catch up. torques: called with each point, in every cycle and in
         the middle of the master's work; the torques that it returns go along (0x60B2). Velocities go along by themselves if the
         PDOs of a joint have room for them (0x60B1; see feed_forward.py).
+
+        A function in place of a path is called when the motion can begin, perhaps again, with where the joints are and how they
+        move then, and returns a path from there. Like `move` it takes over from another call that moves the joints, without a
+        stop; that call raises MotionReplaced.
 
         Without a path: let all joints follow set-points from where they stand, each in its mode; then give them, see `cycles`. A
         chain that already follows set-points is halted first. They need not be homed before.
@@ -127,6 +134,9 @@ class Moving:
         if path is None:
             for member in self._members:
                 await member.follow_set_points("follow set-points")
+            return
+        if not isinstance(path, Path):
+            await self._take_over("follow a path", path, torques, is_checked=False)
             return
         await self._begin_following("follow a path")
         self._require_free("follow a path")
@@ -147,28 +157,14 @@ class Moving:
         """
         from canopen_master.trajectories.point_to_point import plan
 
-        await self._begin_following("move")
-        while True:
-            self._require_movable("move")
-            limits = self.path_limits
-            start, present = self._present(), self.present_motion
+        def planned(start: PathPoint) -> Path:
             try:
-                path = plan(start, targets, limits, speed_factor=speed)
-                is_moving = any(start.velocities) or any(start.accelerations)
-                reserve = None if is_moving else await self._reserve(path, limits)
-                if self._present() != start:
-                    continue  # other tasks ran meanwhile
-                clock = self._clock(path, limits, reserve, is_moving=is_moving)
-                self._require_movable("move")
-                break
+                return plan(start, targets, self.path_limits, speed_factor=speed)
             except PlanRefused as error:
                 error.name_joint([device.name for device in self._devices])
                 raise
-            except PathRefused:
-                if present is None:
-                    raise
-                await present.news.park()  # it changes its rate with all that its limits leave free: soon it will not
-        await self._run(clock, start, torques)
+
+        await self._take_over("move", planned, torques, is_checked=True)
 
     @property
     def path_limits(self) -> list[JointLimits]:
@@ -311,6 +307,36 @@ class Moving:
             return motion.point
         positions = [position for member in self._members for position in member.desired]
         return PathPoint(positions, [0.0] * len(positions), [0.0] * len(positions))
+
+    async def _take_over(self, what: str, make: PathMaker, torques: Torques | None, *, is_checked: bool) -> None:
+        """Follow a path from how the joints move at present, once the clock of a path under way allows it.
+
+        is_checked: `make` keeps the limits by itself. From joints that move, everything happens in one turn.
+        """
+        await self._begin_following(what)
+        while True:
+            self._require_movable(what)
+            limits, reserve = self.path_limits, None
+            start, present = self._present(), self.present_motion
+            path = make(start)
+            is_moving = any(start.velocities) or any(start.accelerations)
+            if not is_checked and is_moving:
+                check_now(self._devices, path, start, limits, self._period)
+            elif not is_checked:
+                await check_path(self._devices, path, start, limits, self._period)
+            try:
+                if not is_moving:
+                    reserve = await self._reserve(path, limits)
+                    if self._present() != start:
+                        continue  # other tasks ran meanwhile
+                clock = self._clock(path, limits, reserve, is_moving=is_moving)
+                self._require_movable(what)
+                break
+            except PathRefused:
+                if present is None:
+                    raise
+                await present.news.park()  # it changes its rate with all that its limits leave free: soon it will not
+        await self._run(clock, start, torques)
 
     async def _reserve(self, path: Path, limits: Sequence[JointLimits]) -> Reserve:
         """Find what the path leaves free, while other tasks go on. Raises PathRefused."""

@@ -6,6 +6,7 @@ process run between them: a stall would be a gap of SYNC, for this chain and for
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Sequence
 from typing import Final, TypeVar
 
@@ -13,7 +14,7 @@ import trio
 
 from canopen_master.errors import PathRefused
 from canopen_master.motion.device import Device
-from canopen_proto.trajectory import JointLimits, Path, PathPoint, Violation
+from canopen_proto.trajectory import JointLimits, Path, PathPoint, Violation, first_violation
 from canopen_proto.trajectory.limit_check import first_violation_in_steps
 
 START_COUNTS: Final = 2
@@ -48,13 +49,21 @@ async def check_path(
         raise beyond_limit(devices[violation.joint], violation)
 
 
+def check_now(devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float) -> None:
+    """Check a path in one turn, as `check_path`: for joints that move, which will be elsewhere after it."""
+    check_start(devices, path, start, limits, cycle_time)
+    violation = first_violation(path, limits, cycle_time)
+    if violation is not None:
+        raise beyond_limit(devices[violation.joint], violation)
+
+
 def check_start(
     devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float
 ) -> None:
-    """Check that a path has a row for each joint, and begins where they stand. Raises PathRefused.
+    """Check that a path has a row for each joint, and begins where they stand, or as they move. Raises PathRefused.
 
     The step to the start of the path, in one cycle, must be within the acceleration of the joint, and no longer than its way in
-    START_TIME; START_COUNTS are allowed in any case.
+    START_TIME; START_COUNTS are allowed in any case. The speed of joints that move may change by the acceleration of one cycle.
     """
     if path.joints != len(devices):
         names = ", ".join(device.name for device in devices)
@@ -72,6 +81,25 @@ def check_start(
                 seen=f"it begins at {there:.6g}, {device.name} stands at {here:.6g}: {abs(there - here):.3g} away, "
                 f"{tolerance:.3g} are allowed",
                 tries=("await chain.move(path.start.positions) first", "a path that begins at chain.desired_positions"),
+            )
+    if any(start.velocities):
+        _check_velocities(devices, path.start, start, limits, cycle_time)
+
+
+def _check_velocities(
+    devices: Sequence[Device], first: PathPoint, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float
+) -> None:
+    for device, each, here, there in zip(devices, limits, start.velocities, first.velocities, strict=True):
+        allowed = math.inf if each.acceleration is None else each.acceleration * cycle_time
+        if abs(there - here) > allowed:
+            raise PathRefused(
+                f"the path does not begin as {device.name} moves",
+                device.name,
+                time=0.0,
+                kind="speed",
+                value=there,
+                seen=f"it begins at {there:.6g} per second, {device.name} moves at {here:.6g} per second",
+                tries=("a path that begins with the velocities of the point that the function gets",),
             )
 
 

@@ -1,0 +1,243 @@
+"""`Bridge`: a machine as a ROS node sees it, without ROS. In trio's thread; `threads.py` is the way from other threads.
+
+    async with open_bridge(NodeParameters.from_mapping({"chains": "arm joint1 can0 3", "simulate": True})) as bridge:
+        reply = await bridge.chains["arm"].call("init")
+        async for sample in bridge.samples():
+            ...
+
+**A bus that fails** ends the master, which halts what it can still reach, but not the bridge: services are refused with the
+reason, the chains' state is "failed", and diagnostics go on telling. The node has to be started again.
+
+**Leaving the block** ends all motions along their paths, halts all drives, and shuts the chains down, as far as they answer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Final, NamedTuple
+
+import trio
+
+from canopen_master.errors import MasterError
+from canopen_master.machine_file import MachineFile
+from canopen_master.master import Master
+from canopen_master.session import open_master
+from canopen_proto.sync import SyncSent
+from canopen_ros import diagnostics, objects
+from canopen_ros.chain_bridge import ChainBridge
+from canopen_ros.diagnostics import Diagnostic
+from canopen_ros.parameters import NodeParameters
+from canopen_ros.reply import Reply
+from canopen_ros.samples import Sample, sample_of
+from canopen_ros.simulated import on_virtual_buses, simulated_machine
+
+MOST_SAMPLES: Final = 256
+"""Samples that wait for a slow reader: some seconds. With more, the oldest are dropped."""
+DIAGNOSTIC_PERIOD: Final = 1.0
+"""Seconds between two diagnostics, if nothing changes."""
+SAME_AGAIN: Final = 5.0
+"""Seconds until the same report is made again: commands may be refused a hundred times a second."""
+
+
+class Report(NamedTuple):
+    """The refusal of a command that has no answer, for the log. chain: its name. text: of the error."""
+
+    chain: str
+    text: str
+
+
+class Bridge:
+    """See this module's text. chains: by name. machine: the machine. failure: why the master ended; None while it works."""
+
+    def __init__(
+        self,
+        master: Master,
+        machine: MachineFile,
+        nursery: trio.Nursery,
+        parameters: NodeParameters | None = None,
+        *,
+        wall: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """master: an open one of this machine. nursery: inside its block; the tasks of topics run there. wall: ns since 1970."""
+        parameters = NodeParameters(machine) if parameters is None else parameters
+        self.master = master
+        self.machine = machine
+        self.parameters = parameters
+        self.failure: Exception | None = None
+        self._wall = wall
+        self._reports: deque[Report] = deque(maxlen=MOST_SAMPLES)
+        self._reported: dict[Report, float] = {}
+        self._has_report = trio.lowlevel.ParkingLot()
+        self._changed = trio.lowlevel.ParkingLot()
+        self.chains: Mapping[str, ChainBridge] = {
+            name: ChainBridge(
+                chain,
+                nursery,
+                self._report,
+                wall,
+                watchdog=parameters.velocity_watchdog,
+                goal_time=parameters.goal_time,
+            )
+            for name, chain in master.chains.items()
+        }
+        for chain in self.chains.values():
+            nursery.start_soon(self._watch, chain)
+
+    async def _watch(self, chain: ChainBridge) -> None:
+        async for _ in chain.states():
+            self._changed.unpark_all()
+
+    # ---- what is known ----
+
+    def sample(self) -> Sample:
+        """The joints of all chains, as last heard; see Sample."""
+        devices = [device for chain in self.chains.values() for device in chain.chain.devices]
+        return sample_of(devices, self.master.now(), self._wall())
+
+    def samples(self) -> Samples:
+        """A sample for each SYNC, as an async iterator; none while no SYNC is sent. Ends when the master does."""
+        return Samples(self)
+
+    def diagnostics(self) -> list[Diagnostic]:
+        """What is known of each bus, chain and joint. Never raises; also for a master that has failed."""
+        failure = self.failure
+        found = [diagnostics.of_bus(bus, failure) for bus in dict.fromkeys(self.master.buses.values())]
+        for chain in self.chains.values():
+            found.append(diagnostics.of_chain(chain.chain, chain.state, failure))
+            found += [diagnostics.of_joint(device, chain.name, failure) for device in chain.chain.devices]
+        return found
+
+    async def changed(self) -> None:
+        """Wait until the state of a chain changes, or for DIAGNOSTIC_PERIOD: it is time for diagnostics."""
+        with trio.move_on_after(DIAGNOSTIC_PERIOD):
+            await self._changed.park()
+
+    async def reports(self) -> AsyncIterator[Report]:
+        """The refusals of commands that have no answer: velocities and positions."""
+        while True:
+            while self._reports:
+                yield self._reports.popleft()
+            await self._has_report.park()
+
+    # ---- objects ----
+
+    async def get_object(self, node: str, object: str, cached: bool = False) -> Reply:
+        """Read an object. node: the name of a joint or a node. object: its name, or its number: 6041, 6041sub0, 6041:00.
+
+        cached: what was heard last, if it ever was. `Reply.value` has the value.
+        """
+        return await objects.get_object(self.master, node, object, cached)
+
+    async def set_object(self, node: str, object: str, value: str, cached: bool = False) -> Reply:
+        """Write an object. value: a number (also 0x...), or text. cached: nothing is sent if the object is known to have it."""
+        return await objects.set_object(self.master, node, object, value, cached)
+
+    # ---- for this module ----
+
+    def fail(self, error: Exception) -> None:
+        """Note that the master has ended by an error."""
+        self.failure = error
+        for chain in self.chains.values():
+            chain.fail(error)
+        self._changed.unpark_all()
+
+    def _report(self, chain: str, text: str) -> None:
+        report, now = Report(chain, text), trio.current_time()
+        if now - self._reported.get(report, -SAME_AGAIN) < SAME_AGAIN:
+            return
+        self._reported = {each: at for each, at in self._reported.items() if now - at < SAME_AGAIN}
+        self._reported[report] = now
+        self._reports.append(report)
+        self._has_report.unpark_all()
+
+
+class Samples:
+    """The iterator that `Bridge.samples` returns. dropped: samples that were lost because the reader was too slow."""
+
+    def __init__(self, bridge: Bridge) -> None:
+        self.dropped = 0
+        self._bridge = bridge
+        self._waiting: deque[Sample] = deque()
+        self._news = trio.lowlevel.ParkingLot()
+        master = bridge.master
+        self._watcher = master.watch((SyncSent,), self._take, master.bus(next(iter(master.buses))))
+
+    def _take(self, sync: SyncSent) -> None:
+        if len(self._waiting) == MOST_SAMPLES:
+            self._waiting.popleft()
+            self.dropped += 1
+        self._waiting.append(self._bridge.sample())
+        self._news.unpark_all()
+
+    def __aiter__(self) -> Samples:
+        return self
+
+    async def __anext__(self) -> Sample:
+        await trio.lowlevel.checkpoint()
+        while not self._waiting:
+            await self._news.park()
+        return self._waiting.popleft()
+
+
+@asynccontextmanager
+async def open_bridge(parameters: NodeParameters, *, wall: Callable[[], int] = time.time_ns) -> AsyncIterator[Bridge]:
+    """Open the master of a machine, and the simulated devices if `simulate` is set; see this module's text.
+
+    Raises BusError if a bus cannot be opened; on leaving the block HaltNotConfirmed if a drive did not show that it stands.
+    """
+    machine = on_virtual_buses(parameters.machine) if parameters.simulate else parameters.machine
+    failure: BaseException | None = None
+    async with AsyncExitStack() as stack:
+        if parameters.simulate:
+            await stack.enter_async_context(simulated_machine(machine))
+        async with trio.open_nursery() as nursery:
+            session = _Session(machine, parameters, wall)
+            bridge = await nursery.start(session.run)
+            try:
+                if bridge is not None:
+                    yield bridge
+            except BaseException as error:  # noqa: BLE001 - raised below: the nursery would make a group of it
+                failure = error
+            session.close()
+        if failure is None:
+            failure = session.failure
+        if failure is not None:
+            raise failure
+
+
+class _Session:
+    """The master, in a task of its own: a bus that fails ends it, and not the node."""
+
+    def __init__(self, machine: MachineFile, parameters: NodeParameters, wall: Callable[[], int]) -> None:
+        self._machine = machine
+        self._parameters = parameters
+        self._wall = wall
+        self._over = trio.Event()
+        self.failure: Exception | None = None
+
+    def close(self) -> None:
+        """Leave the master."""
+        self._over.set()
+
+    async def run(self, task_status: trio.TaskStatus[Bridge | None]) -> None:
+        """Run the master until `close`."""
+        bridge: Bridge | None = None
+        try:
+            async with open_master(machine=self._machine) as master, trio.open_nursery() as nursery:
+                bridge = Bridge(master, self._machine, nursery, self._parameters, wall=self._wall)
+                task_status.started(bridge)
+                await self._over.wait()
+                for chain in bridge.chains.values():
+                    await chain.call("shutdown")
+                nursery.cancel_scope.cancel()
+        except MasterError as error:
+            if bridge is None:
+                self.failure = error
+                task_status.started(None)
+            elif self._over.is_set():
+                self.failure = error
+            else:
+                bridge.fail(error)

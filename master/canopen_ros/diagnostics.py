@@ -1,0 +1,111 @@
+"""`Diagnostic`: what /diagnostics tells of the joints, chains and buses. It is made of what is known; nothing is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from canopen_master.bus import Bus
+from canopen_master.motion.chain import Chain
+from canopen_master.motion.chain_view import ChainState
+from canopen_master.motion.device import Device
+from canopen_proto.cia402.states import State, StatusBit
+from canopen_proto.error_codes import error_text
+from canopen_proto.machine import SECOND
+from canopen_transports import BusState
+
+_BITS: Final = {
+    "voltage enabled": StatusBit.VOLTAGE_ENABLED,
+    "warning": StatusBit.WARNING,
+    "remote": StatusBit.REMOTE,
+    "target reached": StatusBit.TARGET_REACHED,
+    "internal limit": StatusBit.INTERNAL_LIMIT,
+}
+
+
+class Level(IntEnum):
+    """`level` of diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+class Diagnostic(NamedTuple):
+    """One DiagnosticStatus. name: such as "arm: joint1". hardware_id: such as "node 3 on can0". values: by key, as text."""
+
+    name: str
+    hardware_id: str
+    level: Level
+    message: str
+    values: Mapping[str, str]
+
+
+def of_bus(bus: Bus, failure: Exception | None) -> Diagnostic:
+    """Return what is known of a bus. failure: that of the master, None while it works."""
+    values = {"state": bus.state.value, "frames waiting": str(bus.pending), "SYNC period [ms]": f"{bus.sync_period / 1e6:g}"}
+    if failure is not None:
+        return Diagnostic(f"bus: {bus.name}", bus.name, Level.ERROR, _first_line(failure), {**values, "error": str(failure)})
+    if bus.network.outage:
+        return Diagnostic(f"bus: {bus.name}", bus.name, Level.ERROR, bus.network.outage, values)
+    fine = bus.state in (BusState.ACTIVE, BusState.UP)
+    return Diagnostic(f"bus: {bus.name}", bus.name, Level.OK if fine else Level.WARN, bus.state.value, values)
+
+
+def of_chain(chain: Chain, state: str, failure: Exception | None) -> Diagnostic:
+    """Return what is known of a chain. state: as `ChainBridge.state`."""
+    values = {
+        "state": state,
+        "homed": "yes" if chain.is_homed else "no",
+        "SYNC cycles": str(chain.sync_cycles),
+        "missed cycles": str(chain.missed_cycles),
+        "skipped cycles": str(chain.skipped_cycles),
+    }
+    level, message = Level.OK, state
+    if failure is not None:
+        level, message = Level.ERROR, _first_line(failure)
+    elif chain.state is ChainState.FAULT:
+        level, message = Level.ERROR, _first_line(chain.stop_reason())
+    elif chain.state in (ChainState.HALTED, ChainState.STOPPING):
+        level, message = Level.WARN, _first_line(chain.stop_reason())
+    return Diagnostic(f"chain: {chain.name}", chain.name, level, message, values)
+
+
+def of_joint(device: Device, chain: str, failure: Exception | None) -> Diagnostic:
+    """Return what is known of a joint."""
+    statusword = device.statusword
+    values = {
+        "state": str(device.state),
+        "statusword": f"0x{statusword:04X}",
+        "bits": _bits(statusword),
+        "error code (603F)": f"0x{device.error_code:04X} {error_text(device.error_code)}" if device.error_code else "none",
+        "emergency": _emergency(device),
+        "NMT state": "unknown" if device.nmt_state is None else device.nmt_state.name,
+        "homed": "yes" if device.is_homed else "no",
+        "following error": f"{device.following_error:.6g}",
+        "largest following error": f"{device.largest_following_error:.6g}",
+    }
+    level, message = Level.OK, str(device.state)
+    if failure is not None or device.state is State.UNKNOWN:
+        level = Level.STALE
+    elif device.has_fault:
+        level, message = Level.ERROR, device.describe()
+    return Diagnostic(f"{chain}: {device.name}", device.node.where, level, message, values)
+
+
+def _emergency(device: Device) -> str:
+    if device.emcy is None or device.emcy_time is None:
+        return "none"
+    age = (device.node.now() - device.emcy_time) / SECOND
+    return f"0x{device.emcy.code:04X} {device.emcy.text}, register 0x{device.emcy.error_register:02X}, {age:.3g} s ago"
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]
+
+
+def _bits(statusword: int) -> str:
+    """Return the names of the bits that are set, without those of the state machine."""
+    return ", ".join(name for name, bit in _BITS.items() if statusword & bit)

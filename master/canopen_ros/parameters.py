@@ -1,0 +1,248 @@
+"""`NodeParameters`: what the node is told by ROS parameters: a machine file, or a chain description and the rest beside it.
+
+    machine            the path of a machine file (docs/machine.md). It says everything; beside it only `simulate`, `buses` (other
+                       locators for its buses), `sync_interval` and the keys of the node itself may stand
+    chains             the text of a chain file, its lines or rows in a list, or its path: "arm joint1 can0 3  joint2 can0 4"
+    buses              the locators of its buses: {can0: "socketcan:can0"}, a list of {name:, locator:}, or of
+                       "can0=socketcan:can0"
+    sync_interval      ms between two SYNCs, 10 by default
+    eds                the file of all nodes, or {joint: file}
+    joints             settings of joints, with the keys of [joints.NAME] in a machine file:
+                       {joint1: {unit: "degree", max_speed: 60}}
+    defaults           such settings for all joints
+    simulate           true: simulated devices on virtual buses, in the process of the node
+    velocity_watchdog  seconds within which the next velocity has to come (0.1)
+    goal_time          seconds behind a trajectory until the joints have to be within the goal's tolerances (1.0)
+    joint_states       the topic of the joint states; joint_states_rate: in Hz, 0 for each SYNC
+    diagnostics_period seconds between two diagnostics if nothing changes (1.0)
+
+A key with dots means a table in a table, as in ROS 2: "joints.joint1.unit".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+from canopen_data import DataError
+from canopen_data.findings import DictionaryError
+from canopen_master.errors import ChainFileError, MasterError
+from canopen_master.machine_file import MachineFile, machine_of_chains, read_machine
+from canopen_master.machine_file.reader import machine_of_tables
+from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
+from canopen_proto.dictionary.model import did_you_mean
+from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_ros.names import NO_FILE
+
+BAD_PARAMETERS: Final = "CO324"
+
+
+class ParameterError(MasterError, ValueError):
+    """The parameters do not describe a machine. The text has every problem."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__(BAD_PARAMETERS, problems[0], also=problems[1:], tries=("docs/ros.md lists the parameters",))
+
+
+class NoMachine(ParameterError):
+    """There is neither a machine file nor a chain description."""
+
+    def __init__(self) -> None:
+        super().__init__((NO_FILE,))
+
+
+@dataclass(frozen=True, slots=True)
+class NodeParameters:
+    """See this module's text. machine: as read, with everything that the parameters say about it."""
+
+    machine: MachineFile
+    simulate: bool = False
+    velocity_watchdog: float = 0.1
+    goal_time: float = 1.0
+    joint_states: str = "joint_states"
+    joint_states_rate: float = 0.0
+    diagnostics_period: float = 1.0
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, object]) -> NodeParameters:
+        """Return the parameters that a mapping gives. Raises ParameterError with all problems, NoMachine without a machine."""
+        tables = _nested(values)
+        problems: list[str] = []
+        own = {each.name for each in fields(cls)}
+        known = sorted(own | {"machine", "chains", "buses", "sync_interval", "eds", "joints", "defaults"})
+        problems += [f"there is no parameter {key!r}{did_you_mean(key, known)}" for key in tables if key not in known]
+        given: dict[str, Any] = {}
+        for each in fields(cls):
+            if each.name != "machine" and each.name in tables:
+                value = _own(each.name, tables[each.name], problems)
+                if value is not None:
+                    given[each.name] = value
+        machine = _machine(tables, problems)
+        if problems:
+            raise ParameterError(problems)
+        assert machine is not None
+        return cls(machine, **given)
+
+
+def _nested(values: Mapping[str, object]) -> dict[str, Any]:
+    """Return the values with dotted keys as tables in tables."""
+    nested: dict[str, Any] = {}
+    for key, value in values.items():
+        *path, last = key.split(".")
+        table = nested
+        for name in path:
+            table = table.setdefault(name, {})
+        table[last] = _nested(value) if isinstance(value, Mapping) and last != "buses" else value
+    return nested
+
+
+_POSITIVE: Final = ("velocity_watchdog", "goal_time", "diagnostics_period")
+
+
+def _own(name: str, value: object, problems: list[str]) -> object:
+    """Return the value of a parameter of the node itself; None with a problem."""
+    if name == "simulate":
+        if isinstance(value, bool):
+            return value
+        problems.append(f"simulate is {value!r}; it has to be true or false")
+    elif name == "joint_states":
+        if isinstance(value, str) and value:
+            return value
+        problems.append(f"joint_states is {value!r}; it has to be the name of a topic")
+    elif _is_number(value) and isinstance(value, int | float) and (value > 0 or (value == 0 and name not in _POSITIVE)):
+        return float(value)
+    else:
+        problems.append(f"{name} is {value!r}; it has to be a number above 0" + ("" if name in _POSITIVE else ", or 0"))
+    return None
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _machine(tables: Mapping[str, Any], problems: list[str]) -> MachineFile | None:
+    """Return the machine; None with a problem."""
+    locators = _locators(tables.get("buses"), problems)
+    interval = tables.get("sync_interval")
+    if interval is not None and not (_is_number(interval) and interval > 0):
+        problems.append(f"sync_interval is {interval!r}; it has to be a number of ms above 0")
+        interval = None
+    if tables.get("machine"):
+        problems += [f"{key} and machine exclude each other: the file says it" for key in _OF_CHAINS if tables.get(key)]
+        try:
+            machine = read_machine(str(tables["machine"]))
+        except (DataError, DictionaryError) as error:
+            problems.append(str(error))
+            return None
+        problems += [f"{machine.source} has no bus {name!r}" for name in locators if name not in machine.buses]
+        buses = {name: replace(bus, locator=locators.get(name, bus.locator)) for name, bus in machine.buses.items()}
+        return _with_cycle(replace(machine, buses=buses), interval)
+    chains = _chains(tables.get("chains"), problems)
+    if chains is None:
+        return None
+    return _of_chains(chains, tables, locators, interval, problems)
+
+
+_OF_CHAINS: Final = ("chains", "eds", "joints", "defaults")
+
+
+def _with_cycle(machine: MachineFile, interval: float | None) -> MachineFile:
+    if interval is None:
+        return machine
+    cycle = round(interval * MILLISECOND)
+    chains = {
+        name: replace(chain, settings=replace(chain.settings, cycle_time=cycle / SECOND))
+        for name, chain in machine.chains.items()
+    }
+    return replace(machine, master=replace(machine.master, cycle=cycle), chains=chains)
+
+
+def _locators(value: object, problems: list[str]) -> dict[str, str]:
+    """Return the locators by the names of the buses."""
+    pairs: list[tuple[object, object]] = []
+    if isinstance(value, Mapping):
+        pairs = list(value.items())
+    elif isinstance(value, list | tuple):
+        for each in value:
+            if isinstance(each, Mapping) and set(each) == {"name", "locator"}:
+                pairs.append((each["name"], each["locator"]))
+            elif isinstance(each, str) and "=" in each:
+                name, _, locator = each.partition("=")
+                pairs.append((name.strip(), locator.strip()))
+            else:
+                problems.append(f"buses: {each!r} is neither {{name:, locator:}} nor NAME=LOCATOR")
+    elif value is not None:
+        problems.append(f"buses is {value!r}; it has to be a list of {{name:, locator:}}, or of NAME=LOCATOR")
+    problems += [f"buses: {name!r}: {locator!r} is no locator" for name, locator in pairs if not isinstance(locator, str)]
+    return {str(name): str(locator) for name, locator in pairs}
+
+
+def _chains(value: object, problems: list[str]) -> tuple[ChainDescription, ...] | None:
+    """Return the chains of a text, of rows, or of a file. Raises NoMachine if there is nothing."""
+    if value in (None, "", [], ()):
+        raise NoMachine
+    try:
+        if isinstance(value, str):
+            return read_chains(value) if len(value.split()) == 1 else parse_chains(value)
+        if isinstance(value, list | tuple):
+            lines = [row if isinstance(row, str) else " ".join(map(str, row)) for row in value]
+            return parse_chains("\n".join(lines))
+    except (ChainFileError, DataError) as error:
+        problems.append(str(error))
+        return None
+    problems.append(f"chains is {value!r}; it has to be the text of a chain file, a list of its rows, or its path")
+    return None
+
+
+def _of_chains(
+    chains: Sequence[ChainDescription],
+    tables: Mapping[str, Any],
+    locators: Mapping[str, str],
+    interval: float | None,
+    problems: list[str],
+) -> MachineFile | None:
+    """Return the machine of chains with all that stands beside them."""
+    used = {joint.bus for chain in chains for joint in chain.joints}
+    if len(used) == 1 and len(locators) == 1:  # the name of an only bus does not matter
+        locators = dict.fromkeys(used, next(iter(locators.values())))
+    problems += [f"buses: no chain has a bus {name!r}{did_you_mean(name, used)}" for name in locators if name not in used]
+    plain = machine_of_chains(chains, locators)
+    files = _files(tables.get("eds"), plain, problems)
+    joints = tables.get("joints") or {}
+    for name in joints:
+        if name not in plain.joints:
+            problems.append(f"joints: there is no joint {name!r}{did_you_mean(name, plain.joints)}")
+    described: dict[str, Any] = {
+        "buses": {name: {"locator": bus.locator} for name, bus in plain.buses.items()},
+        "nodes": {
+            name: {"bus": node.bus, "id": node.node_id, **({"file": files[name]} if name in files else {})}
+            for name, node in plain.nodes.items()
+        },
+        "joints": {name: {"node": joint.node, **joints.get(name, {})} for name, joint in plain.joints.items()},
+        "chains": {name: {"joints": list(chain.joints)} for name, chain in plain.chains.items()},
+    }
+    if tables.get("defaults"):
+        described["defaults"] = {"joints": tables["defaults"]}
+    try:
+        machine = machine_of_tables(described, "the parameters", Path())
+    except DictionaryError as error:
+        problems.append(str(error))
+        return None
+    return _with_cycle(machine, interval)
+
+
+def _files(value: object, machine: MachineFile, problems: list[str]) -> dict[str, str]:
+    """Return the file of each node."""
+    if not value:
+        return {}
+    if isinstance(value, str):
+        return dict.fromkeys(machine.nodes, value)
+    if isinstance(value, Mapping):
+        unknown = [str(name) for name in value if name not in machine.nodes]
+        problems += [f"eds: there is no joint {name!r}{did_you_mean(name, machine.nodes)}" for name in unknown]
+        return {str(name): str(file) for name, file in value.items()}
+    problems.append(f"eds is {value!r}; it has to be a file, or a file for each joint")
+    return {}

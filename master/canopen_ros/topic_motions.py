@@ -1,0 +1,111 @@
+"""`Jogging` and `Streaming`: motions that topics feed, message by message. Each is a task that begins with the first message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import trio
+
+from canopen_master.errors import MotionReplaced
+from canopen_master.motion.chain import Chain
+from canopen_master.motion.target_motion import Jog, Targets
+from canopen_ros.reply import COMMAND_ERRORS
+
+QUIET: Final = 0.5
+"""Seconds without a new position after which joints that stand are no longer led. The next position leads them again."""
+
+
+class _TopicMotion:
+    """A motion under way. is_over: it takes no more messages."""
+
+    def __init__(self, chain: Chain, report: Callable[[Exception], object]) -> None:
+        """report: called with the error that ended it, if one did."""
+        self.chain = chain
+        self.is_over = False
+        self._report = report
+        self._scope = trio.CancelScope()
+
+    def cancel(self) -> None:
+        """Let the joints brake, and end."""
+        self.is_over = True
+        self._scope.cancel()
+
+    async def run(self) -> None:
+        """Move until it is over."""
+        try:
+            with self._scope:
+                await self._move()
+        except MotionReplaced:
+            return
+        except COMMAND_ERRORS as error:
+            self._report(error)
+        finally:
+            self.is_over = True
+
+    async def _move(self) -> None:
+        raise NotImplementedError
+
+
+class Jogging(_TopicMotion):
+    """Moves at the velocities that were given last, in the joints' units, until `watchdog` seconds pass without new ones."""
+
+    def __init__(self, chain: Chain, report: Callable[[Exception], object], velocities: Sequence[float], watchdog: float) -> None:
+        super().__init__(chain, report)
+        self._velocities = velocities
+        self._watchdog = watchdog
+        self._jog: Jog | None = None
+
+    def give(self, velocities: Sequence[float]) -> None:
+        """Move at these velocities from now on. While the joints brake behind the watchdog, this does nothing."""
+        self._velocities = velocities
+        motion = self.chain.motion
+        if self._jog is not None and motion is not None and not motion.is_braking and not motion.course.is_finished:
+            try:
+                self._jog.velocity(velocities)
+            except COMMAND_ERRORS as error:
+                self._report(error)
+
+    async def _move(self) -> None:
+        async with self.chain.jog(renew_within=self._watchdog) as jog:
+            self._jog = jog
+            jog.velocity(self._velocities)
+            motion = self.chain.motion
+            while motion is not None and not motion.is_over:
+                await motion.news.park()
+
+
+class Streaming(_TopicMotion):
+    """Goes to the positions that were given last, in the joints' units; see QUIET."""
+
+    def __init__(self, chain: Chain, report: Callable[[Exception], object], targets: Mapping[int, float]) -> None:
+        """targets: by the places of the joints; the others stay where they are."""
+        super().__init__(chain, report)
+        self._given = dict(targets)
+        self._positions: list[float] = []
+        self._targets: Targets | None = None
+        self._given_at = trio.current_time()
+
+    def give(self, targets: Mapping[int, float]) -> None:
+        """Go to these positions from now on."""
+        self._given.update(targets)
+        self._given_at = trio.current_time()
+        if self._targets is not None:
+            try:
+                self._aim(self._targets)
+            except COMMAND_ERRORS as error:
+                self._report(error)
+
+    def _aim(self, targets: Targets) -> None:
+        targets.aim_at([self._given.get(place, position) for place, position in enumerate(self._positions)])
+
+    async def _move(self) -> None:
+        async with self.chain.stream() as targets:
+            self._positions = self.chain.desired
+            self._targets = targets
+            self._aim(targets)
+            motion = self.chain.motion
+            while motion is not None and not motion.is_over:
+                if motion.course.is_at_rest and trio.current_time() - self._given_at > QUIET:
+                    break
+                await motion.news.park()
