@@ -13,6 +13,9 @@ The PDOs are those that the file describes, if they carry controlword and set-po
 TPDO, or both get another mapping (`configure_pdo` writes it): controlword and set-point; statusword, position, and what else has
 room. The modes of operation (0x6060) stay out of it: a mode changes only between motions, by confirmed SDO.
 
+A `lean` plan is for a bus without room: TPDOs that bring nothing of WATCHED at SYNCs, or only what others bring, are switched
+off. A TPDO that carries something else stays as it is.
+
     plan = plan_motion(dictionary, node_id, cycle_time)
     print(plan.describe())
     yield from exchange_planned(node, plan)
@@ -26,10 +29,11 @@ CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.axes import axes_of, axis_of, dictionary_of_axis, swapped, swapped_entry, usual_axis_of_pdo
 from canopen_proto.cia402.modes import Mode, mode_name, short_name, supported, supported_modes
@@ -67,6 +71,7 @@ from canopen_proto.procedures.pdo_slots import (
     remapped,
     shown_entries,
     slots_of,
+    spare_tpdos,
 )
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, download, upload
 from canopen_proto.remote_node import RemoteNode
@@ -83,6 +88,8 @@ NEEDED: Final = FEEDBACK[:2]
 """Without these by PDO, a TPDO gets another mapping."""
 WATCHED: Final = FEEDBACK[:3]
 """These are read by SDO if no PDO brings them at SYNCs; see following.py."""
+WELCOME: Final = frozenset(FEEDBACK[3:])
+"""These are left out where the bus has no room."""
 
 
 class Obstacle(NamedTuple):
@@ -103,8 +110,8 @@ class NoMotionPlan(ProcedureError):
 @dataclass(frozen=True, slots=True)
 class MotionPlan:
     """See this module's text. axis: of the node. reason: why this mode. pdos: to be exchanged. written: those of them whose
-    settings differ from the file's. destroyed: PDOs with another node's CAN-ID, as they shall be. rejected: the modes that
-    come before this one, and why not. notes: problems that stay.
+    settings differ from the file's. destroyed: PDOs with another node's CAN-ID, as they shall be. spare: TPDOs that are switched
+    off, as they shall be. rejected: the modes that come before this one, and why not. notes: problems that stay.
     """
 
     dictionary: ObjectDictionary
@@ -115,6 +122,7 @@ class MotionPlan:
     pdos: tuple[PdoSettings, ...]
     written: tuple[PdoSettings, ...]
     destroyed: tuple[PdoSettings, ...]
+    spare: tuple[PdoSettings, ...]
     rejected: tuple[Obstacle, ...]
     notes: tuple[str, ...]
 
@@ -155,7 +163,7 @@ class MotionPlan:
     @property
     def steps(self) -> list[RemapStep]:
         """The writes that lead from the file's settings to these, in order."""
-        places = ((communication_index(pdo.direction, pdo.number), pdo.cob_id) for pdo in self.destroyed)
+        places = ((communication_index(pdo.direction, pdo.number), pdo.cob_id) for pdo in (*self.destroyed, *self.spare))
         steps = [(index, COB_ID, cob_id.to_bytes(4, "little")) for index, cob_id in places]
         for pdo in self.written:
             standing = self.dictionary.at(communication_index(pdo.direction, pdo.number), COB_ID).initial_of(self.node_id)
@@ -178,6 +186,7 @@ class MotionPlan:
             comes = "" if pdo in self.written else ", as in the file"
             facts.append((_name(pdo), f"on {key_text(pdo.cob_id)}, {_when(pdo.transmission_type)}{comes}: {entries}"))
         facts += [(_name(pdo), "is to be destroyed: its CAN-ID is another node's") for pdo in self.destroyed]
+        facts += [(_name(pdo), "is to be switched off: the others tell all that is needed") for pdo in self.spare]
         for keys, name in ((self.commands_by_sdo, "written by SDO"), (self.watched_by_sdo, "read by SDO")):
             if keys:
                 facts.append((name, ", ".join(map(self._label, keys))))
@@ -204,11 +213,13 @@ def plan_motion(
     modes: int | None = None,
     wish: Mode | None = None,
     axis: int = 0,
+    lean: bool = False,
 ) -> MotionPlan:
     """Return how a drive with this dictionary follows set-points; see this module's text.
 
     cycle_time: ns between two SYNCs. modes: 0x6502 as the drive shows it; None: not read. wish: the only mode to be considered.
-    axis: of the node, 0 for the first one. Raises NoMotionPlan, which names each mode and its obstacle.
+    axis: of the node, 0 for the first one. lean: as few TPDOs as possible. Raises NoMotionPlan, which names each mode and its
+    obstacle.
     """
     wish = wish if wish is None else Mode(wish)  # a plain number is as good
     whole, several = dictionary, len(axes_of(dictionary)) > 1
@@ -219,10 +230,12 @@ def plan_motion(
     for mode in MODES if wish is None else (wish,):
         obstacle = _mode_obstacle(dictionary, mode, told, cycle_time, is_wished=wish is not None)
         if not obstacle:
-            chosen = _pdos_for(dictionary, node_id, mode, slots, [slot for slot in slots if not several or _belongs(slot, axis)])
+            own = [slot for slot in slots if not several or _belongs(slot, axis)]
+            chosen = _pdos_for(dictionary, node_id, mode, slots, own)
             if isinstance(chosen, list):
                 reason = _reason(mode, wish, told)
-                return _plan(whole, node_id, axis, mode, chosen, slots, rejected, reason)
+                spare = spare_tpdos(chosen, own, WELCOME) if lean else []
+                return _plan(whole, node_id, axis, mode, chosen, slots, spare, rejected, reason)
             obstacle = chosen
         rejected.append(Obstacle(mode, obstacle))
     source = dictionary.source or "its dictionary"
@@ -237,11 +250,18 @@ def plan_motion(
 def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
     """Exchange the PDOs of a plan with its node; the node's settings are written where they differ.
 
-    A PDO that shall be destroyed is left alone if the node itself has another CAN-ID than the file. An event-driven RPDO is sent
+    A PDO that shall be destroyed is left alone if the node itself has another CAN-ID than the file. A spare TPDO that the node
+    refuses to switch off goes on. An event-driven RPDO is sent
     at each SYNC, but for a slow plan. The node should be Pre-operational. Raises as `exchange_pdos`.
     """
-    for index, subindex, data in (yield from _destroying(node, plan)):
+    for index, subindex, data in (yield from _destroying(node, plan.destroyed, lambda cob_id: not is_ours(cob_id, node.node_id))):
         yield from download(node.sdo, index, subindex, data)
+    for index, subindex, data in (yield from _destroying(node, plan.spare)):
+        try:
+            yield from download(node.sdo, index, subindex, data)
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                raise  # else it goes on to send what nobody needs
     yield from read_commanded(node, plan.extras)
     yield from exchange_pdos(node, plan.pdos, sends_at_sync=not plan.is_slow)
 
@@ -249,7 +269,8 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
 def pending_steps(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapStep]]:
     """Return the writes that `exchange_planned` would make in the node now, in order; the node is only read. Raises SdoFailed,
     StrangePdo, UnexpectedLength."""
-    steps = yield from _destroying(node, plan)
+    steps = yield from _destroying(node, plan.destroyed, lambda cob_id: not is_ours(cob_id, node.node_id))
+    steps += yield from _destroying(node, plan.spare)
     for pdo in plan.pdos:
         present = yield from read_pdo(node, pdo.direction, pdo.number)
         if not has_settings(present, pdo):
@@ -257,10 +278,12 @@ def pending_steps(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapSte
     return steps
 
 
-def _destroying(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapStep]]:
-    """Return the writes that destroy those PDOs of the plan that have another node's CAN-ID in the node itself."""
+def _destroying(
+    node: RemoteNode, pdos: Iterable[PdoSettings], which: Callable[[int], bool] = lambda cob_id: True
+) -> Procedure[list[RemapStep]]:
+    """Return the writes that destroy those of these PDOs that are valid in the node itself. which: by their COB-IDs there."""
     steps: list[RemapStep] = []
-    for pdo in plan.destroyed:
+    for pdo in pdos:
         index = communication_index(pdo.direction, pdo.number)
         try:
             cob_id = int.from_bytes((yield from upload(node.sdo, index, COB_ID)), "little")
@@ -268,7 +291,7 @@ def _destroying(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapStep]
             if failed.abort_code not in ABSENT:
                 raise
             continue
-        if not cob_id & COB_ID_INVALID and not is_ours(cob_id, node.node_id):
+        if not cob_id & COB_ID_INVALID and which(cob_id):
             steps.append((index, COB_ID, (cob_id | COB_ID_INVALID).to_bytes(4, "little")))
     return steps
 
@@ -419,9 +442,12 @@ def _plan(
     mode: Mode,
     pdos: list[PdoSettings],
     slots: list[Slot],
+    spare: Collection[Slot],
     rejected: Sequence[Obstacle],
     reason: str,
 ) -> MotionPlan:
+    leaves = {(slot.direction, slot.number) for slot in spare}
+    pdos = [pdo for pdo in pdos if (pdo.direction, pdo.number) not in leaves]
     places = {(pdo.direction, pdo.number) for pdo in pdos}
     described = [slot.settings for slot in slots if slot.is_described]
     unwanted = [slot for slot in foreign(slots) if (slot.direction, slot.number) not in places]
@@ -436,6 +462,7 @@ def _plan(
         tuple(_of_device(pdo, axis) for pdo in pdos),
         tuple(_of_device(pdo, axis) for pdo in pdos if pdo not in described),
         tuple(_of_device(destroying(slot), axis) for slot in unwanted if slot.can_move),
+        tuple(_of_device(destroying(slot), axis) for slot in spare),
         tuple(rejected),
         tuple(notes),
     )

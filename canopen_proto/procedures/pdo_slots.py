@@ -122,6 +122,28 @@ def foreign(slots: Iterable[Slot]) -> list[Slot]:
     return [slot for slot in slots if slot.is_valid and not slot.is_ours]
 
 
+def spare_tpdos(chosen: Iterable[PdoSettings], own: Iterable[Slot], welcome: Collection[Mux]) -> list[Slot]:
+    """Return the valid TPDOs that tell nothing of their own: the others of `chosen` bring it all at each SYNC, but for objects
+    that are only `welcome`.
+
+    own: the PDOs that may be switched off. Event-driven ones are spare before others, small ones before large ones.
+    """
+    told = {pdo.number: muxes_of(pdo.entries) for pdo in chosen if _is_cyclic_tpdo(pdo)}
+    spare = []
+    tpdos = [slot for slot in own if slot.direction is Direction.TPDO and slot.is_valid and slot.is_ours and slot.can_move]
+    for slot in sorted(tpdos, key=lambda slot: (slot.number in told, len(slot.muxes))):
+        carried = told.get(slot.number, slot.muxes)
+        others = set().union(*(muxes for number, muxes in told.items() if number != slot.number))
+        if carried and carried - set(welcome) <= others:
+            told.pop(slot.number, None)
+            spare.append(slot)
+    return sorted(spare, key=lambda slot: slot.number)
+
+
+def _is_cyclic_tpdo(pdo: PdoSettings) -> bool:
+    return pdo.direction is Direction.TPDO and pdo.transmission_type == EACH_SYNC
+
+
 def remapped(
     slots: Sequence[Slot],
     direction: Direction,

@@ -13,17 +13,15 @@ from canopen_cli.problem import ExitCode, usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
+from canopen_master.exchanges import Counted, exchange_of_file, exchange_of_named
 from canopen_master.machine_file import BusEntry, MachineFile
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import read_chains
 from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
 from canopen_master.planning import plan as plan_network
-from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
-from canopen_proto.multiplexer import mapped
 from canopen_transports import parse_bitrate
 from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.wire import QueueOrder
@@ -32,8 +30,6 @@ DEFAULTS = ChainSettings()
 COLUMNS = ("what", "CAN-ID", "bytes", "each", "worst", "simulated", "margin")
 GROUPED = ("heartbeat", "EMCY")
 """Streams that share one line for all devices: the worst of them is shown."""
-SYNCHRONOUS = 240
-"""The highest transmission type of a TPDO that is sent at a SYNC."""
 
 
 @click.command()
@@ -169,50 +165,15 @@ def _exchange(
     description: DeviceDescription | None,
     screen: Screen,
 ) -> Exchange:
-    if description is not None:
-        return _of_file(description, node_id, name, screen)
-    rpdo, tpdo = (dictionary.pdo(each) for each in pdos)
-    return Exchange(
-        name,
-        node_id,
-        ((rpdo.can_id(node_id), (rpdo.bit_length + 7) // 8),),
-        ((tpdo.can_id(node_id), (tpdo.bit_length + 7) // 8),),
-    )
+    if description is None:
+        return exchange_of_named(name, node_id, dictionary.pdo(pdos[0]), dictionary.pdo(pdos[1])).exchange
+    return _told(exchange_of_file(name, node_id, description.dictionary), screen)
 
 
-def _of_file(description: DeviceDescription, node_id: int, name: str, screen: Screen) -> Exchange:
-    """Return the PDOs of a device that are valid and not empty."""
-    received, sent, events = [], [], []
-    for index in [
-        each
-        for each in description.dictionary.objects
-        if each in indices.RPDO_COMMUNICATION or each in indices.TPDO_COMMUNICATION
-    ]:
-        cob_id, kind, inhibit_100us, timer_ms = (_number(description.dictionary, index, each, node_id) for each in (1, 2, 3, 5))
-        count = _number(description.dictionary, index + 0x200, 0, node_id)
-        bits = sum(mapped(_number(description.dictionary, index + 0x200, entry, node_id))[2] for entry in range(1, count + 1))
-        can_id, size = cob_id & 0x7FF, (bits + 7) // 8
-        distance = inhibit_100us * 100 * MICROSECOND or timer_ms * MILLISECOND
-        if cob_id & COB_ID_INVALID or not 0 < bits <= 64:
-            continue
-        if cob_id & COB_ID_EXTENDED:
-            screen.say(f"[yellow]{escape(name)}: PDO {cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier: it is left out[/]")
-            continue
-        if index in indices.RPDO_COMMUNICATION:
-            received.append((can_id, size))
-        elif kind <= SYNCHRONOUS:
-            sent.append((can_id, size))
-        elif distance:
-            events.append((can_id, size, distance))
-        else:
-            screen.say(f"[yellow]{escape(name)}: TPDO {can_id:03X} has no inhibit time and no event timer: it is left out[/]")
-    return Exchange(name, node_id, tuple(received), tuple(sent), tuple(events))
-
-
-def _number(dictionary: ObjectDictionary, index: int, subindex: int, node_id: int) -> int:
-    variable = dictionary.get(index, subindex)
-    value = None if variable is None else variable.initial_of(node_id)
-    return value if isinstance(value, int) else 0
+def _told(found: Counted, screen: Screen) -> Exchange:
+    for each in found.left_out:
+        screen.say(f"[yellow]{escape(found.exchange.name)}: {each}: it is left out[/]")
+    return found.exchange
 
 
 def _show(screen: Screen, network: NetworkPlan) -> None:

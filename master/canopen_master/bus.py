@@ -41,6 +41,7 @@ from canopen_transports import (
     FrameNotSent,
     PromptTransport,
     PushingTransport,
+    RatedTransport,
     Received,
     ReceiveOverrun,
     Report,
@@ -111,7 +112,7 @@ class Bus:
     """One bus of a participant: its Network, its transport, and the frames that wait to be sent.
 
     name: the participant's name for it. sync, consumer: our SYNC producer, if there is one, and the consumer of the SYNC of
-    others. state: the last one that the transport reported.
+    others. state: the last one that the transport reported. bitrate: bit/s, None if nobody tells it.
     """
 
     def __init__(
@@ -127,6 +128,7 @@ class Bus:
         self.network = network
         self.sync = sync
         self.consumer = consumer
+        self.bitrate = transport.bitrate if isinstance(transport, RatedTransport) else None
         self.failed = False
         self.state = BusState.ACTIVE
         self._not_sent = 0  # beside the first, which was reported

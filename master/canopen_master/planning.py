@@ -207,18 +207,20 @@ def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, backgr
         plans,
         utilisation([each.message for each in found]),
         load,
-        _shortest_cycle(joints, bitrate, background),
+        shortest_cycle(joints, bitrate, background),
     )
 
 
-def _shortest_cycle(joints: Sequence[Exchange], bitrate: int, background: Background) -> Time | None:
-    """Search by halves: streams that fit into a cycle also fit into each longer one."""
-    place = bisect_left(CYCLES, True, key=lambda cycle: _fits(joints, cycle, bitrate, background))
+def shortest_cycle(joints: Sequence[Exchange], bitrate: int, background: Background) -> Time | None:
+    """Return the shortest of CYCLES that fits, ns; None if none does."""
+    # By halves: streams that fit into a cycle also fit into each longer one
+    place = bisect_left(CYCLES, True, key=lambda cycle: fits(streams_of(joints, cycle, background), bitrate, background))
     return CYCLES[place] if place < len(CYCLES) else None
 
 
-def _fits(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background) -> bool:
-    return all(each.fits for each in bounds(streams_of(joints, cycle, background), bitrate, background.order, background.errors))
+def fits(streams: Sequence[Stream], bitrate: int, background: Background) -> bool:
+    """Return whether all streams always meet their deadlines."""
+    return all(each.fits for each in bounds(streams, bitrate, background.order, background.errors))
 
 
 def simulate(

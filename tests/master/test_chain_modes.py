@@ -12,7 +12,7 @@ import pytest
 import trio
 
 from canopen_master import Chain, ChainError, ChainFault, ChainSettings, ChainState, Host, Master, open_master
-from canopen_master.motion.joint_procedures import exchange_own
+from canopen_master.motion.joint_procedures import meet
 from canopen_proto import indices
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
@@ -21,7 +21,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.drive.motion_plan import NoMotionPlan
 from canopen_proto.drive.slow_position import HANDSHAKE_TIME
-from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings
@@ -129,7 +129,7 @@ async def test_a_joint_that_cannot_follow_is_named_with_each_obstacle() -> None:
             await arm.initialise()
         device = arm.devices[0]
         with pytest.raises(NoMotionPlan):
-            await master.run(exchange_own(device, 10 * MILLISECOND, None))
+            await master.run(meet(device, arm.settings))
 
 
 @virtual_time

@@ -16,7 +16,7 @@ from canopen_proto.dictionary import Access, Direction, ObjectDictionary
 from canopen_proto.dictionary.values import Values
 from canopen_proto.drive.motion_plan import FEEDBACK, MODES, MotionPlan, NoMotionPlan, exchange_planned, plan_motion
 from canopen_proto.drive.set_points import SET_POINT_OF
-from canopen_proto.frame import COB_ID_INVALID
+from canopen_proto.frame import COB_ID_INVALID, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import mux
@@ -328,6 +328,43 @@ def test_any_file_has_a_plan_that_can_be_written_or_a_reason(dictionary: ObjectD
     assert made.describe()
 
 
+# ---- a bus without room ----
+
+
+def test_a_lean_plan_leaves_out_what_nobody_needs() -> None:
+    """The simulated drive has event-driven statusword and position, and velocity at each SYNC."""
+    full, lean = (plan(drive_dictionary(), lean=lean) for lean in (False, True))
+    assert [name for name in pdos(full) if name.startswith("TPDO")] == ["TPDO2", "TPDO1", "TPDO3", "TPDO4"]
+    assert pdos(lean)["TPDO2"] == (STATUSWORD, POSITION, DISPLAY)
+    assert [name for name in pdos(lean) if name.startswith("TPDO")] == ["TPDO2"]
+    assert [(pdo.number, bool(pdo.cob_id & COB_ID_INVALID)) for pdo in lean.spare] == [(1, True), (3, True), (4, True)]
+    assert (full.mode, full.watched_by_sdo, full.spare) == (lean.mode, lean.watched_by_sdo, ())
+    assert_writable(lean)
+
+
+def test_a_lean_plan_keeps_what_nobody_else_tells_and_what_cannot_be_switched_off() -> None:
+    inputs = changed({mux(0x1A00, 0): {"default": 2}, mux(0x1A00, 2): {"default": 0x60FD_0020}})
+    assert [pdo.number for pdo in plan(inputs, lean=True).spare] == [3, 4]
+    fixed = changed({mux(0x1803, 1): {"access": Access.RO}})
+    assert [pdo.number for pdo in plan(fixed, lean=True).spare] == [1, 3]
+
+
+def test_a_lean_plan_is_written_once_and_a_full_one_takes_it_back() -> None:
+    full, lean = (plan(drive_dictionary(), lean=lean) for lean in (False, True))
+    scene = Scene(drive_dictionary(), lean)
+    assert [bool(scene.settings(Direction.TPDO, number).cob_id & COB_ID_INVALID) for number in (1, 2, 3, 4)] == [1, 0, 1, 1]
+    assert scene.exchange(lean) == []
+    scene.exchange(full)
+    assert not any(scene.settings(Direction.TPDO, number).cob_id & COB_ID_INVALID for number in (1, 2, 3, 4))
+
+
+def test_a_drive_that_keeps_a_spare_tpdo_is_used_all_the_same() -> None:
+    lean = plan(drive_dictionary(), lean=True)
+    scene = Scene(changed({mux(0x1800, 1): {"access": Access.RO}}), lean)  # its file says otherwise
+    assert not scene.settings(Direction.TPDO, 1).cob_id & COB_ID_INVALID
+    assert scene.settings(Direction.TPDO, 4).cob_id & COB_ID_INVALID
+
+
 # ---- the drive gets them ----
 
 
@@ -345,12 +382,17 @@ class Scene:
         self.bus.attach(other)
         self.device.boot(self.bus.now)
         self.bus.run(SECOND)
+        self.master = master
+        self.written = self.exchange(made)
+
+    def exchange(self, made: MotionPlan) -> list[Frame]:
+        """Returns the requests that write."""
         before = len(self.bus.sent)
-        request_id = master.run(exchange_planned(self.node, made), self.bus.now)
+        request_id = self.master.run(exchange_planned(self.node, made), self.bus.now)
         self.bus.run(5 * SECOND)
         assert any(isinstance(each, ProcedureFinished) and each.request_id == request_id for each in self.bus.events)
         frames = [frame for _, frame in self.bus.sent[before:]]
-        self.written = [frame for frame in frames if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
+        return [frame for frame in frames if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
 
     def settings(self, direction: Direction, number: int) -> PdoSettings:
         store = self.device.values.store

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from canopen_transports.transport import FilteringTransport as FilteringTransport
     from canopen_transports.transport import PromptTransport as PromptTransport
     from canopen_transports.transport import PushingTransport as PushingTransport
+    from canopen_transports.transport import RatedTransport as RatedTransport
     from canopen_transports.transport import Received as Received
     from canopen_transports.transport import Transport as Transport
     from canopen_transports.transport import check_frame as check_frame
@@ -41,8 +42,8 @@ else:
             "canopen_transports.replay": "ReplayTransport",
             "canopen_transports.tcp.client": "TcpTransport",
             "canopen_transports.transport": (
-                "BatchTransport CyclicTransport EagerTransport FilteringTransport PromptTransport PushingTransport Received "
-                "Transport check_frame"
+                "BatchTransport CyclicTransport EagerTransport FilteringTransport PromptTransport PushingTransport "
+                "RatedTransport Received Transport check_frame"
             ),
             "canopen_transports.virtual": "VirtualTransport",
             "canopen_transports.virtual_wire": "WireTransport",

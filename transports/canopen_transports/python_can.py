@@ -83,9 +83,9 @@ class PythonCanTransport(trio.abc.AsyncResource):
     nobody else may receive from it. queue_size: how many frames a reader thread keeps at most. reopen: opens the bus again after
     it went away; raises TransportError.
 
-    state: the controller's as far as it is known, or DOWN. received: how many frames came. refused, last_refusal: how many
-    messages were not valid frames of classical CAN, and why the last was not. errors, last_error: how many error frames the
-    controller reported, and the text of the last one. listen_only: whether nothing can be sent.
+    state: the controller's as far as it is known, or DOWN. bitrate: that of the locator. received: how many frames came. refused,
+    last_refusal: how many messages were not valid frames of classical CAN, and why the last was not. errors, last_error: how many
+    error frames the controller reported, and the text of the last one. listen_only: whether nothing can be sent.
     """
 
     def __init__(
@@ -101,6 +101,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         self._locator = locator if locator is not None else _locator_of(bus)
         self._reopen = reopen
         self.locator = self._locator.text
+        self.bitrate = self._locator.bitrate
         self.listen_only = is_listen_only(self._locator)
         self.state = BusState.ACTIVE
         self.received = 0

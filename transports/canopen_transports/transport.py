@@ -126,6 +126,15 @@ class CyclicTransport(Protocol):
         """Stop the cyclic frames."""
 
 
+@runtime_checkable
+class RatedTransport(Protocol):
+    """The additional property of a transport that may know its bus's bit rate."""
+
+    @property
+    def bitrate(self) -> int | None:
+        """bit/s; None if it is not known."""
+
+
 def check_frame(frame: Frame) -> None:
     """Raise ValueError unless classical CAN can carry the frame. (`Frame` itself does not check, for speed.)"""
     if not frame.flags and 0 <= frame.can_id <= MAX_STANDARD_ID and frame.dlc == len(frame.data) <= MAX_LENGTH:

@@ -215,6 +215,11 @@ class WireTransport(trio.abc.AsyncResource):
         self._sending = trio.StrictFIFOLock()
         self._closed = False
 
+    @property
+    def bitrate(self) -> int:
+        """Of the bus, bit/s."""
+        return self.bus.wire.settings.bitrate
+
     async def open(self) -> None:
         """Wait until the frames from before are over, then hear all."""
         try:

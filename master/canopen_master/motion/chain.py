@@ -40,6 +40,7 @@ from trio.lowlevel import enable_ki_protection
 
 from canopen_master.dispatch import ProcedureTakenBack, Waiter
 from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
+from canopen_master.motion.bus_room import make_room
 from canopen_master.motion.chain_errors import chain_halted, joint_failed, joint_fault, reference_lost
 from canopen_master.motion.chain_settings import ChainSettings as ChainSettings
 from canopen_master.motion.chain_view import ChainState as ChainState
@@ -49,6 +50,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import (
     JointFailed,
     follow,
+    meet,
     mode_of,
     of_joint,
     power_down,
@@ -122,7 +124,8 @@ class Chain(ChainView, Moving):
     async def initialise(self) -> None:
         """Make the joints ready to move: PDOs, NMT start, SYNC, fault reset, Operation enabled. Joints that move are halted.
 
-        Raises ChainFault if a fault stays, ChainError for a joint that does not answer, does not stand, or refuses.
+        Raises ChainFault if a fault stays, ChainError for a joint that does not answer, does not stand, or refuses, and
+        before it sets anything up if the PDOs do not fit on the bus (bus_room.py).
         """
         participant, settings = self._participant, self.settings
         self._require_idle("initialise")
@@ -132,6 +135,8 @@ class Chain(ChainView, Moving):
         self._supervision.is_on = False
         self._end_following(ChainState.OFF)
         self._culprit, self._why_halted = None, ""
+        await self._for_all("initialise", lambda device: meet(device, settings))
+        make_room(self, self._others(), participant.bus)
         await self._for_all("initialise", lambda device: prepare(device, settings, self._heartbeat_timeout))
         for node in self._nodes:
             await participant.nmt_start(node.node_id, bus=node.bus)
@@ -393,10 +398,14 @@ class Chain(ChainView, Moving):
         await self._joints_halted(what)
         self._require(what, *_CAN_MOVE)  # another task may have been quicker
 
+    def _others(self) -> list[Chain]:
+        """Return the other chains that run."""
+        return [chain for chain in self._chains if chain is not self and chain.state is not ChainState.OFF]
+
     def _require_same_cycle(self) -> None:
         """Raise ChainError if other chains run with another cycle: SYNC is one for all chains."""
         period = self._participant.sync_period
-        others = [chain.name for chain in self._chains if chain is not self and chain.state is not ChainState.OFF]
+        others = [chain.name for chain in self._others()]
         if others and period != round(self.settings.cycle_time * SECOND):
             failed = f"chain {self.name} cannot run with a cycle of {self.settings.cycle_time:g} s"
             seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"

@@ -33,9 +33,9 @@ E = TypeVar("E", bound=Event)
 class Device:
     """A joint; see this module's text. axis: the core's view of the drive. cyclic: the objects that it sends at every n-th SYNC
     (mux -> n), which show that it is alive; without any, only its heartbeat does. plan: how it follows set-points, once
-    `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. following: whether the joint follows its set-points.
-    limits: for its set-points; the drive's own are read each time that it begins to follow set-points. last_look: what the drive
-    showed when its chain was stopped, if it had no power then.
+    `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. modes: 0x6502, as read for it. following: whether it
+    follows its set-points. limits: for its set-points; the drive's own are read each time that it begins to follow
+    set-points. last_look: what the drive showed when its chain was stopped, if it had no power then.
 
     Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """
@@ -48,6 +48,7 @@ class Device:
         self.name = name
         self.cyclic: Mapping[Mux, int] = {}
         self.plan: MotionPlan | None = None
+        self.modes: int | None = None
         self.following = Following(axis)
         self.sdo_round_trips = 0
         self.limits = limits_of(axis)

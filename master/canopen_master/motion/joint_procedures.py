@@ -109,27 +109,33 @@ def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: boo
             yield from act(lambda now, description=description: node.add_pdo(description, now))  # type: ignore[misc]
 
 
-def exchange_own(device: Device, cycle_time: Time, mode: Mode | None) -> Procedure[None]:
-    """Plan by the joint's own dictionary how it follows set-points, and exchange the PDOs of that plan (`device.plan`).
+def plan_joint(device: Device, settings: ChainSettings, *, lean: bool = False) -> None:
+    """Plan by the joint's own dictionary how it follows set-points (`device.plan`). lean: see `plan_motion`. Raises
+    NoMotionPlan."""
+    node, cycle_time = device.node.remote, round(settings.cycle_time * SECOND)
+    wish, axis = settings.mode, device.axis.number
+    device.plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=device.modes, wish=wish, axis=axis, lean=lean)
 
-    cycle_time: ns. mode: None lets the plan choose. The modes are those that the drive shows in 0x6502, else the file's. Raises
-    NoMotionPlan.
-    """
-    node = device.node.remote
-    modes = yield from read_modes(device.axis.node)
-    plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=modes, wish=mode, axis=device.axis.number)
-    yield from exchange_planned(node, plan)
-    device.plan, device.cyclic = plan, plan.cyclic
+
+def has_plan(device: Device, settings: ChainSettings) -> bool:
+    """Return whether the joint exchanges the PDOs of a plan of its own, by these settings; else those that they name."""
+    has_pdos = any(place_of(index) is not None for index in device.node.dictionary.objects)
+    # PDOs.csv is about the first axis
+    return settings.mode is None or (settings.own_pdos and has_pdos) or bool(device.axis.number)
 
 
 def exchange(device: Device, settings: ChainSettings) -> Procedure[None]:
-    """Exchange the PDOs that the settings of the chain ask for: those of the joint's own plan, or the named ones."""
-    dictionary = device.node.dictionary
-    has_pdos = any(place_of(index) is not None for index in dictionary.objects)
-    if settings.mode is None or (settings.own_pdos and has_pdos) or device.axis.number:  # PDOs.csv is about the first axis
-        return exchange_own(device, round(settings.cycle_time * SECOND), settings.mode)
-    device.plan = None
-    return exchange_named(device, (dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo)), settings.define_pdos)
+    """Exchange the PDOs of the joint's own plan, or the named ones."""
+    if device.plan is not None:
+        yield from exchange_planned(device.node.remote, device.plan)
+        device.cyclic = device.plan.cyclic
+    else:
+        yield from exchange_named(device, named_pdos(device, settings), settings.define_pdos)
+
+
+def named_pdos(device: Device, settings: ChainSettings) -> tuple[PdoDescription, PdoDescription]:
+    """Return the RPDO and the TPDO that the settings name. Raises ObjectNotFound if the joint's dictionary lacks one."""
+    return device.node.dictionary.pdo(settings.rpdo), device.node.dictionary.pdo(settings.tpdo)
 
 
 def mode_of(device: Device, settings: ChainSettings) -> Mode:
@@ -139,22 +145,33 @@ def mode_of(device: Device, settings: ChainSettings) -> Mode:
     return Mode.INTERPOLATED_POSITION if settings.mode is None else settings.mode
 
 
-def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) -> Procedure[None]:
-    """See that the joint answers, identify it, exchange PDOs with it, and have it send its heartbeat if that is supervised.
+def meet(device: Device, settings: ChainSettings) -> Procedure[None]:
+    """See that the joint answers, identify it, and plan its PDOs (`device.plan`; None: those that the settings name).
 
     Raises at once, before it sends anything, if its dictionary lacks a PDO that the settings name.
     """
-    return _prepare(device, exchange(device, settings), heartbeat_timeout)
+    device.plan = None
+    is_planned = has_plan(device, settings)
+    if not is_planned:
+        named_pdos(device, settings)
+    return _meet(device, settings, is_planned)
 
 
-def _prepare(device: Device, exchange: Procedure[None], heartbeat_timeout: Time) -> Procedure[None]:
-    node = device.node.remote
+def _meet(device: Device, settings: ChainSettings, is_planned: bool) -> Procedure[None]:
     device.last_look = None
     yield from awake(device.node)
     yield from identify(device.axis)
     # Where it stands; PDOs keep it up to date from the first one on
     yield from read_if_present(device.axis.node, objects.POSITION_ACTUAL_VALUE)
-    yield from exchange
+    if is_planned:
+        device.modes = yield from read_modes(device.axis.node)
+        plan_joint(device, settings)
+
+
+def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) -> Procedure[None]:
+    """Exchange PDOs with the joint, and have it send its heartbeat if that is supervised."""
+    node = device.node.remote
+    yield from exchange(device, settings)
     is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
     if heartbeat_timeout and HEARTBEAT in node.dictionary and not is_guarded:
         period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))

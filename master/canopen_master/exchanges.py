@@ -1,0 +1,129 @@
+"""The PDOs that a device exchanges in each SYNC cycle, as `Exchange`s (planning.py): by its file, by a motion plan, or by name.
+
+`canopen plan` and a chain count alike: RPDOs and synchronous TPDOs once in each cycle, event-driven TPDOs once per inhibit time,
+or event timer. The rest is left out, with a note: an event-driven TPDO without either, and a PDO with a 29-bit identifier.
+
+`room_for` is what a chain asks before it begins: whether SYNC and these PDOs always get through in time, whatever stuff bits they
+have, with heartbeats and one SDO transfer beside them. EMCYs do not count: a burst of them delays some cycles, and is over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
+
+from canopen_master.planning import Background, Exchange, fits, streams_of
+from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
+from canopen_proto.drive.motion_plan import MotionPlan
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
+from canopen_proto.machine import MICROSECOND, MILLISECOND, Time
+from canopen_proto.multiplexer import mapped
+from canopen_proto.pdo.mapping import MAX_BITS
+from canopen_proto.pdo.settings import (
+    COB_ID,
+    EVENT_TIMER,
+    INHIBIT_TIME,
+    TRANSMISSION_TYPE,
+    PdoSettings,
+    communication_index,
+    mapping_index,
+    place_of,
+)
+from canopen_transports.wire import Wire, WireSettings, worst_bits
+
+SYNCHRONOUS: Final = 240
+"""The highest transmission type of a TPDO that is sent at a SYNC."""
+BESIDE: Final = Background(emcy=0)
+"""The other traffic that a chain expects on its bus."""
+
+
+class Counted(NamedTuple):
+    """What a device exchanges. left_out: its PDOs that are not counted, and why, for people."""
+
+    exchange: Exchange
+    left_out: tuple[str, ...] = ()
+
+
+def exchange_of_file(name: str, node_id: int, dictionary: ObjectDictionary) -> Counted:
+    """Return what a device with this file exchanges: all PDOs that are valid and not empty."""
+    return _exchange(name, node_id, dictionary, _valid_pdos(dictionary, node_id))
+
+
+def exchange_of_plans(name: str, plans: Sequence[MotionPlan]) -> Counted:
+    """Return what a drive exchanges by the plans of its axes: their PDOs, and those TPDOs of its file that they leave alone."""
+    dictionary, node_id = plans[0].dictionary, plans[0].node_id
+    planned = {(pdo.direction, pdo.number): pdo for plan in plans for pdo in plan.pdos}
+    off = {(pdo.direction, pdo.number) for plan in plans for pdo in (*plan.destroyed, *plan.spare)}
+    alone = [pdo for pdo in _valid_pdos(dictionary, node_id) if pdo.direction is Direction.TPDO]
+    others = [pdo for pdo in alone if (pdo.direction, pdo.number) not in planned.keys() | off]
+    return _exchange(name, node_id, dictionary, [*planned.values(), *others])
+
+
+def exchange_of_named(name: str, node_id: int, rpdo: PdoDescription, tpdo: PdoDescription) -> Counted:
+    """Return what a device exchanges by two PDOs of PDOs.csv."""
+    received, sent = (((each.can_id(node_id), (each.bit_length + 7) // 8),) for each in (rpdo, tpdo))
+    return Counted(Exchange(name, node_id, received, sent))
+
+
+def _exchange(name: str, node_id: int, dictionary: ObjectDictionary, pdos: Iterable[PdoSettings]) -> Counted:
+    received, sent, events, left_out = [], [], [], []
+    for pdo in sorted(pdos, key=lambda pdo: (pdo.direction is Direction.TPDO, pdo.number)):
+        can_id, size = pdo.cob_id & 0x7FF, (sum(mapped(entry)[2] for entry in pdo.entries) + 7) // 8
+        if pdo.cob_id & COB_ID_EXTENDED:
+            left_out.append(f"PDO {pdo.cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier")
+        elif pdo.direction is Direction.RPDO:
+            received.append((can_id, size))
+        elif pdo.transmission_type <= SYNCHRONOUS:
+            sent.append((can_id, size))
+        elif distance := _distance(dictionary, pdo, node_id):
+            events.append((can_id, size, distance))
+        else:
+            left_out.append(f"TPDO {can_id:03X} has no inhibit time and no event timer")
+    return Counted(Exchange(name, node_id, tuple(received), tuple(sent), tuple(events)), tuple(left_out))
+
+
+def _valid_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
+    """Return the PDOs of a file that are valid and not empty, also those whose objects the file does not have."""
+    found = []
+    for index in dictionary.objects:
+        place = place_of(index)
+        if place is None or place.is_mapping:
+            continue
+        cob_id, kind = (_number(dictionary, index, subindex, node_id) for subindex in (COB_ID, TRANSMISSION_TYPE))
+        mapping = mapping_index(place.direction, place.number)
+        count = _number(dictionary, mapping, 0, node_id)
+        entries = tuple(_number(dictionary, mapping, entry, node_id) for entry in range(1, count + 1))
+        if not cob_id & COB_ID_INVALID and 0 < sum(mapped(entry)[2] for entry in entries) <= MAX_BITS:
+            found.append(PdoSettings(place.number, place.direction, cob_id, kind, entries))
+    return found
+
+
+def _distance(dictionary: ObjectDictionary, pdo: PdoSettings, node_id: int) -> Time:
+    """Return the shortest time between two frames of an event-driven TPDO, ns; 0: the file does not tell."""
+    index = communication_index(pdo.direction, pdo.number)
+    inhibit, timer = (_number(dictionary, index, subindex, node_id) for subindex in (INHIBIT_TIME, EVENT_TIMER))
+    return inhibit * 100 * MICROSECOND or timer * MILLISECOND
+
+
+def _number(dictionary: ObjectDictionary, index: int, subindex: int, node_id: int) -> int:
+    variable = dictionary.get(index, subindex)
+    value = None if variable is None else variable.initial_of(node_id)
+    return value if isinstance(value, int) else 0
+
+
+class Room(NamedTuple):
+    """Whether the frames of a cycle fit. fits: they do. needed: the time that they need at worst, ns. rpdos, tpdos: how many."""
+
+    fits: bool
+    needed: Time
+    rpdos: int
+    tpdos: int
+
+
+def room_for(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = BESIDE) -> Room:
+    """Look whether SYNC and all PDOs fit into each cycle; see this module's text. cycle: ns. bitrate: bit/s."""
+    wire = Wire(WireSettings(bitrate=bitrate))
+    rpdos, tpdos = [each for joint in joints for each in joint.rpdo], [each for joint in joints for each in joint.tpdo]
+    sizes = [int(background.sync_counter), *(size for _, size in (*rpdos, *tpdos))]
+    needed = sum(wire.time_of(worst_bits(size)) for size in sizes)
+    return Room(fits(streams_of(joints, cycle, background), bitrate, background), needed, len(rpdos), len(tpdos))
