@@ -1,4 +1,4 @@
-"""`canopen machine`: check machine files, and make them of chain files."""
+"""`canopen machine`: check machine files, and make them of chain files and of configurations of ROS packages."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from canopen_cli.machine_import import import_
 from canopen_cli.new_files import check_new_file, write_file
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, usage
@@ -30,6 +31,9 @@ from canopen_proto.drive.settings import AxisSettings
 @click.group()
 def machine() -> None:
     """The machine file: one file with the buses, devices, joints and chains of a machine."""
+
+
+machine.add_command(import_)
 
 
 @machine.command()

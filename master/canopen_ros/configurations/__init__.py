@@ -1,0 +1,128 @@
+"""Configurations of ros_canopen and ros2_canopen become machine files: `import_configuration`. docs/ros-migration.md has it all.
+
+Every key of a configuration has a line in the report: taken over as what, not needed and why, or left out and why.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from canopen_data import DataError, content_of
+from canopen_master.machine_file import parse_machine
+from canopen_ros.configurations.device_settings import configured_file
+from canopen_ros.configurations.draft import BUS, Choices, Draft
+from canopen_ros.configurations.report import Outcome, Report, Section, Told, section_of
+from canopen_ros.configurations.ros2_canopen import is_ros2_canopen, take_ros2_canopen
+from canopen_ros.configurations.ros_canopen import is_ros_canopen, take_ros_canopen
+from canopen_ros.configurations.yaml_text import Value, read_yaml
+
+__all__ = ["Choices", "Imported", "Outcome", "Told", "import_configuration"]
+
+_NO_FILE: Final = "without the device's file no DCF can hold it; by hand: `canopen write NODE OBJECT VALUE`"
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """A configuration as a machine file. kind: of the configuration. text: of the machine file.
+
+    files: what stands beside it, by name: a DCF for each node in which values are to be set.
+    """
+
+    kind: str
+    text: str
+    files: Mapping[str, bytes]
+    report: tuple[Told, ...]
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing was left out."""
+        return all(each.outcome is not Outcome.LEFT_OUT for each in self.report)
+
+
+def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Choices | None = None) -> Imported:
+    """Return the machine that these files describe together: parts of one configuration, as they are loaded together.
+
+    folder: where the machine file will stand; paths in it are relative to that. Raises DataError for a file that cannot be read,
+    DictionaryError for one that is no configuration or has an error, PackageMissing without `ruamel.yaml`.
+    """
+    top: dict[str, Value] = {}
+    for path in paths:
+        content = content_of(Path(path), str(path))
+        if content is None:
+            raise DataError(f"there is no file {str(path)!r}", "check the path")
+        for key, value in read_yaml(content, str(path)).entries.items():
+            if key in top:
+                raise value.failure(f"it is in {top[key].source}, line {top[key].line}, too")
+            top[key] = value
+    report = Report()
+    draft = Draft(choices or Choices(), report)
+    section = Section(top, report)
+    if is_ros2_canopen(top) and not is_ros_canopen(top):
+        kind = "ros2_canopen"
+        take_ros2_canopen(section, top, draft)
+    else:
+        kind = "ros_canopen"
+        if not is_ros_canopen(top):
+            first = next(iter(top.values()), None)
+            message = "this is no configuration of ros_canopen (bus, nodes with id) or ros2_canopen (master, nodes with node_id)"
+            raise DataError(message) if first is None else first.failure(message)
+        take_ros_canopen(section, draft)
+    draft.take_limits(section_of(section.take("joint_limits"), report))
+    section.close()
+    files = _device_files(draft, folder)
+    for value in top.values():
+        _tell_unused(value, {each.key for each in report.lines if each.line}, report)
+    text = _text(draft)
+    parse_machine(text, "the machine file")  # what the reader refuses is told here, not with the first command
+    return Imported(kind, text, files, tuple(report.lines))
+
+
+def _device_files(draft: Draft, folder: Path) -> dict[str, bytes]:
+    """Return the new DCFs by name, and name the file of each node in its table."""
+    files: dict[str, bytes] = {}
+    for name, device in draft.devices.items():
+        if device.file is None:
+            for setting in device.settings:
+                draft.report.left_out(setting.whole, _NO_FILE)
+            continue
+        dcf = f"{name.replace('/', '_')}.dcf"
+        content = configured_file(device.file, device.entry["id"], device.settings, draft.report)
+        if content is None:
+            device.entry["file"] = os.path.relpath(device.file, folder)
+        else:
+            device.entry["file"], files[dcf] = dcf, content
+        if device.file_key is not None:
+            made = "" if content is None else f": {device.file.name}, with the node's settings"
+            draft.report.taken(device.file_key, f'file = "{device.entry["file"]}"{made}')
+    return files
+
+
+def _tell_unused(value: Value, told: AbstractSet[str], report: Report) -> None:
+    """Tell of each scalar of which, and of whose maps and lists, nothing was told yet: a default that no node takes."""
+    if value.place in told:
+        return
+    for each in (*value.entries.values(), *value.items):
+        _tell_unused(each, told, report)
+    if value.kind not in ("map", "list"):
+        report.not_needed(value, "nothing uses it: each node or channel has its own value, or none is there that would")
+
+
+def _text(draft: Draft) -> str:
+    """Return the machine file."""
+    import tomli_w  # only for those that write
+
+    chain: dict[str, Any] = {"joints": list(draft.joints)} | ({"mode": draft.mode} if draft.mode else {})
+    bus = draft.bus | ({"locator": draft.choices.locator} if draft.choices.locator else {})
+    tables: dict[str, Any] = {
+        "master": draft.master,
+        "buses": {BUS: {key: value for key, value in bus.items() if (key, value) != ("locator", BUS)}},
+        "nodes": {name: device.entry for name, device in draft.devices.items()},
+        "joints": draft.joints,
+        "chains": {draft.choices.chain or draft.chain: chain} if draft.joints else {},
+    }
+    return tomli_w.dumps({name: table for name, table in tables.items() if table})

@@ -1,0 +1,210 @@
+"""The machine while it is made of a configuration: tables of the machine file, and what is to be set in each device."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from canopen_data.durations import duration_text
+from canopen_proto.cia402.axes import AXIS_STEP, MAX_AXES
+from canopen_proto.cia402.objects import INTERPOLATION_TIME_UNITS
+from canopen_proto.machine import SECOND
+from canopen_proto.multiplexer import Mux, index_of
+from canopen_ros.configurations.report import Report, Section
+from canopen_ros.configurations.scale import Contradiction, number_in_toml
+from canopen_ros.configurations.unit_expression import Exact
+from canopen_ros.configurations.yaml_text import Value
+
+BUS: Final = "can0"
+CHAIN: Final = "chain1"
+"""The manual's; a configuration of ros2_canopen names no chain."""
+STATES: Final = {2: "switch on disabled", 3: "ready to switch on", 4: "switched on", 5: "operation enabled"}
+"""States by the number that both predecessors give them, of those in which a mode can be changed."""
+TORQUE: Final = "torques are thousandths of the rated torque (0x6076), as CiA 402 has them"
+"""Why conversions of efforts need no counterpart."""
+_STATE_NAMES: Final = {0: "unknown", 1: "not ready to switch on", 6: "quick stop active", 7: "fault reaction active", 8: "fault"}
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What the user adds to the files. locator: of the bus, "" for that of the files. chain: its name, "" likewise.
+
+    packages: folders of ROS packages by name. linear: joints that are slides: their positions are in metres there.
+    """
+
+    locator: str = ""
+    chain: str = ""
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    linear: frozenset[str] = frozenset()
+
+
+class Setting(NamedTuple):
+    """A value that an object of a device is to have. value: the key that says so; whole: the PDO that it belongs to, or the same.
+
+    maps: for an entry of a PDO's mapping, the object that is mapped: its length, which the value needs, is in the device's file.
+    """
+
+    mux: Mux
+    text: str
+    value: Value
+    whole: Value
+    maps: Mux | None = None
+
+
+class DeviceDraft(NamedTuple):
+    """A node. entry: its table. file: its own file; None if it has none, or it was not found. file_key: the key that names it."""
+
+    entry: dict[str, Any]
+    file: Path | None
+    file_key: Value | None
+    settings: list[Setting]
+
+
+@dataclass(slots=True)
+class Draft:
+    """The tables of the machine file by name, and the report."""
+
+    choices: Choices
+    report: Report
+    master: dict[str, Any] = field(default_factory=dict)
+    bus: dict[str, Any] = field(default_factory=dict)
+    devices: dict[str, DeviceDraft] = field(default_factory=dict)
+    joints: dict[str, dict[str, Any]] = field(default_factory=dict)
+    chain: str = CHAIN
+    mode: str = ""
+
+    def name(self, value: Value, wanted: str) -> str:
+        """Return a name of the machine file for a node or joint. Raises DictionaryError if it is taken."""
+        name = re.sub(r"\s+", "_", wanted.strip())
+        name = f"n{name}" if name[:1].isdigit() else name
+        if not name:
+            raise value.failure("the name is empty")
+        if name != wanted:
+            self.report.taken(value, f"the name {name!r}: names have no blanks and do not begin with a digit")
+        return name
+
+    def add_device(self, value: Value, name: str, device: DeviceDraft) -> None:
+        """Add a node. Raises DictionaryError if its name or its node-ID is taken."""
+        if name in self.devices:
+            raise value.failure(f"there are two nodes {name!r}")
+        for other, each in self.devices.items():
+            if each.entry["id"] == device.entry["id"]:
+                raise value.failure(f"node-ID {device.entry['id']} is that of {other} already")
+        self.devices[name] = device
+
+    def add_joint(self, value: Value, name: str, entry: dict[str, Any]) -> None:
+        """Add a joint. Raises DictionaryError if its name is taken."""
+        if name in self.joints:
+            raise value.failure(f"there are two joints {name!r}")
+        self.joints[name] = entry
+
+    def take_switching_state(self, section: Section, joint: dict[str, Any]) -> None:
+        """Take over the state in which a drive changes its mode."""
+        value = section.take("switching_state")
+        if value is None:
+            return
+        number = value.integer(0, 8)
+        if number in STATES:
+            joint["mode_change_state"] = STATES[number]
+            self.report.taken(value, f'mode_change_state = "{STATES[number]}"')
+        else:
+            state = _STATE_NAMES[number]
+            self.report.left_out(
+                value, f"{number} is the state {state!r}, in which no drive changes its mode; 5 is operation enabled"
+            )
+
+    def take_homing_timeout(self, section: Section, joint: dict[str, Any]) -> None:
+        """Take over the time for a whole homing."""
+        if (timeout := section.take("homing_timeout_seconds")) is not None:
+            joint["homing_timeout"] = duration_text(timeout.integer(1, 3600) * SECOND)
+            self.report.taken(timeout, f'homing_timeout = "{joint["homing_timeout"]}"')
+
+    def take_overflow(self, value: Value | None) -> None:
+        """Tell of the counter of SYNC, which is sent without one."""
+        if value is not None and value.number() == 0:
+            self.report.not_needed(value, "SYNC has no counter")
+        elif value is not None:
+            self.report.left_out(value, "the master sends SYNC without a counter (0x1019)")
+
+    def take_limits(self, limits: Section) -> None:
+        """Take over `joint_limits`, as MoveIt and ros_control have it: in rad or m, rad/s or m/s."""
+        for name, joint in self.joints.items():
+            value = limits.take(name)
+            if value is None:
+                continue
+            value.check("map")
+            own = Section(value.entries, self.report)
+            for has, keys in _LIMITS.items():
+                flag = own.take(has)
+                is_set = flag is not None and flag.truth()
+                if flag is not None:
+                    self.report.not_needed(flag, "a limit that is not set is left out here")
+                for key, ours in keys.items():
+                    if (limit := own.take(key)) is not None and is_set:
+                        self._take_limit(limit, ours, joint)
+                    elif limit is not None:
+                        self.report.not_needed(limit, f"{has} is not true")
+            own.close()
+        limits.close()
+
+    def _take_limit(self, value: Value, key: str, joint: dict[str, Any]) -> None:
+        if "unit" not in joint:
+            self.report.left_out(value, "the joint has no scale, and a limit would be in counts")
+            return
+        notes: list[str] = []
+        per_metre = 1000 if joint["unit"] == "millimetre" else 1
+        try:
+            joint[key] = number_in_toml(Exact(value.number() * per_metre), notes)
+        except Contradiction as error:
+            raise value.failure(str(error)) from None
+        self.report.taken(value, "; ".join([f"{key} = {joint[key]!r}", *notes]))
+
+    def file_beside(self, value: Value, name: str, package: str, *folders: Path) -> Path | None:
+        """Return the device file that a key names; None, which is reported, if it is not there.
+
+        It is looked for in the package's folder, if the user named that; else beside the configuration and in the folders above
+        it, as far as the package reaches; and in `folders`.
+        """
+        if "\0" in name:
+            raise value.failure("no file name has a zero byte")
+        beside = Path(value.source).absolute().parent
+        above = [beside, *beside.parents][:_ABOVE]
+        named = self.choices.packages.get(package)
+        places = [named] if named is not None else [*folders, *above, *_ros_packages(package)]
+        for folder in places:
+            path = folder / name
+            if path.is_file():
+                return path
+        hint = f"--package {package}=FOLDER names its folder" if package else "put it beside the configuration"
+        looked = f"in {named}" if named is not None else "beside the configuration and in the folders above"
+        self.report.left_out(value, f"there is no file {name!r} {looked}; {hint}")
+        return None
+
+
+def is_interpolation_time(where: Mux) -> bool:
+    """Return whether an object is the interpolation time period (0x60C2), of any axis."""
+    distance = index_of(where) - index_of(INTERPOLATION_TIME_UNITS)
+    return distance in range(0, AXIS_STEP * MAX_AXES, AXIS_STEP)
+
+
+_ABOVE: Final = 4
+"""Folders in which a file is looked for: package/config/bus_name/bus.yml names files from the package's folder on."""
+_LIMITS: Final = {
+    "has_position_limits": {"min_position": "min_position", "max_position": "max_position"},
+    "has_velocity_limits": {"max_velocity": "max_speed"},
+    "has_acceleration_limits": {"max_acceleration": "max_acceleration"},
+    "has_jerk_limits": {"max_jerk": "max_jerk"},
+}
+
+
+def _ros_packages(package: str) -> list[Path]:
+    """Return where ROS 1 and ROS 2 say that a package is."""
+    if not package or "/" in package:
+        return []
+    ros1 = [Path(each) / package for each in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if each]
+    ros2 = [Path(each) / "share" / package for each in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if each]
+    return ros1 + ros2

@@ -1,0 +1,114 @@
+"""What became of each key of a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+from canopen_ros.configurations.yaml_text import Value
+
+
+class Outcome(StrEnum):
+    """What became of a key."""
+
+    TAKEN = "taken"
+    """It is in the machine file, or in a file beside it."""
+    NOT_NEEDED = "not needed"
+    """Nothing is lost: it says how the predecessor works, or what happens here anyway."""
+    LEFT_OUT = "left out"
+    """It had an effect that is lost. The text says why, and what to do."""
+
+
+class Told(NamedTuple):
+    """One line of the report. source, line: where the key stands; line 0: it does not, and the predecessor's default counts."""
+
+    outcome: Outcome
+    key: str
+    text: str
+    source: str
+    line: int
+
+
+@dataclass(slots=True)
+class Report:
+    """Collects the lines; one that was told before, for another node with the same default, is not told again."""
+
+    lines: dict[Told, None] = field(default_factory=dict)
+
+    def taken(self, value: Value, text: str) -> None:
+        """The key became this."""
+        self._tell(Outcome.TAKEN, value, text)
+
+    def not_needed(self, value: Value, text: str) -> None:
+        """The key needs no counterpart, for this reason."""
+        self._tell(Outcome.NOT_NEEDED, value, text)
+
+    def left_out(self, value: Value, text: str) -> None:
+        """What the key did is lost, for this reason."""
+        self._tell(Outcome.LEFT_OUT, value, text)
+
+    def assumed(self, key: str, text: str) -> None:
+        """A key that is missing has this effect."""
+        self.lines[Told(Outcome.TAKEN, key, text, "", 0)] = None
+
+    def missing(self, key: str, text: str) -> None:
+        """A key that is missing has this effect in the predecessor, which is lost."""
+        self.lines[Told(Outcome.LEFT_OUT, key, text, "", 0)] = None
+
+    def _tell(self, outcome: Outcome, value: Value, text: str) -> None:
+        self.lines[Told(outcome, value.place, text, value.source, value.line)] = None
+
+
+class Section:
+    """One map of a file while it is read. defaults: has the values of keys that it lacks."""
+
+    def __init__(self, entries: Mapping[str, Value], report: Report, defaults: Section | None = None) -> None:
+        self._entries = entries
+        self._report = report
+        self._defaults = defaults
+        self._taken: set[str] = set()
+
+    def take(self, key: str) -> Value | None:
+        """Return the value of a key, or of the defaults; None if both lack it. The caller tells what becomes of it."""
+        self._taken.add(key)
+        if self._defaults is None:
+            return self._entries.get(key)
+        default = self._defaults.take(key)
+        return self._entries.get(key, default)
+
+    def take_both(self, key: str) -> tuple[Value | None, Value | None]:
+        """Return the section's own value and that of the defaults."""
+        self._taken.add(key)
+        return self._entries.get(key), None if self._defaults is None else self._defaults.take(key)
+
+    def not_needed(self, reasons: Mapping[str, str]) -> None:
+        """Tell of these keys, by name, why they need no counterpart."""
+        for key, reason in reasons.items():
+            if (value := self.take(key)) is not None:
+                self._report.not_needed(value, reason)
+
+    def left_out(self, reasons: Mapping[str, str]) -> None:
+        """Tell of these keys, by name, why they are left out."""
+        for key, reason in reasons.items():
+            if (value := self.take(key)) is not None:
+                self._report.left_out(value, reason)
+
+    def close(self) -> None:
+        """Tell of the keys that nobody took. The defaults are closed by their owner, behind all sections."""
+        for key, value in self._entries.items():
+            if key not in self._taken:
+                self._report.left_out(value, "this key is not known")
+
+
+def section_of(value: Value | None, report: Report, defaults: Section | None = None) -> Section:
+    """Return a section of a map; an empty one if there is none. Raises DictionaryError for another value."""
+    if value is None or value.kind == "null":
+        return Section(_NOTHING, report, defaults)
+    value.check("map")
+    return Section(value.entries, report, defaults)
+
+
+_NOTHING: Final[Mapping[str, Value]] = MappingProxyType({})

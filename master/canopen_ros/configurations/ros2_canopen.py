@@ -1,0 +1,368 @@
+"""ros2_canopen's bus.yml: `options`, `master`, `defaults` and `nodes`; in older files the nodes stand at the top.
+
+Source: ros2_canopen's documentation and drivers, and Lely's dcfgen, whose keys most of these are (PDOs: from memory).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final
+
+from canopen_data.durations import duration_text
+from canopen_master.machine_file.reader import MODES
+from canopen_proto import indices
+from canopen_proto.cia402.axes import MAX_AXES
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.multiplexer import index_of, mux
+from canopen_ros.configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
+from canopen_ros.configurations.report import Report, Section, section_of
+from canopen_ros.configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_ros.configurations.unit_expression import ZERO, Exact, Line
+from canopen_ros.configurations.yaml_text import Value
+
+SCALES: Final = {
+    "scale_pos_to_dev": "1000", "scale_pos_from_dev": "0.001", "scale_vel_to_dev": "1000", "scale_vel_from_dev": "0.001",
+    "offset_pos_to_dev": "0", "offset_pos_from_dev": "0",
+}  # fmt: skip
+"""What counts where a drive has no scale."""
+BUS_CONFIG_PATH: Final = "@BUS_CONFIG_PATH@"
+_TOP: Final = ("options", "master", "defaults", "nodes", "joint_limits")
+_BOOT: Final = "the master starts each node that it uses, and drives only when a chain is initialised"
+_IDENTITY: Final = "the device's file tells it; `canopen info NODE` compares"
+_ROS: Final = "of ROS, not of the machine"
+_DEFAULT_MULTIPLIER: Final = 3
+_PDO_BASES: Final = {"tpdo": (0x180, indices.TPDO_COMMUNICATION, indices.TPDO_MAPPINGS),
+                     "rpdo": (0x200, indices.RPDO_COMMUNICATION, indices.RPDO_MAPPINGS)}  # fmt: skip
+_PDO_KEYS: Final = {"transmission": 2, "inhibit_time": 3, "event_timer": 5, "event_deadline": 5, "sync_start": 6}
+"""Keys of a PDO by their subindex in its communication record."""
+
+
+def is_ros2_canopen(top: Mapping[str, Value]) -> bool:
+    """Return whether these top-level keys are those of a bus.yml."""
+    nodes = top.get("nodes")
+    named = [] if nodes is None else nodes.entries.values()
+    return "master" in top or "options" in top or any("node_id" in each.entries for each in (*named, *top.values()))
+
+
+def take_ros2_canopen(top: Section, keys: Mapping[str, Value], draft: Draft) -> None:
+    """Take over a whole bus.yml. keys: those of the top. Raises DictionaryError."""
+    report = draft.report
+    if draft.choices.locator:
+        report.assumed("(the bus)", f"{draft.choices.locator}, as you say")
+    else:
+        report.assumed("(the bus)", f"{BUS}: a bus.yml names none (can_interface_name of the launch file does); --locator")
+    options = section_of(top.take("options"), report)
+    folder = _folder(options.take("dcf_path"), report)
+    multiplier = options.take("heartbeat_multiplier")
+    options.close()
+    master = section_of(top.take("master"), report)
+    _take_master(master, draft)
+    master.close()
+    defaults = section_of(top.take("defaults"), report)
+    for name, value in _nodes(top, keys):
+        node = section_of(value, report, defaults)
+        _take_node(name, value, node, draft, folder, multiplier)
+        node.close()
+    defaults.close()
+
+
+def _folder(value: Value | None, report: Report) -> tuple[Path, ...]:
+    """Return the folder that `dcf_path` names; the one of the file itself is looked into anyway."""
+    if value is None:
+        return ()
+    text = value.string()
+    report.not_needed(value, "files are looked for beside the bus.yml and in the folders above")
+    return () if text.startswith("@") or not Path(text).is_dir() else (Path(text),)
+
+
+def _nodes(top: Section, keys: Mapping[str, Value]) -> Iterator[tuple[str, Value]]:
+    nodes = top.take("nodes")
+    if nodes is not None and nodes.kind != "null":
+        nodes.check("map", "list")
+        yield from nodes.entries.items()
+        for item in nodes.items:  # "- name: {...}", as the documentation shows it
+            item.check("map")
+            yield from item.entries.items()
+        return
+    for name, value in keys.items():
+        if name not in _TOP and value.kind == "map":
+            top.take(name)
+            yield name, value
+
+
+def _take_master(master: Section, draft: Draft) -> None:
+    report = draft.report
+    grip: dict[str, Any] = {}
+    if (node_id := master.take("node_id")) is not None:
+        number = node_id.integer(1, 255)
+        if number <= 127:
+            grip["node_id"] = number
+            report.taken(node_id, f"grip.node_id = {number} in [master]")
+        else:
+            report.left_out(node_id, f"{number} is no node-ID: 1..127")
+    if (period := master.take("heartbeat_producer")) is not None:
+        ms = period.integer(0, 30_000)
+        if ms:
+            grip |= {"period": duration_text(ms * MILLISECOND), "timeout": duration_text(max(500, 5 * ms) * MILLISECOND)}
+            report.taken(period, f'grip.period = "{grip["period"]}", grip.timeout = "{grip["timeout"]}" in [master]')
+        else:
+            report.left_out(period, "drives are always held by a heartbeat of the master; grip = false in [master] ends that")
+    if grip:
+        draft.master["grip"] = grip
+    if (sync := master.take("sync_period")) is not None:
+        microseconds = sync.integer(0, 60_000_000)
+        if microseconds:
+            draft.master["cycle"] = duration_text(microseconds * MILLISECOND // 1000)
+            report.taken(sync, f'cycle = "{draft.master["cycle"]}" in [master]')
+        else:
+            report.left_out(sync, "a chain needs SYNC: the cycle is that of [master], 10 ms by default")
+    if (rate := master.take("baudrate")) is not None:
+        draft.bus["bitrate"] = f"{rate.integer(1, 1000)}k"
+        report.taken(rate, f'bitrate = "{draft.bus["bitrate"]}" of the bus')
+    draft.take_overflow(master.take("sync_overflow"))
+    master.not_needed(
+        {
+            **dict.fromkeys(("driver", "package", "namespace"), _ROS),
+            **dict.fromkeys(("vendor_id", "product_code", "revision_number", "serial_number"), "the master is no device"),
+            **dict.fromkeys(("start", "start_nodes", "start_all_nodes", "boot_time", "boot_timeout_ms"), _BOOT),
+            **dict.fromkeys(("emcy_inhibit_time", "nmt_inhibit_time", "sync_window"), "the master has no such object"),
+            "heartbeat_consumer": "heartbeats are watched if heartbeat_timeout of [master] is set",
+        }
+    )
+    master.left_out(
+        {
+            "error_behavior": "the master has no object 0x1029",
+            "reset_all_nodes": "an error of one node resets no other: chains are stopped together",
+            "stop_all_nodes": "an error of one node stops its chain, not the nodes",
+            "heartbeat_multiplier": "heartbeat_timeout of [master] is one time for all nodes",
+        }
+    )
+
+
+def _take_node(name: str, value: Value, node: Section, draft: Draft, folder: tuple[Path, ...], multiplier: Value | None) -> None:
+    report = draft.report
+    number = node.take("node_id")
+    if number is None:
+        raise value.failure("it has no node_id")
+    ours = draft.name(value, name)
+    entry: dict[str, Any] = {"id": number.integer(1, 127)}
+    driver = node.take("driver")
+    is_drive = driver is not None and "402" in driver.string()
+    report.taken(number, f"the node {ours!r}, id = {entry['id']}")
+    if driver is not None:
+        report.not_needed(driver, "the node is a drive: a joint" if is_drive else "no drive: a node, which is no joint")
+    dcf, own_path = node.take("dcf"), node.take("dcf_path")
+    folders = (*_folder(own_path, report), *folder)
+    file = None if dcf is None else draft.file_beside(dcf, dcf.string().removeprefix(f"{BUS_CONFIG_PATH}/"), "", *folders)
+    settings = [*_sdo(node, report), *_pdos(node, report, int(entry["id"]))]
+    if (producer := node.take("heartbeat_producer")) is not None:
+        _take_heartbeat(node, producer, multiplier, draft, settings)
+    draft.add_device(value, ours, DeviceDraft(entry, file, dcf, settings))
+    if is_drive:
+        _take_joints(ours, value, node, draft)
+    node.not_needed(
+        {
+            **dict.fromkeys(("package", "namespace", "enable_lazy_load"), _ROS),
+            **dict.fromkeys(("vendor_id", "product_code", "revision_number", "serial_number"), _IDENTITY),
+            **dict.fromkeys(("period", "polling"), "drives are looked at with each SYNC and each of their PDOs"),
+            **dict.fromkeys(("boot", "boot_timeout_ms", "mandatory", "reset_communication"), _BOOT),
+            "diagnostics": "diagnostics are always there: at each change, and each second",
+            "sdo_timeout_ms": "timeout of [master], 500 ms by default",
+            "configuration_file": "the settings of a node are in its DCF",
+            "heartbeat_consumer": "a drive watches the master's heartbeat: see grip in [master]",
+        }
+    )
+    node.left_out(
+        {
+            **dict.fromkeys(("software_file", "software_version"), "programs are not downloaded"),
+            "restore_configuration": "`canopen write NODE 1011:01 0x64616F6C` restores the defaults of a device",
+            "error_behavior": "`canopen write NODE 1029:01 ...`, or `--set` of `canopen eds to-dcf`",
+        }
+    )
+
+
+def _sdo(node: Section, report: Report) -> Iterator[Setting]:
+    """Return the values of `sdo`, which the master writes when the node boots."""
+    requests = node.take("sdo")
+    if requests is None or requests.kind == "null":
+        return
+    requests.check("list")
+    for request in requests.items:
+        request.check("map")
+        own = Section(request.entries, report)
+        index, subindex, value = own.take("index"), own.take("sub_index"), own.take("value")
+        own.close()
+        if index is None or value is None:
+            raise request.failure("an entry has index, sub_index and value")
+        where = mux(index.integer(0x1000, 0xFFFF), 0 if subindex is None else subindex.integer(0, 255))
+        if is_interpolation_time(where):
+            report.not_needed(request, f"a chain sets 0x{index_of(where):04X} by its cycle")
+        else:
+            yield Setting(where, value.string(), request, request)
+
+
+def _pdos(node: Section, report: Report, node_id: int) -> Iterator[Setting]:
+    """Return the objects that the PDOs of `tpdo` and `rpdo` are."""
+    for key, (base, communication, mapping) in _PDO_BASES.items():
+        pdos = node.take(key)
+        if pdos is None or pdos.kind == "null":
+            continue
+        pdos.check("map")
+        for text, pdo in pdos.entries.items():
+            if not (text.isdigit() and 1 <= int(text) <= 512):
+                raise pdo.failure("a PDO has a number of 1..512")
+            number = int(text)
+            own = section_of(pdo, report)
+            record, entries = communication[0] + number - 1, mapping[0] + number - 1
+            enabled, cob_id = own.take("enabled"), own.take("cob_id")
+            if cob_id is None or cob_id.text == "auto":
+                can_id = base + 0x100 * (number - 1) + node_id if number <= 4 else None
+            else:
+                can_id = cob_id.integer(1, 0x1FFFFFFF)
+            if can_id is None:
+                report.left_out(pdo, "only the first four PDOs have a COB-ID by themselves: cob_id names one")
+                continue
+            is_enabled = enabled is None or enabled.truth()
+            yield Setting(mux(record, 1), hex(can_id | (0 if is_enabled else 1 << 31)), pdo, pdo)
+            for each, subindex in _PDO_KEYS.items():
+                if (value := own.take(each)) is not None:
+                    yield Setting(mux(record, subindex), value.string(), value, pdo)
+            mapped = own.take("mapping")
+            own.close()
+            if mapped is not None:
+                mapped.check("list")
+                yield from _mapped(mapped, pdo, entries, report)
+
+
+def _mapped(mapped: Value, pdo: Value, record: int, report: Report) -> Iterator[Setting]:
+    """Return the mapping record of a PDO. The lengths of the objects come from the device's file: see `device_settings`."""
+    yield Setting(mux(record), str(len(mapped.items)), mapped, pdo)
+    for number, item in enumerate(mapped.items[:64], start=1):
+        item.check("map")
+        own = Section(item.entries, report)
+        index, subindex = own.take("index"), own.take("sub_index")
+        own.close()
+        if index is None:
+            raise item.failure("an entry has index and sub_index")
+        where = mux(index.integer(1, 0xFFFF), 0 if subindex is None else subindex.integer(0, 255))
+        yield Setting(mux(record, number), "", item, pdo, where)
+
+
+def _take_heartbeat(node: Section, producer: Value, multiplier: Value | None, draft: Draft, settings: list[Setting]) -> None:
+    """Take over that a node sends a heartbeat, and how long the master waits for it."""
+    own = node.take("heartbeat_multiplier")
+    times = own or multiplier
+    period = producer.integer(0, 0xFFFF)
+    factor = times.number() if times is not None else Fraction(_DEFAULT_MULTIPLIER)
+    wait = period * factor * MILLISECOND
+    settings.append(Setting(mux(indices.PRODUCER_HEARTBEAT_TIME), str(period), producer, producer))
+    if not period:
+        return
+    if wait.denominator != 1 or wait <= 0:
+        raise producer.failure(f"{period} ms times heartbeat_multiplier is no time in ns")
+    text = duration_text(int(wait))
+    if draft.master.setdefault("heartbeat_timeout", text) == text:
+        draft.report.taken(producer, f'heartbeat_timeout = "{text}" in [master]')
+        if times is not None:
+            draft.report.taken(times, f'heartbeat_timeout = "{text}" in [master]')
+    else:
+        other = draft.master["heartbeat_timeout"]
+        draft.report.left_out(producer, f"heartbeat_timeout of [master] is one time for all nodes: {other}, not {text}")
+
+
+def _take_joints(name: str, value: Value, node: Section, draft: Draft) -> None:
+    """Take over the axes of a drive: one joint of the node's name, or several with names of their own."""
+    report = draft.report
+    count_given, names, channels = node.take("num_channels"), node.take("channel_names"), node.take("channels")
+    count = 1 if count_given is None else count_given.integer(1, MAX_AXES)
+    if count_given is not None:
+        report.taken(count_given, f"{count} joint{'s' if count > 1 else ''} of the node, with the axes 0 to {count - 1}")
+    common: dict[str, Any] = {}
+    draft.take_switching_state(node, common)
+    draft.take_homing_timeout(node, common)
+    if (method := node.take("homing_method")) is not None:
+        common["homing_method"] = method.integer(-128, 127)
+        report.taken(method, f"homing_method = {common['homing_method']}")
+    _take_mode(node, draft)
+    of_node = {key: node.take(key) for key in SCALES}
+    for axis in range(count):
+        joint_name = name if count == 1 else f"{name}/{axis}"
+        if names is not None and count > 1:
+            names.check("list")
+            if axis < len(names.items):
+                joint_name = draft.name(names.items[axis], names.items[axis].string())
+                report.taken(names.items[axis], f"the joint {joint_name!r}, axis = {axis}")
+        given = dict(of_node)
+        if channels is not None:
+            channels.check("list")
+            if axis < len(channels.items):
+                own = section_of(channels.items[axis], report)
+                given |= {key: each for key in SCALES if (each := own.take(key)) is not None}
+                own.left_out({"scale_eff_from_dev": TORQUE})
+                own.close()
+        joint: dict[str, Any] = {} if joint_name == name else {"node": name}
+        joint |= ({"axis": axis} if axis else {}) | common
+        _take_scale(given, joint, draft, is_linear=joint_name in draft.choices.linear)
+        draft.add_joint(value, joint_name, joint)
+    if count > 1 and draft.devices[name].file is None:
+        report.missing(
+            f"{value.place}.dcf", "several axes behind one node-ID need the device's file, with the objects of all of them"
+        )
+    node.left_out({"scale_eff_from_dev": TORQUE})
+    node.not_needed(
+        {"velocity_mode": "velocities go by csv or pv, as the drive has them", "torque_mode": "torques go by cst or tq"}
+    )
+
+
+def _take_mode(node: Section, draft: Draft) -> None:
+    value = node.take("position_mode")
+    if value is None:
+        return
+    number = value.integer(-128, 127)
+    mode = next((word for word, each in MODES.items() if each is not None and each == number), "")
+    if not mode:
+        draft.report.left_out(value, f"{number} is no mode in which a chain moves: 1 (pp), 7 (ip), 8 (csp)")
+    elif draft.mode in ("", mode):
+        draft.mode = mode
+        draft.report.taken(value, f'mode = "{mode}" of the chain')
+    else:
+        draft.report.left_out(value, f"a chain has one mode: {draft.mode}, not {mode}")
+
+
+def _take_scale(given: Mapping[str, Value | None], joint: dict[str, Any], draft: Draft, *, is_linear: bool) -> None:
+    """Take over the factors and offsets of position and velocity."""
+    report = draft.report
+    exact = {
+        key: Exact(Value("float", default, key, "", 0).number() if (value := given[key]) is None else value.number())
+        for key, default in SCALES.items()
+    }
+    to_device = Line(exact["scale_pos_to_dev"], exact["offset_pos_to_dev"])
+    from_device = Line(exact["scale_pos_from_dev"], exact["offset_pos_from_dev"])
+    values = [value for key in SCALES if "pos" in key and (value := given[key]) is not None]
+    try:
+        made = position_keys(to_device, from_device, is_linear=is_linear)
+    except Contradiction as error:
+        for value in values:
+            report.left_out(value, str(error))
+        if not values:
+            report.missing("scale_pos_to_dev", str(error))
+        return
+    joint.update(made.keys)
+    for value in values:
+        report.taken(value, str(made))
+    if not values:
+        report.assumed("scale_pos_to_dev, scale_pos_from_dev", f"{made}: ros2_canopen's default, 1000 counts in a rad or m")
+    values = [value for key in SCALES if "vel" in key and (value := given[key]) is not None]
+    if not values:
+        return
+    try:
+        velocity = velocity_keys(to_device.factor, Line(exact["scale_vel_to_dev"], ZERO), Line(exact["scale_vel_from_dev"], ZERO))
+    except Contradiction as error:
+        for value in values:
+            report.left_out(value, str(error))
+        return
+    joint.update(velocity.keys)
+    for value in values:
+        report.taken(value, str(velocity))

@@ -1,0 +1,262 @@
+"""ros_canopen's parameters: `bus`, `sync`, `heartbeat`, `name`, `defaults` and `nodes`, of one file or of several.
+
+Source: ros_canopen (canopen_chain_node, canopen_motor_node), its wiki pages and defaults.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from canopen_data.durations import duration_text
+from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
+from canopen_proto.machine import MILLISECOND
+from canopen_proto.multiplexer import index_of, mux
+from canopen_ros.configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
+from canopen_ros.configurations.report import Section, section_of
+from canopen_ros.configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_ros.configurations.unit_expression import Line, NotLinear, read_expression
+from canopen_ros.configurations.yaml_text import Value
+
+DEFAULTS: Final = {
+    "pos_to_device": "rint(rad2deg(pos)*1000)",
+    "pos_from_device": "deg2rad(obj6064)/1000",
+    "vel_to_device": "rint(rad2deg(vel)*1000)",
+    "vel_from_device": "deg2rad(obj606C)/1000",
+}
+"""What counts where a configuration has no conversion: millidegrees, as Schunk's arms have them."""
+_VARIABLES: Final = {"pos_to_device": "pos", "vel_to_device": "vel"}
+_OBJECTS: Final = {"pos_from_device": index_of(POSITION_ACTUAL_VALUE), "vel_from_device": index_of(VELOCITY_ACTUAL_VALUE)}
+_OBJECT: Final = re.compile(r"obj([0-9A-Fa-f]{4})(?:sub0*)?")
+_OVERLAY: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,4})(?:sub(?:0x)?([0-9A-Fa-f]{1,2}))?")
+_CANSEND: Final = re.compile(r"7([0-9A-Fa-f]{2})#(?:0?5)")
+MILLISECONDS: Final = (1, 60_000)
+"""Of a cycle."""
+
+
+def is_ros_canopen(top: Mapping[str, Value]) -> bool:
+    """Return whether these top-level keys are ros_canopen's."""
+    return bool(top.keys() & {"bus", "sync", "heartbeat"}) or any("id" in each.entries for each in _each(top.get("nodes")))
+
+
+def take_ros_canopen(top: Section, draft: Draft) -> None:
+    """Take over a whole configuration. Raises DictionaryError."""
+    report = draft.report
+    _take_bus(section_of(top.take("bus"), report), draft)
+    _take_sync(section_of(top.take("sync"), report), draft)
+    _take_heartbeat(section_of(top.take("heartbeat"), report), draft)
+    if (name := top.take("name")) is not None:
+        draft.chain = draft.name(name, name.string())
+        report.taken(name, f"the chain {draft.chain!r}")
+    defaults = section_of(top.take("defaults"), report)
+    for key, value in _named_nodes(top.take("nodes")):
+        node = section_of(value, report, defaults)
+        _take_node(key, value, node, draft)
+        node.close()
+    defaults.close()
+    top.not_needed({"hardware_id": "diagnostics name the chain", "reset_errors_before_recover": "`recover` resets a fault first"})
+
+
+def _each(nodes: Value | None) -> list[Value]:
+    return [] if nodes is None else [*nodes.entries.values(), *nodes.items]
+
+
+def _named_nodes(nodes: Value | None) -> Iterator[tuple[str, Value]]:
+    """Return the nodes with their names: a map of them, or a list of maps with `name`."""
+    if nodes is None or nodes.kind == "null":
+        return
+    nodes.check("map", "list")
+    for key, value in nodes.entries.items():
+        value.check("map")
+        yield key, value
+    for value in nodes.items:
+        value.check("map")
+        if "name" not in value.entries:
+            raise value.failure("it has no name")
+        yield value.entries["name"].string(), value
+
+
+def _take_bus(bus: Section, draft: Draft) -> None:
+    report = draft.report
+    device = bus.take("device")
+    if draft.choices.locator:
+        if device is not None:
+            report.not_needed(device, f"the bus is {draft.choices.locator}, as you say")
+    elif device is None:
+        report.assumed("bus.device", f"the bus {BUS}, ros_canopen's default; --locator names another one")
+    else:
+        draft.bus["locator"] = device.string()
+        report.taken(device, f"the bus {device.string()}")
+    if (plugin := bus.take("driver_plugin")) is not None:
+        if "SocketCAN" in plugin.string():
+            report.not_needed(plugin, "a plain name such as can0 is SocketCAN")
+        else:
+            report.left_out(plugin, "this driver is not known; --locator names a bus, see docs/buses.md")
+    bus.not_needed(
+        {
+            "loopback": "a transport does not receive its own frames, and other programs do",
+            "master_allocator": "there is one kind of master",
+        }
+    )
+    bus.close()
+
+
+def _take_sync(sync: Section, draft: Draft) -> None:
+    report = draft.report
+    if (interval := sync.take("interval_ms")) is not None:
+        if interval.number() == 0:
+            report.left_out(interval, "a chain needs SYNC: the cycle is that of [master], 10 ms by default")
+        else:
+            draft.master["cycle"] = duration_text(interval.integer(*MILLISECONDS) * MILLISECOND)
+            report.taken(interval, f'cycle = "{draft.master["cycle"]}" in [master]')
+    draft.take_overflow(sync.take("overflow"))
+    sync.not_needed({"update_ms": "drives are looked at with each SYNC and each of their PDOs"})
+    sync.left_out({"silence_us": "the master's PDOs go out right after SYNC"})
+    sync.close()
+
+
+def _take_heartbeat(heartbeat: Section, draft: Draft) -> None:
+    """Take over the master's own heartbeat, by which drives notice that it is gone."""
+    report = draft.report
+    rate, message = heartbeat.take("rate"), heartbeat.take("msg")
+    grip: dict[str, Any] = {}
+    if message is not None:
+        found = _CANSEND.fullmatch(message.string().strip())
+        node_id = int(found[1], 16) if found is not None else 0
+        if 1 <= node_id <= 127:
+            grip["node_id"] = node_id
+            report.taken(message, f"grip.node_id = {node_id} in [master]")
+        else:
+            report.left_out(message, "this is not the heartbeat of an operational node (7xx#05)")
+    if rate is not None:
+        hertz = rate.number()
+        period = 1000 / hertz if hertz > 0 else None
+        if period is not None and period.denominator == 1 and 1 <= period <= 30_000:
+            grip["period"] = duration_text(int(period) * MILLISECOND)
+            grip["timeout"] = duration_text(max(500, 5 * int(period)) * MILLISECOND)
+            report.taken(rate, f'grip.period = "{grip["period"]}", grip.timeout = "{grip["timeout"]}" in [master]')
+        else:
+            report.left_out(rate, f"a heartbeat comes each whole number of ms, and {rate} in a second do not")
+    if grip:
+        draft.master["grip"] = grip
+    heartbeat.close()
+
+
+def _take_node(key: str, value: Value, node: Section, draft: Draft) -> None:
+    report = draft.report
+    number = node.take("id")
+    if number is None:
+        raise value.failure("it has no id (node-ID)")
+    named = node.take("name")
+    wanted = key if named is None else named.string()
+    name = draft.name(value if named is None else named, wanted)
+    entry: dict[str, Any] = {"id": number.integer(1, 127)}
+    report.taken(number, f"the node and joint {name!r}, id = {entry['id']}")
+    if named is not None:
+        report.taken(named, "the name of the node and its joint")
+    package, eds = node.take("eds_pkg"), node.take("eds_file")
+    if package is not None:
+        report.not_needed(package, "the device's file is named by its path")
+    file = None
+    if eds is not None:
+        file = draft.file_beside(eds, eds.string(), "" if package is None else package.string())
+    else:
+        report.missing(f"nodes.{key}.eds_file", "the node has no file: objects are those of the data files")
+    draft.add_device(value, name, DeviceDraft(entry, file, eds, _overlay(node, draft)))
+    joint: dict[str, Any] = {}
+    _take_scale(node, joint, draft, is_linear=name in draft.choices.linear)
+    draft.take_switching_state(node, joint)
+    draft.take_homing_timeout(node, joint)
+    draft.add_joint(value, name, joint)
+    node.not_needed(
+        {
+            "motor_allocator": "every joint is a drive of CiA 402",
+            "eff_to_device": TORQUE,
+            "eff_from_device": TORQUE,
+            "log": "diagnostics show state, statusword, 0x603F and EMCY",
+            "log_warn": "diagnostics show state, statusword, 0x603F and EMCY",
+            "log_error": "diagnostics show state, statusword, 0x603F and EMCY",
+        }
+    )
+    filters = "positions, velocities and torques are published as the drive shows them"
+    node.left_out(
+        {
+            "publish": "no topic for single objects: the service `get_object`, or `canopen read`",
+            "motor_layer": "settings of a plugin, which is not here",
+            "position_filters": filters,
+            "velocity_filters": filters,
+            "effort_filters": filters,
+        }
+    )
+
+
+def _overlay(node: Section, draft: Draft) -> list[Setting]:
+    """Return the values of `dcf_overlay`: those of the node go before those of the defaults."""
+    found: dict[int, Setting] = {}
+    for overlay in reversed(node.take_both("dcf_overlay")):
+        if overlay is None:
+            continue
+        overlay.check("map")
+        for key, value in overlay.entries.items():
+            match = _OVERLAY.fullmatch(key)
+            if match is None:
+                raise value.failure("an object is an index, or index and subindex, as 6081 or 60C2sub1")
+            where = mux(int(match[1], 16), int(match[2] or "0", 16))
+            if is_interpolation_time(where):
+                draft.report.not_needed(value, f"a chain sets 0x{index_of(where):04X} by its cycle")
+            else:
+                found[where] = Setting(where, value.string(), value, value)
+    return list(found.values())
+
+
+def _take_scale(node: Section, joint: dict[str, Any], draft: Draft, *, is_linear: bool) -> None:
+    """Take over the conversions of position and velocity."""
+    report = draft.report
+    values = {key: node.take(key) for key in DEFAULTS}
+    lines: dict[str, Line] = {}
+    for key, default in DEFAULTS.items():
+        value = values[key]
+        try:
+            lines[key] = _line(key, default if value is None else value.string())
+        except NotLinear as error:
+            assert value is not None  # the defaults are lines
+            report.left_out(value, f"{error}: only a plain factor, with an offset at most, is a scale here")
+    for quantity in ("pos", "vel"):
+        keys = f"{quantity}_to_device", f"{quantity}_from_device"
+        given = [value for key in keys if (value := values[key]) is not None]
+        if not lines.keys() >= set(keys) or (quantity == "vel" and not given):
+            for key in keys:
+                if key in lines and (value := values[key]) is not None:
+                    report.left_out(value, "its counterpart is left out")
+            continue
+        there, back = (lines[key] for key in keys)
+        try:
+            if quantity == "pos":
+                made = position_keys(there, back, is_linear=is_linear)
+            elif "pos_to_device" in lines and "unit" in joint:
+                made = velocity_keys(lines["pos_to_device"].factor, there, back)
+            else:
+                raise Contradiction("the position has no scale")
+        except Contradiction as error:
+            for value in given:
+                report.left_out(value, str(error) if len(given) == 2 else f"{error} (the other one has ros_canopen's default)")
+            continue
+        joint.update(made.keys)
+        for value in given:
+            report.taken(value, str(made))
+        if not given:
+            report.assumed("pos_to_device, pos_from_device", f"{made}: ros_canopen's default, millidegrees")
+
+
+def _line(key: str, text: str) -> Line:
+    """Return a conversion as a line of the variable that its key stands for. Raises NotLinear."""
+    line = read_expression(text)
+    if key in _VARIABLES:
+        if line.variable and line.variable != _VARIABLES[key]:
+            raise NotLinear(f"its variable is {line.variable}, not {_VARIABLES[key]}")
+    elif line.variable:
+        found = _OBJECT.fullmatch(line.variable)
+        if found is None or int(found[1], 16) != _OBJECTS[key]:
+            raise NotLinear(f"it reads {line.variable}, not obj{_OBJECTS[key]:04X}")
+    return line
