@@ -42,7 +42,10 @@ def _reader(source: Path) -> LogReader:
 
 @click.group()
 def log() -> None:
-    """Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc. Record one by --trace FILE of any command."""
+    """Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng.
+
+    Any command records one by --trace FILE.
+    """
 
 
 @log.command()
@@ -83,7 +86,7 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
         counts = {"frames": count - writer.left_out, "left_out": writer.left_out, "skipped": reader.skipped}
         screen.json({"file": str(source), "output": str(target), **counts})
     if writer.left_out:
-        screen.say(f"[yellow]{writer.left_out} remote frames are left out[/]; .log holds them")
+        screen.say(f"[yellow]{writer.left_out} frames are left out[/]; .log holds them")
         return ExitCode.PARTIAL
     return ExitCode.OK
 

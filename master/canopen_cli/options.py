@@ -342,7 +342,7 @@ def common(command: F) -> F:
             "--trace",
             type=click.Path(dir_okay=False, path_type=Path),
             metavar="FILE",
-            help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc.",
+            help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.",
         ),
         _option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
         _option("--json", is_flag=True, help="Results and errors as JSON."),

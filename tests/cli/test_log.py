@@ -126,7 +126,7 @@ def test_a_trace_never_replaces_what_is_being_read(run: Run, log: Path, tmp_path
     assert heard == [frame.removesuffix(" T") for frame in frames(str(log))]
 
 
-@pytest.mark.parametrize("kind", [".asc", ".blf", ".trc"])
+@pytest.mark.parametrize("kind", [".asc", ".blf", ".trc", ".pcapng"])
 def test_a_trace_of_another_kind_is_whole_after_ctrl_c(run: Run, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     alarm = Alarm()
     watched_fleets(monkeypatch, alarm)
@@ -182,7 +182,7 @@ def test_a_replay_as_json(run: Run, log: Path) -> None:
 def test_convert_says_what_it_leaves_out(run: Run, log: Path) -> None:
     outcome = run("log", "convert", str(log), "b.trc")
     assert outcome.status == 7
-    assert "1 remote frames are left out; .log holds them" in outcome.err
+    assert "1 frames are left out; .log holds them" in outcome.err
     assert not any(record.frame.flags & REMOTE for record in LogReader(Path("b.trc")))
     log.write_text(LOG + "(103.0) can0 123##1AA\n")
     assert "1 entries passed over, the last: a CAN FD frame" in run("log", "convert", str(log), "b.log").err

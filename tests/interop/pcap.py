@@ -1,42 +1,27 @@
 """Our frames as a capture file, and what Wireshark makes of them: an implementation of CANopen that none of us wrote.
 
-`write_pcap` writes the classic pcap format with the link type LINKTYPE_CAN_SOCKETCAN (227), as Linux captures a CAN interface:
-the 16 bytes of `struct can_frame`, of which the identifier is big-endian. `read_by_wireshark` has `tshark` dissect such a file.
+`read_by_wireshark` writes such a file, and has `tshark` dissect it.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
-import struct
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND
+from canopen_transports.log_files import log_writer
+from canopen_transports.record import Record
 
 TSHARK = shutil.which("tshark")
 LIMIT = 120.0  # seconds; a run takes about one
 
-_LINKTYPE_CAN_SOCKETCAN = 227
-_FILE_HEADER = struct.Struct("<IHHiIII")  # magic, version, time zone, accuracy, largest length, link type
-_PACKET_HEADER = struct.Struct("<IIII")  # seconds, microseconds, captured length, original length
-_CAN_FRAME = struct.Struct(">IBxxx8s")
-_EXTENDED_FLAG, _REMOTE_FLAG = 1 << 31, 1 << 30
-
 _BYTES = {"sdo.data.bytes", "pdo.data.bytes", "em.err_field", "reserved"}
 _TEXT = {"time_stamp"}
-
-
-def write_pcap(path: Path, frames: Iterable[Frame]) -> None:
-    """Write the frames to a file, a millisecond apart."""
-    parts = [_FILE_HEADER.pack(0xA1B2C3D4, 2, 4, 0, 0, 65535, _LINKTYPE_CAN_SOCKETCAN)]
-    for number, frame in enumerate(frames):
-        flags = _EXTENDED_FLAG * bool(frame.flags & EXTENDED) | _REMOTE_FLAG * bool(frame.flags & REMOTE)
-        content = _CAN_FRAME.pack(frame.can_id | flags, frame.dlc, frame.data)  # the 8 bytes are filled up with zeros
-        parts += [_PACKET_HEADER.pack(number // 1000, number % 1000 * 1000, len(content), len(content)), content]
-    path.write_bytes(b"".join(parts))
 
 
 class Packet:
@@ -76,7 +61,10 @@ class Packet:
 def read_by_wireshark(path: Path, frames: list[Frame]) -> list[Packet]:
     """What `tshark` says of each frame of that file."""
     assert TSHARK is not None
-    write_pcap(path, frames)
+    writer = log_writer(path)
+    for number, frame in enumerate(frames):
+        writer.write(Record(number * MILLISECOND, "can0", frame))
+    writer.close()
     command = [TSHARK, "-r", str(path), "-d", "can.subdissector,canopen", "-T", "json", "--no-duplicate-keys"]
     run = subprocess.run(command, capture_output=True, timeout=LIMIT, check=True)
     packets = [packet["_source"]["layers"] for packet in json.loads(run.stdout)]

@@ -10,7 +10,7 @@
     slcan:/dev/ttyACM0@250k             serial-line adapters; `?tty_baudrate=1000000` and the like go to python-can
     pcan:PCAN_USBBUS1@500k?listen_only=true     only listens; does not even acknowledge (see `listen_only`)
     tcp  tcp:localhost:20301            the bus of `canopen bus serve`, for several terminals, on one computer or several
-    file:trace.log?speed=max            a log file, replayed: .log, .asc, .blf, .trc (see `replay`)
+    file:trace.log?speed=max            a log file, replayed: .log, .asc, .blf, .trc, .pcap, .pcapng (see `replay`)
     udp_multicast                       two terminals of one computer, without a server
     udp_multicast:239.1.2.3?hop_limit=1&port=4000      two computers of one local network
     kvaser:0@500k  gs_usb:0@1M ...      every other interface of python-can, by python-can's name for it

@@ -1,12 +1,14 @@
-"""Log files of CAN buses: candump's `.log`, and by python-can's readers and writers `.asc`, `.blf` (Vector) and `.trc` (PEAK).
+"""Log files of CAN buses: candump's `.log`; `.pcap` and `.pcapng` (Wireshark); `.asc`, `.blf` (Vector) and `.trc` (PEAK).
 
-We read and write `.log` ourselves, because python-can's writer drops the length of remote frames. It is the default kind: text,
-one frame a line. It loses nothing that CANopen has, except times below a microsecond:
+python-can reads and writes Vector's and PEAK's kinds, capture_files.py Wireshark's. We read and write `.log` ourselves, because
+python-can's writer drops the length of remote frames. It is the default kind: text, one frame a line. It loses nothing that
+CANopen has, except times below a microsecond:
 
     (1436509053.850870) can0 605#4041600000000000 T
 
 T at the end means sent by the recorder, R received, as `candump -L -x` writes it; files without it are read, too. Files ending in
-`.log` or `.txt`, and standard input, may also contain what candump shows on a screen (candump_text.py).
+`.log` or `.txt`, and standard input, may also contain what candump shows on a screen (candump_text.py). Standard input may be a
+capture, too, as `tshark -w -` writes it: its first bytes tell.
 
 LOSSES says what the other kinds lose, measured with python-can 4.6 (see the tests). The reader skips and counts entries that are
 not classical CAN frames: error frames, CAN FD, a measuring program's own events. A file that is not of its kind, or that ends in
@@ -31,6 +33,7 @@ from can.io.blf import BLFParseError
 from canopen_proto.explained import Explained
 from canopen_proto.frame import REMOTE
 from canopen_transports.candump_text import EXAMPLE, NotAFrame, parse_line
+from canopen_transports.capture_files import MAGICS, CaptureDamaged, PcapngWriter, PcapWriter, read_capture
 from canopen_transports.messages import RefusedMessage, frame_of, message_of
 from canopen_transports.record import Record
 
@@ -44,6 +47,8 @@ LOSSES: Final = {
     ".blf": "names of buses become numbers; times without a date (before 1990) are counted from the first frame's millisecond; "
     "frames earlier than the first one get its time",
     ".trc": "remote frames are left out; names of buses become numbers",
+    ".pcap": "names of buses; which frames were sent",
+    ".pcapng": "",
 }
 """By the ending of a file, in words for people: what such a file cannot hold."""
 
@@ -66,6 +71,7 @@ _ENTRY: Final = {
 """Lines that record an event, as opposed to headers and comments."""
 _HEADER: Final = re.compile(r"\s*(;|(date|base)\s)", re.IGNORECASE)
 _STATS: Final = "canopen log stats FILE    (what is in a file)"
+_CAPTURES: Final[dict[str, Callable[[BinaryIO], LogWriter]]] = {".pcap": PcapWriter, ".pcapng": PcapngWriter}
 _UTF16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -103,9 +109,9 @@ class LogReader:
     """The records of a file, in its order. Iterate over it once; that raises LogFileError, and keeps the file open until its end
     or `close`.
 
-    path: its ending says the kind; `.txt` is candump's text, like `.log`. stream: candump's text from elsewhere, such as standard
-    input; path then only names it. skipped: how many entries were not classical CAN frames so far; last_skip: why the last was
-    not.
+    path: its ending says the kind; `.txt` is candump's text, like `.log`. stream: candump's text, or a capture, from elsewhere
+    (standard input); path then only names it. skipped: how many entries were not classical CAN frames so far; last_skip: why the
+    last was not.
     """
 
     def __init__(self, path: Path, stream: BufferedReader | None = None) -> None:
@@ -118,7 +124,9 @@ class LogReader:
     def __iter__(self) -> Generator[Record]:
         # Opened here: python-can's readers leave a file open if they raise.
         try:
-            if self._stream is not None:
+            if self._stream is not None and self._stream.peek(4)[:4] in MAGICS:
+                yield from self._captured_records(self._stream)
+            elif self._stream is not None:
                 text = _text(self._stream)
                 try:
                     yield from self._candump_records(text)
@@ -127,6 +135,9 @@ class LogReader:
             elif self._kind == ".blf":
                 with open(self.path, "rb") as file:
                     yield from self._binary_records(file)
+            elif self._kind in _CAPTURES:
+                with open(self.path, "rb") as file:
+                    yield from self._captured_records(file)
             else:
                 with open(self.path, "rb") as file, _text(file) as text:
                     yield from self._candump_records(text) if self._kind == ".log" else self._text_records(text)
@@ -154,6 +165,14 @@ class LogReader:
                 self._skip(str(reason))
             except ValueError as error:
                 raise self._not_understood(str(error), number, EXAMPLE) from error
+
+    # ---- .pcap, .pcapng ----
+
+    def _captured_records(self, file: BinaryIO) -> Iterator[Record]:
+        try:
+            yield from read_capture(file, self._skip, DEFAULT_CHANNEL)
+        except CaptureDamaged as error:
+            raise self._not_understood(str(error)) from error
 
     # ---- the others, by python-can's readers ----
 
@@ -270,7 +289,9 @@ def log_writer(path: Path) -> LogWriter:
     """Create a log file of the kind that its name says, replacing an older one. Raises LogFileError."""
     kind = kind_of(path)
     try:
-        return CandumpWriter(open(path, "w", encoding="utf-8", buffering=1)) if kind == ".log" else _ForeignWriter(path, kind)
+        if kind == ".log":
+            return CandumpWriter(open(path, "w", encoding="utf-8", buffering=1))
+        return _CAPTURES[kind](open(path, "wb")) if kind in _CAPTURES else _ForeignWriter(path, kind)
     except OSError as error:
         raise _no_access("write", path, error) from error
 
