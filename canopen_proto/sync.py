@@ -86,7 +86,7 @@ class SyncProducer(Machine):
     as in 0x1019. All read-only outside.
     """
 
-    __slots__ = ("counter", "counter_overflow", "key", "period")
+    __slots__ = ("_put_off", "counter", "counter_overflow", "key", "period")
 
     def __init__(self, out: Outbox, key: RoutingKey = SYNC, counter_overflow: int = 0) -> None:
         """Take a routing key (`key_of_cob_id`), 11 or 29 bits. LocalProtocolError for a reserved counter overflow value."""
@@ -95,6 +95,7 @@ class SyncProducer(Machine):
         self.counter_overflow = check_counter_overflow(counter_overflow)
         self.counter = 1
         self.period: Time = 0
+        self._put_off: Time = NEVER  # when the SYNC was due that is put off
 
     def configure(self, key: RoutingKey, counter_overflow: int) -> None:
         """Take another COB-ID (0x1005) and counter overflow value (0x1019); LocalProtocolError for a reserved one.
@@ -117,6 +118,7 @@ class SyncProducer(Machine):
             self.counter_overflow = check_counter_overflow(counter_overflow)
         self.period = period
         self.counter = 1
+        self._put_off = NEVER
         self._send(0)
         self._arm(now + period)
 
@@ -124,7 +126,21 @@ class SyncProducer(Machine):
         """Stop the periodic SYNC. The counter starts with 1 at its next use."""
         self.period = 0
         self.counter = 1
+        self._put_off = NEVER
         self._arm(NEVER)
+
+    def put_off(self) -> None:
+        """Send no periodic SYNC until `catch_up`: the driver came late, and has to look at the consumers before."""
+        if self.deadline != NEVER:
+            self._put_off = self.deadline
+            self._arm(NEVER)
+
+    def catch_up(self, now: Time) -> None:
+        """Send the SYNC that was put off, if there is one, and go on with the period in its phase. Event: SyncSent."""
+        due, self._put_off = self._put_off, NEVER
+        if due != NEVER:
+            self._arm(due)
+            self.handle_timeout(now)
 
     def send(self, now: Time) -> None:
         """Send one SYNC now. A running period keeps its phase. Event: SyncSent, at once. CiA 301 v4.2.0, 7.2.5.2"""

@@ -58,6 +58,9 @@ MAX_SEND_QUEUE: Final = 4096
 SDO_GUARD: Final = 300 * MICROSECOND
 """No SDO frame is sent so shortly before a SYNC: the longest frame takes 270 us at 500 kbit/s, and would delay the SYNC."""
 
+SAME_SYNC: Final = 10
+"""SYNCs that come within this part of their period were waiting for this process, which was stalled."""
+
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
 _BUS_OFF: Final = BusState.BUS_OFF
 
@@ -300,13 +303,22 @@ class Bus:
             self._cyclic.stop_cyclic()
             self._period = 0
 
-    def sync_came(self, sync: SyncReceived, now: Time) -> SyncSent:
-        """Return the event for a received SYNC that the transport has sent for us (`hears_own_sync`)."""
-        skipped = 0
-        if self._last_sync is not None:
-            skipped = max(0, round((now - self._last_sync) / self._period) - 1)
-        self._last_sync = now
-        return SyncSent(0, sync.counter, skipped)
+    def with_own_syncs(self, events: Sequence[Event], now: Time) -> list[Event]:
+        """Return the events with SyncSent in place of a SYNC that the transport has sent for us (`hears_own_sync`).
+
+        Of several that came while this process was stalled the first one counts, with the others as skipped ones. A path would go
+        on by a step for each of them otherwise, all in one period.
+        """
+        told: list[Event] = []
+        for each in events:
+            if not isinstance(each, SyncReceived):
+                told.append(each)
+                continue
+            since = self._period if self._last_sync is None else now - self._last_sync
+            if since * SAME_SYNC >= self._period:
+                told.append(SyncSent(0, each.counter, max(0, round(since / self._period) - 1)))
+                self._last_sync = now
+        return told
 
     def _until_sync(self, now: Time) -> Time:
         """Return the time until the next SYNC is due, ns."""

@@ -9,13 +9,14 @@ of drives: a `Master` (master.py) is a participant with nodes, drives and chains
   for its clean-up (it halts what it moved);
 - a subscription to events.
 
-SYNC is one for all buses: it is sent on each of them at the same instant, back to back.
+SYNC is one for all buses: it is sent on each of them at the same instant, back to back. Before one that is late is sent, because
+this process was stalled, those who follow it may look at their drives (`SyncGuard`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -26,11 +27,11 @@ from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, Unknown
 from canopen_master.pump import Pump
 from canopen_master.requests import OpenRequest
 from canopen_master.subscription import Subscription
-from canopen_proto.machine import SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
+from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sync import SyncConsumer, SyncProducer
 from canopen_transports import Transport, TransportError
@@ -38,8 +39,21 @@ from canopen_transports import Transport, TransportError
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)
 
+ON_TIME: Final = 20
+"""A SYNC that is late by less than this part of its period is on time: clocks of computers jitter."""
+
 _LOOK = 0.1
 """Seconds between two looks, on the way out, whether a drive needs longer."""
+
+
+class SyncGuard(Protocol):
+    """Is asked before a SYNC is sent that is late, in the pump's turn."""
+
+    def look_before_sync(self, late: Time) -> Procedure[object] | None:
+        """Return what has to be done before SYNC is sent; None: nothing. late: ns. The procedure must not fail."""
+
+    def before_late_sync(self, late: Time) -> None:
+        """SYNC is sent now. late: ns."""
 
 
 class Participant:
@@ -57,13 +71,15 @@ class Participant:
         for name, transport in transports.items():
             self._add_bus(name, transport)
         self._own_buses = tuple(self.buses.values())
-        self._pump = Pump(self._own_buses, self._dispatcher.dispatch, self.on_failure)
+        self._pump = Pump(self._own_buses, self._dispatcher.dispatch, self.on_failure, before_timeouts=self._before_timeouts)
         self.runner = self._own_buses[0].network.runner
         self._root = self._own_buses[0].network.out.root
         for alias, name in (aliases or {}).items():
             self.buses[alias] = self.buses[name]
         self._procedures: set[RequestId] = set()
         self._procedure_ended = trio.lowlevel.ParkingLot()
+        self._guards: list[SyncGuard] = []
+        self._looking: tuple[RequestId, Time] | None = None  # and when the SYNC was due that waits for it
         self._subscriptions: dict[Subscription[Any], Watcher] = {}
         self.failure: Exception | None = None
         self.is_closed = False
@@ -177,6 +193,29 @@ class Participant:
             sync.send(now)
         await self._sent(self._own_buses)
 
+    def guard_sync(self, guard: SyncGuard) -> None:
+        """Ask before a SYNC is sent that is late. Not for a SYNC that the transport sends."""
+        self._guards.append(guard)
+
+    def _before_timeouts(self, now: Time) -> None:
+        """See whether a due SYNC is late; if a guard has something to do first, put it off on all buses."""
+        due = min((sync.deadline for sync in self._sync.values()), default=NEVER)
+        if not self._guards or (now - due) * ON_TIME <= self.sync_period:
+            return
+        looks = [look for guard in self._guards if (look := guard.look_before_sync(now - due)) is not None]
+        if not looks:
+            self._before_late_sync(now - due)
+            return
+        for sync in self._sync.values():
+            sync.put_off()
+        request_id = self.runner.start(all_of(*looks), now)
+        self._procedures.add(request_id)
+        self._looking = request_id, due
+
+    def _before_late_sync(self, late: Time) -> None:
+        for guard in self._guards:
+            guard.before_late_sync(late)
+
     async def _sent(self, buses: Iterable[Bus]) -> None:
         self._pump.pump()
         await trio.lowlevel.checkpoint()
@@ -275,6 +314,12 @@ class Participant:
     def _on_procedure_ended(self, outcome: Outcome) -> None:
         self._procedures.discard(outcome.request_id)
         self._procedure_ended.unpark_all()
+        if self._looking is not None and self._looking[0] == outcome.request_id:
+            (_, due), self._looking = self._looking, None
+            now = self.now()
+            self._before_late_sync(now - due)
+            for sync in self._sync.values():
+                sync.catch_up(now)
 
     def on_failure(self, bus: Bus | None, error: Exception) -> None:
         if self.failure is None:

@@ -41,7 +41,6 @@ from canopen_master.alarm import Alarm, best_alarm
 from canopen_master.bus import MAX_BATCH, Bus
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
-from canopen_proto.sync import SyncReceived
 from canopen_transports import FrameNotSent, Received, Report, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
 
@@ -84,14 +83,23 @@ class Pump:
     """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
 
     on_event, on_failure: called with what the networks report, and with what goes wrong.
+    before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
     quiet_ticks: after a stall, so many rounds of trio's scheduler without a frame show that all frames were taken in.
     """
 
-    def __init__(self, buses: Sequence[Bus], on_event: OnEvent, on_failure: OnFailure, quiet_ticks: int = QUIET_TICKS) -> None:
+    def __init__(
+        self,
+        buses: Sequence[Bus],
+        on_event: OnEvent,
+        on_failure: OnFailure,
+        quiet_ticks: int = QUIET_TICKS,
+        before_timeouts: Callable[[Time], None] | None = None,
+    ) -> None:
         self.buses = tuple(buses)
         self._on_event = on_event
         self._on_failure = on_failure
         self._quiet_ticks = quiet_ticks
+        self._before_timeouts = before_timeouts
         self._scope = trio.CancelScope(shield=True)
         self._alarm: Alarm | None = None
         self._wake: Time = NEVER  # what the alarm is set for
@@ -141,7 +149,7 @@ class Pump:
         except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
             self._fail(bus, error, "send")
         if bus.hears_own_sync:
-            events = [bus.sync_came(each, now) if isinstance(each, SyncReceived) else each for each in events]
+            events = bus.with_own_syncs(events, now)
         for each in events:
             try:
                 self._on_event(bus, each)
@@ -266,6 +274,8 @@ class Pump:
     def _handle_timeouts(self) -> None:
         """One instant for all buses: SYNCs that are due together go out together."""
         now = self.now()
+        if self._before_timeouts is not None:
+            self._before_timeouts(now)
         for bus in self.buses:
             bus.network.handle_timeout(now)
 

@@ -174,7 +174,7 @@ async def test_a_late_cycle_slows_the_path_and_says_so() -> None:
 
 def test_periods_without_a_sync_are_counted_too() -> None:
     set_points = SetPoints((), 0.01, None)
-    set_points.begin()
+    set_points.begin([])
     for skipped in (0, 3, 0):
         set_points.on_sync(skipped)
     assert (set_points.number, set_points.sync_cycles, set_points.skipped_cycles) == (6, 3, 3)

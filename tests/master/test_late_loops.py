@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from canopen_master import Cycle
+from canopen_master.motion.late_sync import RETURN
+from canopen_proto.drive.limits import DEFAULT_SPEED
 from canopen_transports import open_transport
 from tests.examples import examples
 from tests.master.world import BUS, following_arm, virtual_time
@@ -34,9 +36,9 @@ PATHS: dict[str, Path] = {
 Delay = tuple[bool, float]
 """Whether it stops the whole process, with the master in it; and for how long."""
 
-SHORT = [0.0, 0.0, 0.001, 0.004, 0.0099, 0.01, 0.012, 0.045]
-"""Two in a row leave the drive without SYNC for less than the 100 ms after which it counts as lost."""
-delays = st.tuples(st.just(True), st.sampled_from(SHORT)) | st.tuples(st.just(False), st.sampled_from([*SHORT, 0.095]))
+SHORT = [0.0, 0.0, 0.001, 0.004, 0.0099, 0.01, 0.012]
+"""Two in a row leave the drive within reach of its next set-point: see test_stalls.py for longer ones of the whole process."""
+delays = st.tuples(st.just(True), st.sampled_from(SHORT)) | st.tuples(st.just(False), st.sampled_from([*SHORT, 0.045, 0.095]))
 turns = st.lists(st.tuples(delays, delays), min_size=1, max_size=12)
 
 
@@ -83,14 +85,16 @@ async def sent_along(path: Path, turns: Sequence[tuple[Delay, Delay]]) -> tuple[
 
 @pytest.mark.parametrize("path", PATHS)
 @example([((False, 0.0), (False, 0.0)), ((False, 0.095), (False, 0.0)), ((False, 0.0), (False, 0.0))])
-@example([((True, 0.095), (False, 0.0)), ((False, 0.0), (True, 0.095)), ((False, 0.0), (False, 0.0))])
+@example([((True, 0.009), (False, 0.0)), ((False, 0.0), (True, 0.012)), ((False, 0.0), (False, 0.0))])
 @examples(6)
 @given(turns)
 def test_whatever_is_late_never_a_step_larger_than_the_paths_own(path: str, turns: list[tuple[Delay, Delay]]) -> None:
     @virtual_time
     async def run() -> None:
         sent, cycles, took = await sent_along(PATHS[path], turns)
-        assert max(abs(after - before) for before, after in pairwise(sent)) <= STEP + 1  # a count of rounding
+        stalls = any(blocks and seconds for turn in turns for blocks, seconds in turn)
+        back = RETURN * DEFAULT_SPEED * CYCLE if stalls else 0  # what a shorter period has cut off comes later
+        assert max(abs(after - before) for before, after in pairwise(sent)) <= STEP + back + 1  # a count of rounding
         assert [cycle.number for cycle in cycles] == list(range(len(turns) + 1))
         assert [cycle.time for cycle in cycles] == pytest.approx([CYCLE * cycle.number for cycle in cycles])
         # what the path lost is told, to the period: each cycle is handed out within one of its SYNC

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
 import trio
-from hypothesis import example, given
-from hypothesis import strategies as st
 from trio.lowlevel import enable_ki_protection
 from trio.testing import MockClock
 
@@ -17,9 +14,8 @@ from canopen_master import ChainError, ChainFault, ChainHalted, ChainState, Mast
 from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.answers import Answer
-from tests.examples import examples
 from tests.master.direct_world import patient
-from tests.master.path_world import AXIS, COUNTS, Record, arms, swing
+from tests.master.path_world import AXIS, Record, arms, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved
 from tests.master.world import drives, virtual_time
@@ -117,64 +113,6 @@ async def test_ctrl_c_is_a_stop_on_the_path() -> None:
     assert caught.group_contains(KeyboardInterrupt)
     assert 0.1 < record.rows[-1][0] < 0.5
     assert_on_path(record)
-
-
-delays = st.lists(st.tuples(st.booleans(), st.floats(0.0, 0.2), st.floats(0.0, 0.2)), min_size=1, max_size=8)
-"""Whether it stops the whole process, with the master in it; for how long; and how long nothing is late before."""
-
-
-@example([(True, 0.009, 0.2), (True, 0.045, 0.2), (True, 0.015, 0.1), (True, 0.095, 0.2)])
-@examples(6)
-@given(delays)
-def test_whatever_is_late_no_joint_exceeds_its_speed(turns: Sequence[tuple[bool, float, float]]) -> None:
-    """The drives limit their speed (0x607F), as drives do. What the process is late, the path is late; no joint catches up."""
-
-    @virtual_time
-    async def run() -> None:
-        async with arms(2) as (_, [arm], record):
-            for node in drives(record.hosts[0]):
-                node.values.store[0x607F_00] = 1_000_000
-            path = swing(1.8, -0.9, duration=4.0)
-            stalls = sum(blocks for blocks, _, _ in turns)
-
-            async def follow() -> None:
-                try:
-                    await arm.follow(path)
-                except ChainFault:
-                    assert stalls > 1  # late again before they had caught up
-                    return
-                assert record.rows[-1] == pytest.approx([1.8, -0.9], abs=3e-6)
-
-            speeds: list[float] = []
-
-            async def measure() -> None:
-                while True:
-                    for node in drives(record.hosts[0]):
-                        node.drive.refresh(record.hosts[0].now())
-                        speeds.append(abs(node.drive._servo.demand_velocity) / COUNTS)
-                    await trio.sleep(0.002)
-
-            async with trio.open_nursery() as nursery, trio.open_nursery() as others:
-                others.start_soon(measure)
-                nursery.start_soon(follow)
-                await moved(arm, 1.7)
-                for blocks, late, pause in turns:
-                    if blocks:
-                        clock = trio.lowlevel.current_clock()
-                        assert isinstance(clock, MockClock)
-                        clock.jump(late)
-                    else:
-                        await trio.sleep(late)
-                    await trio.sleep(pause)
-                while arm.motion is not None:
-                    await trio.sleep(0.1)
-                others.cancel_scope.cancel()
-            assert max(speeds) <= 1.0 + 1e-6
-            if not stalls:
-                assert max(distance_from(path, row) for row in record.rows) < ON_PATH
-                assert_within_limits(record)
-
-    run()
 
 
 @virtual_time

@@ -116,6 +116,22 @@ async def test_sync_that_the_transport_sends_is_reported_as_ours() -> None:
 
 
 @virtual_time
+async def test_syncs_that_came_while_the_process_was_stalled_are_one_cycle() -> None:
+    bus = Able()
+    async with open_master(bus) as master:
+        with master.events(SyncSent) as events:
+            master.sync_start(0.01)
+            bus.feed(Frame(0x80))
+            await trio.sleep(0.03)
+            for _ in range(3):
+                bus.feed(Frame(0x80))
+            await trio.testing.wait_all_tasks_blocked()
+            await trio.sleep(0.01)
+            bus.feed(Frame(0x80))
+            assert [await events.receive() for _ in range(3)] == [SyncSent(0, None, skipped) for skipped in (0, 2, 0)]
+
+
+@virtual_time
 async def test_sync_with_a_counter_is_a_row_of_frames() -> None:
     bus = Able()
     async with open_master(bus) as master:

@@ -45,6 +45,39 @@ def test_late_producer_skips_keeps_phase_and_reports(late: int, skipped: int) ->
     assert producer.deadline == (20 + 10 * skipped) * MS
 
 
+def test_a_sync_that_is_put_off_is_sent_later_in_the_same_phase() -> None:
+    producer = SyncProducer(Outbox())
+    producer.put_off()
+    producer.catch_up(0)  # nothing runs
+    assert take(producer.out) == ([], [])
+    producer.start(10 * MS, 0)
+    take(producer.out)
+    producer.put_off()
+    assert producer.deadline == NEVER
+    producer.handle_timeout(47 * MS)
+    assert take(producer.out) == ([], [])
+    producer.catch_up(48 * MS)
+    assert take(producer.out) == (["080#"], [SyncSent(0, None, 3)])
+    assert producer.deadline == 50 * MS
+    producer.catch_up(49 * MS)  # once is enough
+    assert take(producer.out) == ([], [])
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_producer_that_is_stopped_or_started_again_has_put_nothing_off(again: bool) -> None:
+    producer = SyncProducer(Outbox())
+    producer.start(10 * MS, 0)
+    producer.put_off()
+    if again:
+        producer.start(20 * MS, 5 * MS)
+    else:
+        producer.stop()
+    take(producer.out)
+    producer.catch_up(6 * MS)
+    assert take(producer.out) == ([], [])
+    assert producer.deadline == (25 * MS if again else NEVER)
+
+
 def test_counter_runs_from_1_to_the_overflow_value() -> None:
     producer = SyncProducer(Outbox())
     producer.start(1 * MS, 0, counter_overflow=5)

@@ -24,8 +24,8 @@ it stands (canopen_proto.drive.halt); a joint that does not stand is an error.
 over and halts the chain.
 
 **Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
-set-points, stops its whole chain: the running command is cancelled, all joints are halted, and every further command raises
-ChainFault, which says what the joint did, until `recover`.
+set-points, stops its whole chain: the running command is cancelled, all joints are halted, and until `recover` every further
+command raises ChainFault, which says what the joint did.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ from canopen_master.motion.chain_view import ChainState as ChainState
 from canopen_master.motion.chain_view import ChainView
 from canopen_master.motion.cycles import Cycles, Source
 from canopen_master.motion.device import Device
+from canopen_master.motion.gap_guard import GapGuard
 from canopen_master.motion.joint_procedures import (
     JointFailed,
     follow,
@@ -118,6 +119,7 @@ class Chain(ChainView, Moving):
         buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
         self._nodes = tuple(dict.fromkeys(device.node for device in devices))
         participant.watch((SyncSent,), self._on_sync, buses[0])
+        participant.guard_sync(GapGuard(self._set_points, self._stop_now))
 
     # ---- what it does ----
 
@@ -177,7 +179,7 @@ class Chain(ChainView, Moving):
         except BaseException:
             self._release_joints()
             raise
-        self._set_points.begin()
+        self._set_points.begin([each.speed for each in followed])
         self._supervision.begin_following(followed, self.settings.max_silent_cycles, cycle_time)
         self.state, self._followed = ChainState.FOLLOWING, True
 
@@ -215,9 +217,8 @@ class Chain(ChainView, Moving):
     async def shut_down(self) -> None:
         """Halt, engage the brakes, take the power away, and stop the nodes (NMT stop). SYNC ends with the last chain.
 
-        A node on which another drive of this master has power, as another axis, is not stopped.
-
-        Every joint is tried. Raises ChainError, which names a joint that was not shut down.
+        A node on which another drive of this master has power, as another axis, is not stopped. Every joint is tried.
+        Raises ChainError, which names a joint that was not shut down.
         """
         self._participant.check_open()
         self._supervision.is_on = self._followed = False
@@ -498,11 +499,11 @@ class Chain(ChainView, Moving):
             if device.taken_over_by:
                 self._stop_now(f"because another command took over {device.where}: {device.taken_over_by}")
                 return
-        set_points, settings = self._set_points, self.settings
+        set_points = self._set_points
         try:
             set_points.on_sync(sync.skipped)
         except SetPointRefused as error:
             assert self.motion is not None  # a loop gets this error itself
             self.motion.fail(error)
-        if set_points.missed_in_row >= settings.max_missed_cycles:
+        if set_points.missed_in_row >= self.settings.max_missed_cycles:
             self._stop(f"because {set_points.missed_in_row} cycles in a row brought no set-points")

@@ -97,6 +97,11 @@ class ChainView:
         return all(device.is_homed for device in self.devices)
 
     @property
+    def is_on_path(self) -> bool:
+        """Whether its joints are sent where they are wanted; behind a gap of SYNC they come back to their path (late_sync.py)."""
+        return self._set_points.is_on_path
+
+    @property
     def sync_cycles(self) -> int:
         """SYNCs sent while it followed set-points."""
         return self._set_points.sync_cycles

@@ -13,6 +13,7 @@ longer. A path that is read at a clock would catch up instead, at many times its
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from typing import NamedTuple, Protocol
@@ -22,9 +23,10 @@ import trio
 from canopen_master.errors import SetPointRefused
 from canopen_master.motion.device import Device
 from canopen_master.motion.feed_forward import FeedForward
+from canopen_master.motion.late_sync import WithinReach
 from canopen_master.motion.set_point_check import check_set_point, refused
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.machine import SECOND, LocalProtocolError
+from canopen_proto.machine import SECOND, LocalProtocolError, Time
 
 
 class Cycle(NamedTuple):
@@ -62,6 +64,9 @@ class Source(Protocol):
         skipped: periods without a SYNC before the present one, because this process was late.
         """
 
+    def stand_at(self, positions: Sequence[float]) -> SourcePoint | None:
+        """Go on from where the joints are, behind a gap, and return that; None: they have to come back to its set-points."""
+
 
 class SetPoints:
     """The set-points that a chain follows.
@@ -92,6 +97,8 @@ class SetPoints:
         self.is_awaited = False  # a loop was handed a cycle: set-points are due from now on
         self._is_new = self._is_held = False  # what the next SYNC takes along
         self._next: list[float] = []
+        self._point: SourcePoint | None = None  # of the source, if it gave these
+        self._within: WithinReach | None = None  # while set-points are followed
         self._path: deque[list[float]] = deque()
         self.source: Source | None = None
         self._feeds: list[FeedForward] = []
@@ -106,12 +113,23 @@ class SetPoints:
         """See the class."""
         return self.missed_cycles + self.skipped_cycles
 
-    def begin(self) -> None:
-        """Begin: from now on each SYNC takes the images along."""
+    @property
+    def on_wire(self) -> Sequence[float]:
+        """The set-points that the last SYNC took along; empty while none are followed. See late_sync.py for their difference."""
+        return [] if self._within is None else self._within.sent
+
+    @property
+    def is_on_path(self) -> bool:
+        """Whether the joints are sent where they are wanted: they are not on their way back there."""
+        return self._within is None or self._within.is_on_path
+
+    def begin(self, speeds: Sequence[float]) -> None:
+        """Begin: from now on each SYNC takes the images along. speeds: the most that each joint may be asked for, or inf."""
         self.end()
         self.is_followed = True
         self._feeds = [FeedForward(axis) for axis in self._axes]
         self._next = self.sent = [device.desired_position for device in self.devices]
+        self._within = WithinReach(self.sent, [speed * self.cycle_time for speed in speeds])
 
     def end(self) -> None:
         """End: no set-points are followed from now on."""
@@ -120,6 +138,7 @@ class SetPoints:
         for feed in self._feeds:
             feed.clear()
         self._feeds = []
+        self._within = self._point = None
         self.sent = []
         self._path.clear()
         self._is_new = self._is_held = self.is_awaited = False
@@ -146,10 +165,10 @@ class SetPoints:
 
     def give(self, positions: Sequence[float], cycles: int) -> None:
         """See Chain.set_positions."""
-        counts = self._check(positions, cycles)
+        self._check(positions, cycles)
         self._path.clear()
         if cycles == 1:
-            self._put(list(positions), counts)
+            self._put(list(positions))
         else:
             shares = [number / cycles for number in range(1, cycles)]
             self._path.extend([a + (b - a) * share for a, b in zip(self.sent, positions, strict=True)] for share in shares)
@@ -161,7 +180,7 @@ class SetPoints:
         """See Chain.hold. Set-points not sent yet are taken back."""
         self._path.clear()
         if self._is_new:
-            self._put(self.sent, self._to_counts(self.sent))
+            self._put(self.sent)
             self._is_new = False
         self._is_held = True
         self.given_in = self.number
@@ -172,6 +191,8 @@ class SetPoints:
         self.sync_cycles += 1
         self.skipped_cycles += skipped
         self.sent = self._next
+        if self._within is not None:
+            self._within.on_sent()
         if self._is_new or self._is_held:
             self.missed_in_row = 0
             self.taken += self._is_new
@@ -183,36 +204,78 @@ class SetPoints:
             self._put_next()
         elif self.source is not None and (point := self.source.next(skipped)) is not None:
             self._take(point)
+        elif not self.is_on_path:
+            self._write()
         self.tick.unpark_all()
+
+    def must_look(self, late: Time) -> bool:
+        """Return whether a joint has to be asked where it is before a SYNC that is late by so many ns is sent."""
+        return self._within is not None and self._within.must_look(late / self._period)
+
+    def before_late_sync(self, late: Time) -> None:
+        """Shorten the next step: so soon behind this SYNC, which is late by so many ns, the next one is due."""
+        if self._within is not None:
+            self._write(1.0 - late % self._period / self._period)
+
+    @property
+    def limited(self) -> list[Device]:
+        """The joints whose speed their set-points limit: all but those without a limit, and those that keep one by themselves."""
+        ways = () if self._within is None else self._within.ways
+        return [device for device, way in zip(self.devices, ways, strict=False) if math.isfinite(way)]
+
+    def rest(self) -> None:
+        """Take the velocities out of the images: the joints are about to be told to stay where they are."""
+        if self._within is not None:
+            for feed, position in zip(self._feeds, self._within.sent, strict=True):
+                feed.put(position, 0.0, feed.torque)
+
+    def stand_at_images(self) -> None:
+        """Go on from the set-points in the images: the joints are there, and have been told so."""
+        if self._within is not None:
+            at, limited = list(self._within.sent), self.limited
+            for number, device in enumerate(self.devices):
+                if device in limited:
+                    at[number] = device.desired_position
+            if self.source is not None and (point := self.source.stand_at(at)) is not None:
+                self.sent = self._next = at
+                self._point = point
+            self._within.stand_at(at, self.sent)
 
     def _take(self, point: SourcePoint) -> None:
         """Put the set-points of the source into the images. Raises SetPointRefused; some images may have changed then."""
         self._check(point.positions, 1)
+        self._next, self._point, self._is_new = list(point.positions), point, True
+        self._write()
+
+    def _put_next(self) -> None:
+        self._put(self._path.popleft())
+
+    def _put(self, positions: list[float]) -> None:
+        self._next, self._point, self._is_new = positions, None, True
+        self._write()
+
+    def _write(self, share: float = 1.0) -> None:
+        """Put the set-points into the images. share: of a period, until the SYNC behind which they are taken."""
+        within, point = self._within, self._point
+        assert within is not None
+        positions = within.next(self._next, share)
+        if point is None:
+            for axis, position in zip(self._axes, positions, strict=True):
+                axis.set_position_counts(axis.to_counts(position))
+            return
         torques = point.torques or [0.0] * len(self.devices)
-        values = zip(self.devices, self._feeds, point.positions, point.velocities, torques, strict=True)
+        velocities = point.velocities
+        if positions is not self._next:
+            velocities = [(to - at) / self.cycle_time for to, at in zip(positions, within.sent, strict=True)]
+        values = zip(self.devices, self._feeds, positions, velocities, torques, strict=True)
         for device, feed, position, velocity, torque in values:
             try:
                 feed.put(position, velocity, torque)
             except (LocalProtocolError, ValueRangeError) as error:
                 raise refused(device, position, str(error)) from error
-        self._next = list(point.positions)
-        self._is_new = True
 
-    def _put_next(self) -> None:
-        positions = self._path.popleft()
-        self._put(positions, self._to_counts(positions))
-
-    def _put(self, positions: list[float], counts: list[int]) -> None:
-        for axis, each in zip(self._axes, counts, strict=True):
-            axis.set_position_counts(each)
-        self._next = positions
-        self._is_new = True
-
-    def _to_counts(self, positions: list[float]) -> list[int]:
-        return [axis.to_counts(position) for axis, position in zip(self._axes, positions, strict=True)]
-
-    def _check(self, positions: Sequence[float], cycles: int) -> list[int]:
-        """Return the set-points in counts. Raises as `Chain.set_positions` does."""
+    def _check(self, positions: Sequence[float], cycles: int) -> None:
+        """Raise as `Chain.set_positions` does."""
         if cycles < 1:
             raise LocalProtocolError(f"set-points are reached in 1 cycle or more, not {cycles}")
         if len(positions) != len(self.devices):
@@ -220,14 +283,12 @@ class SetPoints:
             counts = f"{len(positions)} set-points were given, not {len(self.devices)}"
             raise SetPointRefused(counts, "", f"the joints are {names}")
         time, max_step = cycles * self._period, self.max_step
-        in_counts: list[int] = []
         for device, target, start in zip(self.devices, positions, self.sent, strict=True):
-            in_counts.append(check_set_point(device, start, target, time))
+            check_set_point(device, start, target, time)
             if max_step is not None and abs(target - start) / cycles > max_step * (1 + 1e-9):  # no refusal for a rounding error
                 step = abs(target - start) / cycles
                 seen = f"from {start:g} that is a step of {step:g} per cycle, more than max_step = {max_step:g}"
                 raise refused(device, target, seen, ("a finer path, more `cycles`, or a larger max_step",))
-        return in_counts
 
 
 class Cycles:

@@ -17,19 +17,24 @@ from canopen_proto.multiplexer import Mux
 
 
 class FeedForward:
-    """The set-points of one joint with what goes along; see this module's text. takes_torque: whether an RPDO carries 0x60B2."""
+    """The set-points of one joint with what goes along; see this module's text. takes_torque: whether an RPDO carries 0x60B2.
 
-    __slots__ = ("_axis", "_has_offsets", "_takes_velocity", "takes_torque")
+    torque: the one that was put last.
+    """
+
+    __slots__ = ("_axis", "_has_offsets", "_takes_velocity", "takes_torque", "torque")
 
     def __init__(self, axis: Axis) -> None:
         """axis: its PDOs are defined already."""
         self._axis = axis
         self.takes_torque = is_carried(axis, objects.TORQUE_OFFSET)
         self._takes_velocity = is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is not None
+        self.torque = 0.0
         self._has_offsets = self._takes_velocity or self.takes_torque
 
     def put(self, position: float, velocity: float, torque: float = 0.0) -> None:
         """Set what the next RPDO takes along. Raises LocalProtocolError, ValueRangeError for values that do not fit."""
+        self.torque = torque
         self._axis.set_position(position, velocity)
         if self._has_offsets:
             self._axis.set_offsets(velocity=velocity if self._takes_velocity else 0.0, torque=torque)

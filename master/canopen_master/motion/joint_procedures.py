@@ -191,11 +191,15 @@ def reset_and_enable(device: Device) -> Procedure[None]:
 
 
 class Followed(NamedTuple):
-    """How a joint follows set-points, for its watch: see `Following.begin`."""
+    """How a joint follows set-points, for its watch: see `Following.begin`.
+
+    speed: the most that its set-points may ask for; inf: anything, since nothing limits it, or it limits itself.
+    """
 
     limit: Limit
     mode: Mode
     catches_up: int
+    speed: float
     slack: int = UNCERTAIN
 
 
@@ -220,11 +224,11 @@ def follow(
         lag = yield from profile_lag(axis, cycle_time)
         yield from start_slow_position(axis)
         device.occupy(name)
-        return Followed(limit, mode, catches_up, UNCERTAIN - (-lag // cycle_time))
+        return Followed(limit, mode, catches_up, math.inf, UNCERTAIN - (-lag // cycle_time))
     start = start_cyclic_position if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION else start_interpolation
     yield from start(axis, cycle_time, sends_itself=sends_itself)
     device.occupy(name)
-    return Followed(limit, mode, catches_up)
+    return Followed(limit, mode, catches_up, device.limits.speed.value)
 
 
 def stop(device: Device) -> Procedure[None]:

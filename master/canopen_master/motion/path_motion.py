@@ -5,7 +5,8 @@ A *course* (`Course`) gives the points of the motion, a period after a period: a
 takes its joints' part of the point (`Lane`). SYNC is one for all buses, so all chains are at the same point.
 
 **Late cycles.** A period without a SYNC is a period in which the course stands still. Drives brake by themselves then, so behind
-it the course goes on from rest, where it is.
+it the course goes on from rest, where it is; joints that have left it come back to it (late_sync.py). A stream of targets goes on
+from where the joints are.
 
 **The end of a motion** comes when its course is finished, or is at rest after `brake`, and the joints had the time to get there.
 The joints then stand at the last set-points, and their chains go on to follow these. A course that is not at rest LONGEST_STOP
@@ -25,6 +26,7 @@ from trio.lowlevel import enable_ki_protection
 from canopen_master.errors import PathRefused
 from canopen_master.motion.cycles import Source, SourcePoint
 from canopen_master.motion.device import Device
+from canopen_master.motion.target_motion import StreamCourse
 from canopen_proto.drive.following import LAG
 from canopen_proto.trajectory import PathPoint
 
@@ -77,6 +79,10 @@ class Follower(Protocol):
     def devices(self) -> tuple[Device, ...]:
         """Its joints."""
 
+    @property
+    def is_on_path(self) -> bool:
+        """Whether its joints are sent where they are wanted; they come back to their path behind a gap (late_sync.py)."""
+
     def begin_source(self, source: Source, motion: Motion) -> None:
         """Follow the set-points of this source, for this motion, from now on. The chain follows set-points already."""
 
@@ -107,6 +113,13 @@ class Lane:
             motion.advance(skipped)
         if motion.is_over:
             return None
+        return self._part(motion)
+
+    def stand_at(self, positions: Sequence[float]) -> SourcePoint | None:
+        """See `Source`."""
+        return self._part(self._motion) if self._motion.stand_at(self._begin, positions) else None
+
+    def _part(self, motion: Motion) -> SourcePoint:
         positions, velocities, torques = motion.point.positions, motion.point.velocities, motion.torques
         return SourcePoint(*(values[self._begin : self._end] for values in (positions, velocities, torques)))
 
@@ -196,6 +209,8 @@ class Motion:
         self.cycles += 1
         if self._at_rest:
             self._at_rest += 1
+            if not all(lane.follower.is_on_path for lane in self.lanes):
+                self._at_rest = 1
             if self._at_rest > LAG + 1:
                 self.end()
             self.news.unpark_all()
@@ -216,6 +231,16 @@ class Motion:
         elif self._braked * self._period > LONGEST_STOP:
             self.end(TOO_LONG)
         self.news.unpark_all()
+
+    def stand_at(self, first: int, positions: Sequence[float]) -> bool:
+        """Go on from where the joints are behind a gap, from joint `first` on, unless they have to come back to a path.
+
+        Return whether it does.
+        """
+        if not isinstance(self.course, StreamCourse):
+            return False
+        self.point = self.course.stand_at(first, positions)
+        return True
 
     @enable_ki_protection
     async def wait(self) -> None:

@@ -128,7 +128,7 @@ class Recorder:
         motion = self._motion()
         rate = motion.course.rate if motion is not None and isinstance(motion.course, PathClock) else None
         self._now = self._cycle, (now - self._begun) / SECOND, skipped, int(missed > 0), rate
-        sent: Sequence[float | None] = set_points.sent or [None] * len(self._devices)
+        sent: Sequence[float | None] = set_points.on_wire or [None] * len(self._devices)
         self._sent = [(point, int(device.axis.controlword)) for point, device in zip(sent, self._devices, strict=True)]
 
     def _end_row(self, now: Time) -> None:

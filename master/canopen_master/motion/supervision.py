@@ -65,7 +65,7 @@ class Supervision:
 
         cycle_time: ns from SYNC to SYNC.
         """
-        for device, (limit, mode, catches_up, slack) in zip(self._devices, followed, strict=True):
+        for device, (limit, mode, catches_up, _, slack) in zip(self._devices, followed, strict=True):
             device.following.begin(
                 limit,
                 mode,

@@ -50,6 +50,11 @@ class StreamCourse:
         """See Course. Lost cycles count for the dead man's switch."""
         self._stream.after_gap(lost_cycles, from_rest=from_rest)
 
+    def stand_at(self, first: int, positions: Sequence[float]) -> PathPoint:
+        """Go on from where the joints are, from joint `first` on, since there is no path to come back to; return the point."""
+        self._stream.stand_at(first, positions)
+        return self._stream.point
+
     @property
     def is_finished(self) -> bool:
         """Whether the stream has ended, and the joints stand."""

@@ -79,11 +79,9 @@ class TargetStream:
         self._wanted = [0.0] * len(self._joints)
         self._is_stopping = False
         self._point = start
-        states = self._states(start)
         self._ranges = [
             ((joint.lowest - joint.origin) / joint.unit, (joint.highest - joint.origin) / joint.unit) for joint in self._joints
         ]
-        self._reaches = self._reaches_of(states)
         self._is_given = False  # ruckig has the goal
         self.failure: PlanRefused | None = None
         """Why ruckig failed; the stream has then stopped. None as long as all is well."""
@@ -92,11 +90,9 @@ class TargetStream:
         self._output = self._ruckig.OutputParameter(count)
         self._request = self._ruckig.InputParameter(count)
         self._request.synchronization = self._ruckig.Synchronization.No
-        self._request.current_position = [position for position, _, _ in states]
-        self._request.current_velocity = [velocity for _, velocity, _ in states]
-        self._request.current_acceleration = [acceleration for _, _, acceleration in states]
         self._request.max_acceleration = [joint.acceleration for joint in self._joints]
         self._request.max_jerk = [joint.jerk for joint in self._joints]
+        self._go_on_from(start)
 
     @property
     def point(self) -> PathPoint:
@@ -161,9 +157,23 @@ class TargetStream:
         if not from_rest:
             return
         rest = [0.0] * len(self._joints)
-        self._point = PathPoint(self._point.positions, rest, rest)
-        self._reaches = self._reaches_of(self._states(self._point))
-        self._request.current_velocity, self._request.current_acceleration = rest, rest
+        self._go_on_from(PathPoint(self._point.positions, rest, rest))
+
+    def stand_at(self, first: int, positions: Sequence[float]) -> None:
+        """Go on from where joints are that came to rest by themselves, from joint `first` on; the others stay as they are."""
+        point, last = self._point, first + len(positions)
+        rest = [0.0] * len(positions)
+        each = zip(point, (positions, rest, rest), strict=True)
+        self._go_on_from(PathPoint(*([*values[:first], *new, *values[last:]] for values, new in each)))
+
+    def _go_on_from(self, point: PathPoint) -> None:
+        self._point = point
+        states = self._states(point)
+        self._reaches = self._reaches_of(states)
+        request = self._request
+        request.current_position = [position for position, _, _ in states]
+        request.current_velocity = [velocity for _, velocity, _ in states]
+        request.current_acceleration = [acceleration for _, _, acceleration in states]
         self._is_given = False
 
     def step(self) -> PathPoint:

@@ -1,0 +1,219 @@
+"""A process that stalls, or a task that is late: no joint exceeds its speed, stays off its path, or stops because of it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+
+import pytest
+import trio
+from hypothesis import example, given
+from hypothesis import strategies as st
+from trio.testing import MockClock
+
+from canopen_master import Chain, ChainHalted
+from canopen_master.motion.late_sync import WithinReach
+from canopen_proto.abort import AbortCode
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.simulated_drive.answers import Answer
+from tests.examples import examples
+from tests.master.path_world import COUNTS, CYCLE, Record, arms, swing
+from tests.master.test_moving import assert_within_limits
+from tests.master.test_path_motion import ON_PATH, distance_from, moved
+from tests.master.world import drives, virtual_time
+
+SPEED = 1.0
+"""Of the joints, at most."""
+WAYS = 0.6, -0.3
+PATH = swing(*WAYS, duration=1.2)
+"""Its first joint goes at 0.938 in the middle: a SYNC that is late and counts as on time (ON_TIME) may add 5 %."""
+
+Turn = tuple[bool, float, float]
+"""Whether the whole process stalls, with the master in it, or only the task; for how long; and the time until the next turn."""
+
+times = st.one_of(st.just(0.0), st.floats(0.0, 0.02), st.floats(0.0, 0.2))
+turns = st.lists(st.tuples(st.booleans(), times, times), min_size=1, max_size=8)
+
+
+def stall(seconds: float) -> None:
+    clock = trio.lowlevel.current_clock()
+    assert isinstance(clock, MockClock)
+    clock.jump(seconds)
+
+
+async def late(turns: Sequence[Turn]) -> None:
+    for is_process, seconds, pause in turns:
+        if is_process:
+            stall(seconds)
+        else:
+            await trio.sleep(seconds)
+        await trio.sleep(pause)
+
+
+@asynccontextmanager
+async def watched(record: Record) -> AsyncIterator[list[float]]:
+    """The largest speed that any drive had, as the only item of the list."""
+    largest = [0.0]
+
+    async def measure() -> None:
+        for each in itertools.cycle((0.0019, 0.0032)):
+            for host in record.hosts:
+                for node in drives(host):
+                    node.drive.refresh(host.now())
+                    largest[0] = max(largest[0], abs(node.drive._servo.demand_velocity) / COUNTS)
+            await trio.sleep(each)
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(measure)
+        yield largest
+        nursery.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
+@pytest.mark.parametrize("keeps_its_speed", [False, True])
+@example([(True, 0.009, 0.2), (True, 0.045, 0.2), (True, 0.015, 0.1), (True, 0.095, 0.2)])
+@examples(3)
+@given(turns)
+def test_whatever_is_late_no_joint_exceeds_its_speed(mode: Mode, keeps_its_speed: bool, turns: Sequence[Turn]) -> None:
+    """keeps_its_speed: the drives limit it themselves (0x607F)."""
+
+    @virtual_time
+    async def run() -> None:
+        async with arms(2, mode=mode) as (_, [arm], record):
+            if keeps_its_speed:
+                for node in drives(record.hosts[0]):
+                    node.values.store[0x607F_00] = round(SPEED * COUNTS)
+            async with watched(record) as largest, trio.open_nursery() as nursery:
+                nursery.start_soon(arm.follow, PATH)
+                await moved(arm, 0.4)
+                await late(turns)
+            assert record.rows[-1] == pytest.approx(WAYS, abs=3e-6)
+            assert largest[0] <= SPEED
+            if not any(is_process and seconds for is_process, seconds, _ in turns):
+                assert max(distance_from(PATH, row) for row in record.rows) < ON_PATH
+                assert_within_limits(record)
+
+    run()
+
+
+@pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
+@pytest.mark.parametrize("gap", [0.009, 0.035, 0.095, 0.2])
+def test_a_loop_that_gives_set_points_keeps_the_speed_too(mode: Mode, gap: float) -> None:
+    @virtual_time
+    async def run() -> None:
+        async with arms(1, mode=mode) as (_, [arm], record), watched(record) as largest:
+            await arm.follow()
+            async for cycle in arm.cycles():
+                arm.set_positions([0.95 * max(0.0, cycle.time - 0.1)])
+                if cycle.number == 40:
+                    stall(gap)
+                if cycle.number == 100:
+                    break
+            (wanted,) = arm.desired
+            await trio.sleep(1.0)
+            assert record.rows[-1] == pytest.approx([wanted], abs=3e-6)
+            assert 0.94 < largest[0] <= SPEED
+
+    run()
+
+
+@virtual_time
+async def test_chains_on_two_buses_stall_and_go_on_together() -> None:
+    async with arms(1, 1) as (_, chains, record), watched(record) as largest:
+        async with trio.open_nursery() as nursery:
+            for chain, way in zip(chains, WAYS, strict=True):
+                nursery.start_soon(chain.follow, swing(way, duration=1.2))
+            await moved(chains[0], 0.5)
+            stall(0.15)
+        assert record.rows[-1] == pytest.approx(WAYS, abs=3e-6)
+        assert largest[0] <= SPEED
+
+
+async def stalled(arm: Chain) -> None:
+    await moved(arm, 0.5)
+    stall(0.15)
+    await trio.sleep(0.005)
+
+
+@virtual_time
+async def test_behind_a_gap_a_joint_comes_back_to_its_path_from_where_it_is() -> None:
+    """It has braked beyond its last set-point; the others go on along the path."""
+    async with arms(2) as (_, [arm], record), watched(record) as largest, trio.open_nursery() as nursery:
+        nursery.start_soon(arm.follow, PATH)
+        await stalled(arm)
+        assert not arm.is_on_path
+        before = len(record.rows)
+        while not arm.is_on_path:
+            await trio.sleep(0.01)
+        await trio.sleep(0.03)
+        assert distance_from(PATH, record.rows[before]) > 1000 * ON_PATH
+        assert distance_from(PATH, record.rows[-1]) < ON_PATH
+        assert largest[0] <= SPEED
+
+
+@virtual_time
+async def test_a_motion_that_is_cancelled_on_the_way_back_ends_on_its_path() -> None:
+    async with arms(2) as (_, [arm], record):
+        with trio.CancelScope() as scope:
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(arm.follow, PATH)
+                await stalled(arm)
+                scope.cancel()
+        await trio.sleep(CYCLE)
+        assert distance_from(PATH, record.rows[-1]) < ON_PATH
+
+
+@virtual_time
+async def test_a_joint_that_does_not_tell_where_it_is_halts_its_chain_before_sync() -> None:
+    async with arms(2) as (_, [arm], record), watched(record) as largest:
+
+        async def follow() -> None:
+            with pytest.raises(ChainHalted, match="SYNC was 1[45]. ms late, and j02 did not tell where it is"):
+                await arm.follow(PATH)
+
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(follow)
+            await moved(arm, 0.5)
+            drives(record.hosts[0])[1].answer(0x6064, 0, Answer(abort=AbortCode.GENERAL_ERROR))
+            stall(0.15)
+        assert largest[0] <= SPEED
+
+
+def test_joints_in_reach_are_not_asked() -> None:
+    within = WithinReach([0.0, 0.0], [1.0, 1.0])
+    assert not within.must_look(1000.0)  # they stand
+    for number in (1, 2, 3):
+        assert within.next([number * 0.1, number * 0.9]) == [number * 0.1, number * 0.9]
+        within.on_sent()
+    assert not within.must_look(2.0)
+    assert within.must_look(2.2)  # the second one has gone 1.98 of its ways, and would have to come back by 1.08
+    within = WithinReach([0.0], [1.0])
+    for number in (1, 2, 3):
+        within.next([number * 0.1])
+        within.on_sent()
+    assert not within.must_look(10.9)
+    assert within.must_look(11.1)
+
+
+def test_a_shorter_period_has_a_shorter_step_and_what_is_missing_comes_later() -> None:
+    within = WithinReach([0.0, 0.0], [1.0, 1.0])
+    assert within.next([1.0, 0.2], share=0.25) == [0.25, 0.2]
+    assert within.next([1.0, 0.2], share=0.5) == [0.5, 0.2]  # the same again
+    within.on_sent()
+    assert not within.is_on_path
+    assert within.next([1.0, 0.4]) == pytest.approx([0.7, 0.4])  # 0.2 of its way
+    within.on_sent()
+    assert within.next([1.6, 0.6]) == pytest.approx([1.5, 0.6])
+    within.on_sent()
+    assert within.next([1.6, 0.6]) == [1.6, 0.6]
+    within.on_sent()
+    assert within.is_on_path
+
+
+def test_a_joint_without_a_limit_is_left_alone() -> None:
+    within = WithinReach([0.0], [float("inf")])
+    for number in (1, 2, 3):
+        assert within.next([number * 100.0], share=0.1) == [number * 100.0]
+        within.on_sent()
+    assert not within.must_look(1000.0)
