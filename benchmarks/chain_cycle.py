@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import argparse
 import cProfile
+import enum
 import gc
 import math
+import os
 import platform
 import pstats
 import time
@@ -27,9 +29,18 @@ import trio
 from canopen_master import Chain, ChainSettings, open_master, powerballs, simulate
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, TPDO1, Frame
 from canopen_proto.machine import SECOND
+from canopen_proto.trajectory import Path, from_function
 from canopen_transports import Received, Report, VirtualTransport
 
 WARM_UP = 0.2  # seconds of the path before the recording takes over: each joint's mode was read by then
+
+
+class Task(enum.Enum):
+    """What gives the set-points: the user's loop; a path, whose clock runs in the pump; the same while the chain is recorded."""
+
+    LOOP = enum.auto()
+    PATH = enum.auto()
+    RECORDED_PATH = enum.auto()
 
 
 class JumpingClock(trio.abc.Clock):
@@ -117,6 +128,32 @@ async def _follow(arm: Chain, start: list[float], cycles: int) -> None:
             return
 
 
+def _path(start: list[float], seconds: float) -> Path:
+    """Return the same path as a spline with a hundred segments a second, from rest to rest."""
+    turns = 2 * math.pi * max(1, round(seconds / 6))
+
+    def positions(at: float) -> list[float]:
+        swing = 1e-4 * (1 - math.cos(turns * at / seconds))
+        return [position + swing for position in start]
+
+    return from_function(positions, seconds, 0.01)
+
+
+async def _follow_path(arm: Chain, path: Path, scope: trio.CancelScope) -> None:
+    """Follow a path until `scope` is cancelled."""
+    with scope:
+        await arm.follow(path)
+
+
+async def _work(arm: Chain, start: list[float], cycles: int, task: Task) -> None:
+    """Do what is measured."""
+    if task is Task.LOOP:
+        await _follow(arm, start, cycles)
+        return
+    async with arm.record(os.devnull) if task is Task.RECORDED_PATH else nullcontext():
+        await trio.sleep(cycles * arm.settings.cycle_time)
+
+
 async def _serve(
     scope: trio.CancelScope, node_ids: Iterable[int], task_status: trio.TaskStatus[object] = trio.TASK_STATUS_IGNORED
 ) -> None:
@@ -125,7 +162,7 @@ async def _serve(
         await simulate(VirtualTransport("arm"), powerballs(*node_ids), task_status=task_status)
 
 
-async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfile.Profile | None) -> float:
+async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfile.Profile | None, task: Task) -> float:
     """ns of CPU time that one cycle takes."""
     node_ids = range(3, 3 + joints)
     drives = trio.CancelScope()
@@ -138,26 +175,35 @@ async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfil
             await arm.initialise()
             await arm.enable_interpolated_position()
             start = arm.positions
-            await _follow(arm, start, round(WARM_UP / cycle_time))
+            await _follow(arm, start, max(round(WARM_UP / cycle_time), 2 * joints))
             bus.replay()
             drives.cancel()
+            following = trio.CancelScope()
+            if task is not Task.LOOP:
+                nursery.start_soon(_follow_path, arm, _path(start, (cycles + 200) * cycle_time), following)
+                while arm.motion is None:
+                    await trio.sleep(cycle_time)
             sent, missed = arm.sync_cycles, arm.missed_cycles
             gc.collect()
             gc.disable()
             begin = time.process_time_ns()
             with profile or nullcontext():
-                await _follow(arm, start, cycles)
+                await _work(arm, start, cycles, task)
             taken = time.process_time_ns() - begin
             gc.enable()
-            assert arm.sync_cycles - sent >= cycles, "fewer SYNCs than cycles"
+            assert arm.sync_cycles - sent >= cycles - 1, "fewer SYNCs than cycles"
             assert arm.missed_cycles == missed, "a cycle was missed"
+            assert task is Task.LOOP or arm.motion is not None, "the path was over"
+            following.cancel()
             result = taken / (arm.sync_cycles - sent)
     return result
 
 
-def cycle(joints: int, cycle_time: float, cycles: int = 2000, profile: cProfile.Profile | None = None) -> float:
+def cycle(
+    joints: int, cycle_time: float, cycles: int = 2000, profile: cProfile.Profile | None = None, task: Task = Task.LOOP
+) -> float:
     """ns of CPU time that one cycle of a chain takes its master."""
-    return trio.run(_measure, joints, cycle_time, cycles, profile, clock=JumpingClock())
+    return trio.run(_measure, joints, cycle_time, cycles, profile, task, clock=JumpingClock())
 
 
 def main() -> None:

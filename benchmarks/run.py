@@ -1,6 +1,7 @@
-"""canopen-proto against `canopen` 2.4.1, in one run: Markdown tables with what users feel (goals.py) and with every case.
+"""canopen-proto against `canopen` 2.4.1, in one run: Markdown tables with what users feel (goals.py), with what motions of chains
+cost (motions.py, without a peer), and with every case.
 
-    python benchmarks/run.py                            # all cases, some six minutes
+    python benchmarks/run.py                            # all cases, some eight minutes
     python benchmarks/run.py --into docs/speed.md       # the same, into the page, in place of the last figures of this build
     python benchmarks/run.py pdo --rounds 3             # the cases with "pdo" in their title, and no goals
 
@@ -22,6 +23,7 @@ import goals
 import heartbeats
 import many_nodes
 import master_edge
+import motions
 import pdos
 import read_by_name
 import sdo_transfers
@@ -39,6 +41,7 @@ def report(results: list[Result], rounds: int, seconds: float, *, with_goals: bo
     parts = [f"{machine}; {rounds} interleaved rounds of\n{seconds} s CPU time each; cases: median (least) in us"]
     if with_goals:
         parts.append(goals.table({each.title: each for each in results}))
+        parts.append(motions.tables(rounds=3))
     return "\n\n".join([*parts, table(results, f"canopen {VERSION}")])
 
 

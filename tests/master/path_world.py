@@ -6,7 +6,7 @@ A unit of a joint is a million counts, so that rounding does not disturb speed, 
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from itertools import pairwise
 
@@ -26,24 +26,26 @@ CYCLE = 0.01
 AXIS = AxisSettings(counts_per_unit=COUNTS, max_speed=1.0, max_acceleration=4.0, max_jerk=40.0)
 LIMITS = JointLimits(speed=1.0, acceleration=4.0, jerk=40.0)
 DRIVE = DriveSettings(position=0.0, track=Track(negative_limit=-math.inf, positive_limit=math.inf), lag=0)
-RAMPS = {0x6065_00: 100_000, 0x6085_00: 10_000_000, 0x605D_00: 1, 0x6084_00: 10_000_000}
+RAMPS = {0x6065_00: 100_000, 0x6085_00: 10_000_000, 0x6084_00: 10_000_000}
+OPTIONS = {0x605D_00: 1}
 """A drive that may be 0.1 units off, and stops by itself within 0.05 s from full speed: at 10 units per second²."""
 
 
 class Record:
-    """What the drives did: their positions (demanded) at each SYNC, in units; a column for each joint.
+    """What the drives did: their positions (demanded) at each SYNC, in units of so many counts; a column for each joint.
 
     times: of the SYNCs.
     """
 
-    def __init__(self, hosts: Sequence[Host]) -> None:
+    def __init__(self, hosts: Sequence[Host], counts: float = COUNTS) -> None:
         self.hosts = hosts
+        self.counts = counts
         self.times: list[float] = []
         self.rows: list[list[float]] = []
 
     def take(self) -> None:
         self.times.append(trio.current_time())
-        self.rows.append([position / COUNTS for host in self.hosts for position in demands(host)])
+        self.rows.append([position / self.counts for host in self.hosts for position in demands(host)])
 
     def derivatives(self, order: int) -> list[list[float]]:
         """The differences of this order over one cycle each, a row for each time."""
@@ -68,12 +70,16 @@ def demands(host: Host) -> list[float]:
 @asynccontextmanager
 async def arms(
     *joints: int,
-    axis: AxisSettings = AXIS,
+    axis: AxisSettings | Mapping[str, AxisSettings] = AXIS,
+    counts: float = COUNTS,
     drive: DriveSettings = DRIVE,
     mode: Mode = Mode.INTERPOLATED_POSITION,
     makers: Callable[..., list[DeviceMaker]] = standard_drives,
 ) -> AsyncIterator[tuple[Master, list[Chain], Record]]:
-    """A chain of so many joints on each bus, initialised; and the record, which goes on as long as the block."""
+    """A chain of so many joints on each bus, initialised; and the record, which goes on as long as the block.
+
+    axis: of all joints, or of each one by its name: "j01" is node 1 on the bus 0. counts: of a unit.
+    """
     dictionary = drive_dictionary()
     async with AsyncExitStack() as stack:
         buses = {f"can{number}": f"virtual:bus{number}" for number in range(len(joints))}
@@ -81,9 +87,9 @@ async def arms(
         for count, bus in zip(joints, buses.values(), strict=True):
             host = await stack.enter_async_context(simulated(bus=bus, makers=makers(*range(1, count + 1), settings=drive)))
             for node in drives(host):
-                node.values.store.update(RAMPS)
+                node.values.store.update({mux: round(value * counts / COUNTS) for mux, value in RAMPS.items()} | OPTIONS)
             hosts.append(host)
-        record = Record(hosts)
+        record = Record(hosts, counts)
         spy = await open_transport("virtual:bus0")
         nursery = await stack.enter_async_context(trio.open_nursery())
 

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import pytest
 import trio
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_master import ChainHalted, ChainState, together
@@ -106,8 +106,12 @@ STOPS = (by_halt, by_cancel, by_failing_caller, by_next_command)
 
 
 @pytest.mark.parametrize("stop", STOPS)
-@examples(3)
-@given(seconds=st.floats(0.01, 0.99), joints=st.sampled_from([(2,), (1, 1), (6, 6)]))
+@example(seconds=0.37, joints=(6, 6))
+@examples(12, least=2)
+@given(
+    seconds=st.floats(0.01, 0.99),
+    joints=st.one_of(st.tuples(st.integers(1, 6), st.integers(1, 6)), st.tuples(st.integers(2, 12))),
+)
 def test_any_stop_at_any_moment_is_on_the_path_and_within_the_limits(stop: Stop, seconds: float, joints: tuple[int, ...]) -> None:
     @virtual_time
     async def run() -> None:
