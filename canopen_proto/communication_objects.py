@@ -155,9 +155,7 @@ class CommunicationObjects(Owner):
 
     def reload(self, now: Time) -> None:
         """Set all machines by the values: at start-up, and after a reset to the defaults. Monitoring of nodes starts again."""
-        for monitor in self.monitors.values():
-            self._members.detach(monitor)
-        self.monitors.clear()
+        self.stop_monitoring()
         self._set_emcy(now)
         self._set_emcy_inhibit(now)
         self._set_heartbeat(now)
@@ -165,6 +163,17 @@ class CommunicationObjects(Owner):
         self._set_sync(now)
         self._set_time(now)
         self._set_emcy_consumers(now)
+
+    def set_node_id(self, node_id: int) -> None:
+        """Be another node from now on (LSS), before `reload`."""
+        self.node_id = self.emcy.node_id = self.heartbeat.node_id = node_id
+        self.guarding.set_node_id(node_id)
+
+    def stop_monitoring(self) -> None:
+        """Stop watching the heartbeats of other nodes."""
+        for monitor in self.monitors.values():
+            self._members.detach(monitor)
+        self.monitors.clear()
 
     def set_state(self, state: NmtState, now: Time) -> None:
         """Set the NMT state. It decides which services run; heartbeats and guarding answers show it."""

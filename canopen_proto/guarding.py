@@ -284,6 +284,11 @@ class GuardingSlave(Machine):
     def can_ids(self) -> Iterable[RoutingKey]:
         return (routing_key(ERROR_CONTROL + self.node_id, REMOTE),) if self.enabled else ()
 
+    def set_node_id(self, node_id: int) -> None:
+        """Answer for another node-ID from now on (LSS)."""
+        self.node_id = node_id
+        self._reroute()
+
     def set_enabled(self, enabled: bool) -> None:
         """Say whether the node uses guarding: not while it has a producer heartbeat time. CiA 301 v4.2.0, 7.2.8.3.2"""
         if enabled != self.enabled:

@@ -22,6 +22,9 @@ The reactions:
     application updates its values, and the TPDO is sent an error of the device     EMCY, 0x1001 and 0x1003; behaviour of 0x1029
     if it has the class of the error CAN was off the bus        behaviour of 0x1029:01, and EMCY 0x8140 when it is back
 
+**A device without a node-ID** (UNCONFIGURED, 255) has nothing but its LSS slave, and stays in INITIALISING until a master gives
+it one. It then boots as after a reset of the communication; values that depend on the node-ID follow it, stored ones too.
+
 Source: CiA 301 v4.2.0, 7.3.2 and 7.5.2.
 """
 
@@ -45,14 +48,16 @@ from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values, Variable
 from canopen_proto.emcy import EmcySent
-from canopen_proto.frame import KEY_REMOTE, REMOTE, Frame, RoutingKey
+from canopen_proto.frame import KEY_REMOTE, MAX_NODE_ID, REMOTE, Frame, RoutingKey
 from canopen_proto.group import Group
 from canopen_proto.guarding import LifeGuardingLost, LifeGuardingRecovered
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatRecovered
 from canopen_proto.indices import COMMUNICATION_AREA
+from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssConfiguration
+from canopen_proto.lss.slave import LssResetNeeded, LssSilenceBegan, LssSilenceEnded, LssSlave, address_of
 from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import mux
-from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
+from canopen_proto.nmt import SERVICES, NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
 from canopen_proto.owner import Owner
 from canopen_proto.parameter_storage import SIGNATURES, ParameterStorage
 from canopen_proto.pdo.consumer import (
@@ -92,6 +97,7 @@ class LocalNode(Group):
         "communication",
         "deferred",
         "in_pieces",
+        "lss",
         "nmt",
         "node_id",
         "optional_emcy",
@@ -102,10 +108,15 @@ class LocalNode(Group):
     )
 
     def __init__(self, out: Outbox, node_id: int, dictionary: ObjectDictionary) -> None:
-        """node_id: 1..127. dictionary: the device's objects; its PDO and communication objects decide which services run."""
+        """node_id: 1..127, or UNCONFIGURED. dictionary: the device's objects; its PDO and communication objects decide which
+        services run."""
         super().__init__(out)
-        self.node_id = check_node_id(node_id)
-        self.values = Values(dictionary, node_id)
+        self.node_id = node_id
+        self.lss = LssSlave(self.inner, LssAddress(0, 0, 0, 0), LssConfiguration(node_id))
+        if node_id == UNCONFIGURED:
+            node_id = MAX_NODE_ID  # its parts are silent until it has one of its own
+        self.values = Values(dictionary, check_node_id(node_id))
+        self.lss.address = address_of(self.values)
         self.application: Application = PlainMemory()
         self.storage = ParameterStorage(self.values)
         self.nmt = NmtSlave(self.inner, node_id)
@@ -118,6 +129,7 @@ class LocalNode(Group):
         self.in_pieces: set[int] = set()
         """Those of `deferred` that the host takes piece by piece (`ObjectAccessPending.more`), such as a DOMAIN of firmware."""
         self._members.attach(self.nmt)
+        self._members.attach(self.lss)
         self.channels = SdoChannels(self.inner, node_id, self.values, self, self._members)
         self.sdo = self.channels.servers[1]
         self.communication = CommunicationObjects(self.inner, node_id, self.values, self._members)
@@ -147,6 +159,9 @@ class LocalNode(Group):
                 HeartbeatRecovered: self._on_heartbeat_recovered,
                 LifeGuardingLost: self._on_life_guarding_lost,
                 LifeGuardingRecovered: self._on_life_guarding_recovered,
+                LssResetNeeded: self._on_lss_reset,
+                LssSilenceBegan: self._on_silence,
+                LssSilenceEnded: self._on_silence,
             }
         )
 
@@ -167,6 +182,12 @@ class LocalNode(Group):
         """
         with self._settling(now):
             self._start(now)
+
+    def take_stored(self, stored: LssConfiguration) -> None:
+        """Take the node-ID and bit rate that LSS has stored, before `boot`."""
+        self.lss.load(stored)
+        if stored.node_id != self.node_id:
+            self._take_node_id(stored.node_id)
 
     def execute(self, command: NmtCommand, now: Time) -> None:
         """Execute an NMT command for a reason of the device's own: a device that starts itself (0x1F80)."""
@@ -349,13 +370,36 @@ class LocalNode(Group):
             self.application.refresh(now)
 
     def _start(self, now: Time) -> None:
+        if not self.lss.is_configured:
+            self.communication.stop_monitoring()
+            return
         self.nmt.boot(now)
         self.pdos.reload(now)
         self.communication.reload(now)
         self.channels.reload(now)
 
+    def _take_node_id(self, node_id: int) -> None:
+        """Be another node: a reset with another pending node-ID."""
+        self.node_id = node_id
+        if node_id == UNCONFIGURED:
+            return
+        self.storage.follow(self.values.set_node_id(node_id))
+        self.nmt.node_id = node_id
+        for part in (self.pdos, self.channels, self.communication):
+            part.set_node_id(node_id)
+
+    def _on_lss_reset(self, request: LssResetNeeded, now: Time) -> None:
+        self._on_reset(NmtResetRequested(self.lss.pending.node_id, NmtCommand.RESET_COMMUNICATION), now)
+
+    def _on_silence(self, report: LssSilenceBegan | LssSilenceEnded, now: Time) -> None:
+        """Have no services while the bit rate changes."""
+        self._serve(NmtState.INITIALISING if self.lss.is_silent else self.state, now)
+
     def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
         emcy = self.communication.emcy
+        self.lss.reset(request.command, now)
+        if self.lss.active.node_id != self.node_id:
+            self._take_node_id(self.lss.active.node_id)
         if request.command is NmtCommand.RESET_NODE:
             self.values.reset()
             self.storage.put_back(ALL_OBJECTS)
@@ -384,14 +428,18 @@ class LocalNode(Group):
             self.storage.forget(report.index, report.subindex)
 
     def _on_state(self, change: NmtStateChanged, now: Time) -> None:
-        allows = self.nmt.allows
-        self.channels.set_enabled(allows(Service.SDO), now)
-        self.communication.set_state(change.state, now)
-        self.application.refresh(now)
-        self.pdos.set_enabled(allows(Service.PDO), now)
+        self._serve(change.state, now)
         left_operational = change.previous is NmtState.OPERATIONAL and change.state is not NmtState.OPERATIONAL
         if left_operational:
             self.application.connection_lost(now, EMCY_COMMUNICATION)
+
+    def _serve(self, state: NmtState, now: Time) -> None:
+        """Have the services of an NMT state, and no others."""
+        services = SERVICES[state]
+        self.channels.set_enabled(Service.SDO in services, now)
+        self.communication.set_state(state, now)
+        self.application.refresh(now)
+        self.pdos.set_enabled(Service.PDO in services, now)
 
     def _on_sync(self, sync: SyncReceived | SyncSent, now: Time) -> None:
         if not self.nmt.allows(Service.SYNC):

@@ -171,6 +171,12 @@ class ParameterStorage(Owner):
                 self._values.put_default(variable)
         self._values.store.update({key: value for key, value in self.saved.items() if index_of(key) in indices})
 
+    def follow(self, moved: Mapping[Mux, tuple[Value, Value]]) -> None:
+        """Let stored values that depend on the node-ID follow it. moved: of `Values.set_node_id`."""
+        for key, (old, new) in moved.items():
+            if key in self.saved and self.saved[key] == old:
+                self.saved[key] = new
+
     def _is_parameter(self, variable: Variable) -> bool:
         both_ways = variable.access.readable and variable.access.writable
         return both_ways and variable.index not in self.excluded and variable.data_type is not DataType.DOMAIN

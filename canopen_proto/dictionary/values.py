@@ -77,10 +77,26 @@ class Values:
                 self.store[variable.mux] = variable.initial_of(self.node_id)
         self._mend(first_index, last_index)
 
+    def set_node_id(self, node_id: int) -> dict[Mux, tuple[Value, Value]]:
+        """Take another node-ID. Initial values that depend on it follow, as far as they have not been changed since.
+
+        Returns the old and the new initial value of all that depend on it, by mux.
+        """
+        old_id, self.node_id = self.node_id, node_id
+        moved: dict[Mux, tuple[Value, Value]] = {}
+        for variable in self.dictionary:
+            if not (variable.adds_node_id or variable.configured_adds_node_id):
+                continue
+            old, new = (_fitting(variable, variable.initial_of(each)) for each in (old_id, node_id))
+            moved[variable.mux] = old, new
+            if self.store[variable.mux] == old:
+                self.store[variable.mux] = new
+        self.unfit = tuple(variable for variable in self.dictionary if not _takes(variable, variable.initial_of(node_id)))
+        return moved
+
     def put_default(self, variable: Variable) -> None:
         """Set an object to its default, even if a DCF has configured another value."""
-        value = variable.default_of(self.node_id)
-        self.store[variable.mux] = value if _takes(variable, value) else nearest(variable, value)
+        self.store[variable.mux] = _fitting(variable, variable.default_of(self.node_id))
 
     def _mend(self, first_index: int = 0, last_index: int = 0xFFFF) -> None:
         for variable in self.unfit:
@@ -102,6 +118,10 @@ def nearest(variable: Variable, value: Value) -> Value:
     if isinstance(value, str) and variable.data_type == DataType.VISIBLE_STRING:
         return value.encode("utf-8", "surrogatepass").decode("latin-1")
     return zero_of(variable.data_type)
+
+
+def _fitting(variable: Variable, value: Value) -> Value:
+    return value if _takes(variable, value) else nearest(variable, value)
 
 
 def _takes(variable: Variable, value: Value) -> bool:

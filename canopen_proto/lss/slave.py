@@ -29,6 +29,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from typing import Final
 
+from canopen_proto import indices
+from canopen_proto.dictionary.values import Values
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.lss.messages import (
     BIT_RATES,
@@ -52,6 +54,7 @@ from canopen_proto.lss.messages import (
     number_of,
 )
 from canopen_proto.machine import MILLISECOND, NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time
+from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand
 
 STORE_TIMEOUT: Final = 900 * MILLISECOND
@@ -122,6 +125,12 @@ class LssSilenceEnded(Event):
     __slots__ = ()
 
 
+def address_of(values: Values) -> LssAddress:
+    """Return the LSS address of a device: 0x1018:01 to :04."""
+    numbers = [values.store.get(mux(indices.IDENTITY_OBJECT, subindex)) for subindex in (1, 2, 3, 4)]
+    return LssAddress(*(number & 0xFFFF_FFFF if isinstance(number, int) else 0 for number in numbers))
+
+
 class LssSlave(Machine):
     """The device's side of LSS; see this module's text. Read-only outside: state, persistent, pending, active, is_silent.
 
@@ -146,7 +155,7 @@ class LssSlave(Machine):
         answers LssStoreRequested; else 0x17 gets "not supported". Raises LocalProtocolError for an impossible node-ID."""
         super().__init__(out)
         if not is_node_id(configuration.node_id):
-            raise LocalProtocolError(f"node-ID {configuration.node_id} is neither 1..127 nor {UNCONFIGURED} (none yet)")
+            raise LocalProtocolError(f"node-ID {configuration.node_id} is outside 1..127, and not {UNCONFIGURED} (none yet)")
         self.address = address
         self.bit_rates = frozenset(bit_rates)
         self.can_store = can_store
@@ -176,7 +185,7 @@ class LssSlave(Machine):
     def load(self, stored: LssConfiguration) -> None:
         """Take what the host has kept, before the device boots: power-on with other stored values."""
         if not is_node_id(stored.node_id):
-            raise LocalProtocolError(f"node-ID {stored.node_id} is neither 1..127 nor {UNCONFIGURED} (none yet)")
+            raise LocalProtocolError(f"node-ID {stored.node_id} is outside 1..127, and not {UNCONFIGURED} (none yet)")
         self.persistent = self.pending = self.active = stored
 
     def reset(self, command: NmtCommand, now: Time) -> None:

@@ -118,6 +118,14 @@ class DevicePdos(Owner):
             or index in DISPATCHER_LISTS
         )
 
+    def set_node_id(self, node_id: int) -> None:
+        """Be another node from now on (LSS), before `reload`."""
+        for consumer in self.consumers.values():
+            consumer.node_id = node_id
+        for producer in self.producers.values():
+            producer.node_id = node_id
+        self.mpdo_consumer.node_id = self.mpdo_producer.node_id = node_id
+
     def set_enabled(self, enabled: bool, now: Time) -> None:
         """Set whether the device is in NMT state Operational: PDOs exist in no other state.
 

@@ -40,6 +40,7 @@ from canopen_proto.frame import (
     SDO_SERVER_TO_CLIENT,
     RoutingKey,
     key_of_cob_id,
+    routing_key,
 )
 from canopen_proto.group import Members
 from canopen_proto.machine import LocalProtocolError, Outbox, RequestId, Time
@@ -177,6 +178,12 @@ class SdoChannels(Owner):
     def owns(index: int) -> bool:
         """Return whether an object is the record of a channel: then its writes are checked and applied here."""
         return index in FURTHER_SERVERS or index in indices.SDO_CLIENTS
+
+    def set_node_id(self, node_id: int) -> None:
+        """Be another node from now on (LSS): the first server has its channel by the node-ID."""
+        for server in self.servers.values():
+            server.node_id = node_id
+        self.servers[1].set_channel((routing_key(SDO_CLIENT_TO_SERVER + node_id), routing_key(SDO_SERVER_TO_CLIENT + node_id)))
 
     def set_enabled(self, lives: bool, now: Time) -> None:
         """Whether SDO lives in the node's NMT state."""

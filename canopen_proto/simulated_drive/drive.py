@@ -112,6 +112,12 @@ class Drive(Machine):
 
     # ---- commands of the node that hosts it ----
 
+    def set_node_id(self, node_id: int) -> None:
+        """Be a drive of another node from now on (LSS): events tell it."""
+        self.node_id = self._inputs.node_id = node_id
+        for mode in self._modes.values():
+            mode.node_id = node_id
+
     def reset(self, now: Time) -> None:
         """Power on: transition 0 and, after `settings.self_test`, 1. The node has restored the values before.
 

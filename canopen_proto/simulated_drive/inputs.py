@@ -78,13 +78,13 @@ class _Crossing(NamedTuple):
 class Inputs:
     """The inputs of a drive. `look` after each motion of the servo."""
 
-    __slots__ = ("_axis", "_function", "_node_id", "_out", "_position", "_servo", "_told")
+    __slots__ = ("_axis", "_function", "_out", "_position", "_servo", "_told", "node_id")
 
     def __init__(self, servo: Servo, out: Outbox, node_id: int, axis: int = 0) -> None:
         self._axis = axis
         self._servo = servo
         self._out = out
-        self._node_id = node_id
+        self.node_id = node_id
         self._function = 0
         self._position = servo.position
         self._told: dict[Mux, object] = {}
@@ -106,7 +106,7 @@ class Inputs:
         for key in (objects.DIGITAL_INPUTS, objects.TOUCH_PROBE_STATUS):
             value = store.get(key)
             if value != self._told.get(key, value):
-                self._out.events.append(InputsChanged(self._node_id, key, self._axis))
+                self._out.events.append(InputsChanged(self.node_id, key, self._axis))
             self._told[key] = value
 
     def _latch(self, probe: int, begin: float, status: int) -> int:

@@ -91,6 +91,11 @@ class DriveNode(LocalNode):
             self.application.reset(now)
         super().boot(now)
 
+    def _take_node_id(self, node_id: int) -> None:
+        super()._take_node_id(node_id)
+        for drive in self.drives:
+            drive.set_node_id(node_id)
+
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False, axis: int = 0) -> None:
         """Make a fault in a drive: it goes into Fault, and the node sends an EMCY. See Drive.raise_fault."""
         with self._settling(now):

@@ -81,7 +81,7 @@ def notices_of(node: LocalNode) -> tuple[Notice, ...]:
         _channels,
         _storage,
     )
-    found = [notice for check in checks for notice in islice(check(node.node_id, node.values, node.pdos), MAX_NOTICES)]
+    found = [notice for check in checks for notice in islice(check(node.values.node_id, node.values, node.pdos), MAX_NOTICES)]
     return tuple(sorted(found, key=lambda each: (each.index, each.subindex or 0))[:MAX_NOTICES])
 
 

@@ -14,6 +14,7 @@ from typing import Final
 
 import trio
 
+from canopen_data.configured import configure
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.simulation import DeviceMaker, Host
@@ -22,6 +23,7 @@ from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Event, Time
+from canopen_proto.multiplexer import mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
@@ -35,6 +37,9 @@ HEARTBEAT_MS: Final = 500
 """Simulated drives send a heartbeat, so that a scan hears them and their NMT state is known."""
 BOOT_TIME: Final = 0.05
 """Seconds from power-on until the boot-up frames are sent: an earlier request would be lost, as with a real drive."""
+
+SERIAL: Final = 4
+"""The subindex of the serial number in 0x1018."""
 
 # The joints' positions at power-on, in counts (millidegrees). They differ, so that homing is worth watching.
 _POSITIONS: Final = (-14_000, 9_000, 21_000, -7_000, 16_000, -22_000)
@@ -53,11 +58,19 @@ def drive_maker(
     is_own = dictionary is None
     if dictionary is None:
         dictionary = drive_dictionary(shape).with_objects([standard_object(indices.PRODUCER_HEARTBEAT_TIME, HEARTBEAT_MS)])
+        dictionary = with_serial(dictionary, number + 1, node_id)
     else:
         dictionary, _ = drive_dictionary_of(dictionary, shape)
     position = _POSITIONS[number % len(_POSITIONS)]
     settings = DriveSettings(shape=shape, position=position, track=_TRACK, stops_at_switches=is_own)
     return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
+
+
+def with_serial(dictionary: ObjectDictionary, serial: int, node_id: int) -> ObjectDictionary:
+    """Return the dictionary with a serial number (0x1018:04), if it has that object: LSS tells devices apart by it."""
+    if dictionary.get(indices.IDENTITY_OBJECT, SERIAL) is None:
+        return dictionary
+    return configure(dictionary, {mux(indices.IDENTITY_OBJECT, SERIAL): serial}, node_id)
 
 
 class Fleet:

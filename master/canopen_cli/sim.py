@@ -12,8 +12,8 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
-from canopen_cli.options import DEMO, FiniteRange, NodeIds, Settings, common
+from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, drive_maker, simulated_devices
+from canopen_cli.options import DEMO, FiniteRange, Settings, SimulatedIds, common
 from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.sim_devices import SHAPES, devices_of, machine_of, models, wanted
@@ -21,6 +21,8 @@ from canopen_master.machine_file import MachineFile
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import PROFILES, DeviceEntry
 from canopen_proto.error_codes import error_text
+from canopen_proto.lss.messages import UNCONFIGURED
+from canopen_proto.lss.slave import LssNodeIdSet
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtStateChanged
 from canopen_proto.simulated_drive.events import DriveFault, DriveStateChanged
@@ -34,8 +36,9 @@ DEFAULT_IDS: Final = DEMO_NODES
     "--id",
     "--ids",
     "node_ids",
-    type=NodeIds(),
-    help=f"Node-IDs: 5, or 3-8. By default that of a DCF; without a file {DEFAULT_IDS[0]}-{DEFAULT_IDS[-1]}.",
+    type=SimulatedIds(),
+    help=f"Node-IDs: 5, or 3-8; 255: none yet, see `canopen lss`. By default that of a DCF; without a file "
+    f"{DEFAULT_IDS[0]}-{DEFAULT_IDS[-1]}.",
 )
 @click.option(
     "--profile",
@@ -73,6 +76,7 @@ def sim(
     \b
     canopen sim drive.eds --id 5 -b can0
     canopen sim 5=drive.eds 6,7=io.eds --script animate.py -b can0
+    canopen sim --id 255,255,255 -b tcp    three drives that wait for their node-IDs: see canopen lss
     canopen sim plant.toml
     canopen sim cell.toml                  each device of a machine file, on all of its buses; with -b NAME on that one
     """
@@ -93,7 +97,8 @@ def sim(
     def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
         if plant is None:
             ids = node_ids or DEFAULT_IDS
-            fleet = simulated_fleet([(locator, node_id) for node_id in ids], SHAPES[shape or "schunk"], tell)
+            drives = [drive_maker(number, node_id, SHAPES[shape or "schunk"]) for number, node_id in enumerate(ids)]
+            fleet = simulated_devices({locator: drives}, tell, keeper=_keeper(state or ""), say=partial(_report, screen))
             return counted(len(ids), "simulated drive"), fleet
         made = models(plant.devices, screen)
         keeper = _keeper(state or plant.state)
@@ -140,6 +145,10 @@ def _teller(screen: Screen) -> Callable[[Event], None]:
         match event:
             case NmtStateChanged(node_id=node_id, state=state):
                 screen.say(f"{node_text(node_id)}  NMT {state.name.lower().replace('_', '-')}")
+            case LssNodeIdSet(node_id=node_id, pending=pending):
+                who = node_text(node_id) if node_id else "a device without a node-ID"
+                given = "none" if pending == UNCONFIGURED else str(pending)
+                screen.say(f"{who}  LSS gives it the node-ID {given}")
             case DriveStateChanged(node_id=node_id, state=state):
                 screen.say(f"{node_text(node_id)}  {state}")
             case DriveFault(node_id=node_id, error_code=code):

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from canopen_cli.fleet import drive_maker
-from canopen_cli.options import NodeIds, Settings
+from canopen_cli.fleet import SERIAL, drive_maker, with_serial
+from canopen_cli.options import Settings, SimulatedIds
 from canopen_cli.overlays import overlaid, read_text
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, escape, node_text
@@ -24,10 +24,12 @@ from canopen_master.hooks import Script
 from canopen_master.machine_file import MachineFile
 from canopen_master.plant import DeviceEntry, Plant, parse_plant
 from canopen_master.simulation import DeviceMaker, DeviceModel
+from canopen_proto import indices
 from canopen_proto.cia402.names import is_drive, with_drive_names
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
 from canopen_proto.frame import MAX_NODE_ID
+from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 
@@ -58,7 +60,7 @@ def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: Devic
     entries = []
     for name in files:
         match = None if Path(name).exists() else _WITH_IDS.fullmatch(name)
-        ids = () if match is None else NodeIds().convert(match[1], None, None)
+        ids = () if match is None else SimulatedIds().convert(match[1], None, None)
         entries.append(replace(common, file=name if match is None else match[2], node_ids=ids))
     if node_ids is not None:
         if len(entries) > 1 or entries[0].node_ids:
@@ -126,15 +128,27 @@ def _beside(plant: Path, entry: DeviceEntry, common: DeviceEntry) -> DeviceEntry
 def models(entries: Iterable[DeviceEntry], screen: Screen) -> list[DeviceModel]:
     """Make the models of the devices. Tells what each is, and what in its file does not work. Raises Problem."""
     names, _ = load_dictionary()
-    made: dict[int, DeviceModel] = {}
+    made: list[DeviceModel] = []
     for entry in entries:
         description = _load(entry, names, screen)
         script = _script(entry.script)
         for node_id in _node_ids(entry, description):
-            if node_id in made:
+            if node_id != UNCONFIGURED and any(model.node_id == node_id for model in made):
                 raise usage("CO127", f"there are two devices of node-ID {node_id}", tries=("give each its own: 5=a.eds 6=b.eds",))
-            made[node_id] = _model(entry, description, node_id, script, len(made), screen)
-    return list(made.values())
+            if node_id == UNCONFIGURED:
+                description = _with_own_serial(entry, description, len(made))
+            made.append(_model(entry, description, node_id, script, len(made), screen))
+    return made
+
+
+def _with_own_serial(entry: DeviceEntry, description: DeviceDescription, number: int) -> DeviceDescription:
+    """Give a device without a node-ID a serial number of its own, counting on from that of its file: LSS needs it."""
+    variable = description.dictionary.get(indices.IDENTITY_OBJECT, SERIAL)
+    if variable is None or any(description.dictionary.variable(key).mux == variable.mux for key in entry.values):
+        return description
+    first = variable.initial_of(UNCONFIGURED)
+    serial = (first if isinstance(first, int) else 0) + (number > 0)
+    return replace(description, dictionary=with_serial(description.dictionary, serial, UNCONFIGURED))
 
 
 def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> DeviceDescription:

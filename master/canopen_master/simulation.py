@@ -5,7 +5,8 @@
 All devices of one call are one participant of the bus, as if they shared one CAN controller: they do not hear each other.
 
 A `DeviceModel` makes a device of any dictionary, such as that of an EDS or DCF. A simulated drive may stand behind it, and a
-script may animate it (hooks.py). The Host keeps the parameters that a device stores (0x1010), as a real host would.
+script may animate it (hooks.py). The Host keeps the parameters that a device stores (0x1010), and the node-ID and bit rate that
+LSS stores, as a real host would.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from itertools import count
 from typing import Final, TypeAlias
 
 import trio
@@ -25,6 +27,8 @@ from canopen_master.pump import Pump
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
+from canopen_proto.lss.messages import OK, UNCONFIGURED
+from canopen_proto.lss.slave import STORAGE_FAILED, LssStoreRequested
 from canopen_proto.machine import Event, Outbox
 from canopen_proto.network import Network
 from canopen_proto.parameter_storage import SIGNATURES
@@ -92,7 +96,8 @@ async def simulate(
 class Host:
     """Devices on one transport. Call `pump()` after each change made to one of them by hand (`node.raise_error(...)`).
 
-    keeper: keeps their stored parameters; by default in memory. say: called with the messages and errors of scripts. Raises
+    keeper: keeps what they store, by the node-ID with which they were made (255, 256 ... for those without one); by default in
+    memory. say: called with the messages and errors of scripts. Raises
     ScriptError if a script cannot be run.
     """
 
@@ -116,16 +121,21 @@ class Host:
         self._ended = trio.Event()
         made = [(make, make(network.out)) for make in devices]
         self.nodes = tuple(node for _, node in made)
-        self._by_id = {node.node_id: node for node in self.nodes}
         self._hooks = {
-            node.node_id: Hooks(make.script, node, self, say)
+            node: Hooks(make.script, node, self, say)
             for make, node in made
             if isinstance(make, DeviceModel) and make.script is not None
         }
+        self._places: dict[LocalNode, int] = {}
+        without_id = count(UNCONFIGURED)
         for node in self.nodes:
             network.attach(node)
             node.pdos.sends_on_start = True
-            kept = self._keeper.kept(node.node_id)
+            place = self._places[node] = next(without_id) if node.node_id == UNCONFIGURED else node.node_id
+            stored = self._keeper.kept_lss(place)
+            if stored is not None:
+                node.take_stored(stored)
+            kept = self._keeper.kept(place)
             if kept is not None:
                 node.storage.load(kept)
 
@@ -164,9 +174,12 @@ class Host:
     def on_event(self, bus: Bus, event: Event) -> None:
         if isinstance(event, ObjectAccessPending) and event.index in SIGNATURES:
             self._store(event)
+        elif isinstance(event, LssStoreRequested):
+            self._store_lss()
         elif isinstance(event, BusChanged):
             self._tell_bus_off(event.state)
-        hooks = self._hooks.get(event.node_id)
+        node = self._node(event.node_id)
+        hooks = None if node is None else self._hooks.get(node)
         if hooks is not None:
             hooks.on_event(event)
         if self._on_event is not None:
@@ -185,16 +198,32 @@ class Host:
 
     def _store(self, access: ObjectAccessPending) -> None:
         """Store or restore the parameters of a device."""
-        node = self._by_id[access.node_id]
-        if access.index in node.deferred:
+        node = self._node(access.node_id)
+        if node is None or access.index in node.deferred:
             return  # the script or host that deferred it serves it
         try:
-            self._keeper.keep(access.node_id, node.storage.to_keep(access.index, access.subindex))
+            self._keeper.keep(self._places[node], node.storage.to_keep(access.index, access.subindex))
         except OSError as error:
             self._say(f"node {access.node_id}: what it stores cannot be kept: {error}")
             node.complete(access.access_id, AbortCode.HARDWARE_ERROR, self.now())
         else:
             node.complete(access.access_id, None, self.now())
+
+    def _store_lss(self) -> None:
+        """Store the node-ID and the bit rate of the devices that ask for it."""
+        for node in self.nodes:
+            if node.lss.is_storing:
+                try:
+                    self._keeper.keep_lss(self._places[node], node.lss.pending)
+                except OSError as error:
+                    self._say(f"node {node.node_id}: the node-ID that it stores cannot be kept: {error}")
+                    node.lss.complete_store(STORAGE_FAILED, self.now())
+                else:
+                    node.lss.complete_store(OK, self.now())
+
+    def _node(self, node_id: int) -> LocalNode | None:
+        """Return the device that has a node-ID at present; LSS may have changed it."""
+        return next((node for node in self.nodes if node.node_id == node_id), None)
 
     def on_failure(self, bus: Bus | None, error: Exception) -> None:
         self._failure = BusError(bus.name, error) if bus is not None and isinstance(error, TransportError) else error

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from canopen_master.parameter_keeper import MAX_FILE_SIZE, ParameterKeeper, StateFileError
+from canopen_proto.lss.messages import LssConfiguration
 
 PARAMETERS = {0x101700: b"\xf4\x01", 0x200105: b""}
 
@@ -66,4 +67,21 @@ def test_files_that_are_none_of_ours(tmp_path: Path, text: str, seen: str) -> No
     path = tmp_path / "state.json"
     path.write_text(text)
     with pytest.raises(StateFileError, match=seen):
+        ParameterKeeper(path)
+
+
+def test_what_lss_stores_is_kept_beside_the_parameters(tmp_path: Path) -> None:
+    path = tmp_path / "state.json"
+    keeper = ParameterKeeper(path)
+    keeper.keep_lss(255, LssConfiguration(5, 250))
+    keeper.keep(7, PARAMETERS)
+    again = ParameterKeeper(path)
+    assert (again.kept_lss(255), again.kept_lss(7), again.kept(7)) == (LssConfiguration(5, 250), None, PARAMETERS)
+
+
+@pytest.mark.parametrize("entry", ["5", '{"node_id": 5}', '{"node_id": 128, "bit_rate": 0}', '{"node_id": "5", "bit_rate": 0}'])
+def test_an_lss_entry_that_is_none_is_an_error(tmp_path: Path, entry: str) -> None:
+    path = tmp_path / "state.json"
+    path.write_text('{"format": "canopen-sim-state 1", "devices": {}, "lss": {"255": %s}}' % entry)
+    with pytest.raises(StateFileError, match="not valid"):
         ParameterKeeper(path)

@@ -293,7 +293,7 @@ def test_the_two_delays_of_a_new_bit_rate() -> None:
 def test_a_slave_refuses_a_stored_node_id_that_is_none() -> None:
     with pytest.raises(LocalProtocolError, match="128"):
         LssSlave(Outbox(), ADDRESS, LssConfiguration(128))
-    with pytest.raises(LocalProtocolError, match="0 is neither"):
+    with pytest.raises(LocalProtocolError, match="0 is outside"):
         slave().load(LssConfiguration(0))
 
 
