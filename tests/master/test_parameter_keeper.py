@@ -82,6 +82,6 @@ def test_what_lss_stores_is_kept_beside_the_parameters(tmp_path: Path) -> None:
 @pytest.mark.parametrize("entry", ["5", '{"node_id": 5}', '{"node_id": 128, "bit_rate": 0}', '{"node_id": "5", "bit_rate": 0}'])
 def test_an_lss_entry_that_is_none_is_an_error(tmp_path: Path, entry: str) -> None:
     path = tmp_path / "state.json"
-    path.write_text('{"format": "canopen-sim-state 1", "devices": {}, "lss": {"255": %s}}' % entry)
+    path.write_text('{"format": "canopen-sim-state 1", "devices": {}, "lss": {"255": ' + entry + "}}")
     with pytest.raises(StateFileError, match="not valid"):
         ParameterKeeper(path)
