@@ -22,6 +22,7 @@ from canopen_proto import indices
 from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.machine import Event, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
@@ -121,19 +122,20 @@ async def simulated_fleet(
     on_event: Callable[[Event], object] | None = None,
     *,
     make: Callable[[int, int], DeviceMaker] | None = None,
+    keeper: ParameterKeeper | None = None,
 ) -> AsyncIterator[Fleet]:
     """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError.
 
-    make: returns the maker of the drive for a place and a node-ID; by default drives of that shape.
+    keeper: as of `Host`. make: returns the maker of the drive for a place and a node-ID; by default drives of that shape.
     """
     make = partial(drive_maker, shape=shape) if make is None else make
     makers: dict[str, list[DeviceMaker]] = {}
-    places: dict[tuple[str, int], int] = {}
-    for number, place in enumerate(drives):
-        places.setdefault(place, number)  # further axes are in the node of the first one
-    for (locator, node_id), number in places.items():
-        makers.setdefault(locator, []).append(make(number, node_id))
-    async with simulated_devices(makers, on_event) as fleet:
+    places: set[tuple[str, int]] = set()
+    for number, (locator, node_id) in enumerate(drives):
+        if (locator, node_id) not in places or node_id == UNCONFIGURED:  # further axes are in the node of the first one
+            places.add((locator, node_id))
+            makers.setdefault(locator, []).append(make(number, node_id))
+    async with simulated_devices(makers, on_event, keeper=keeper) as fleet:
         yield fleet
 
 

@@ -12,7 +12,7 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, drive_maker, simulated_devices
+from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
 from canopen_cli.options import DEMO, FiniteRange, Settings, SimulatedIds, common
 from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
@@ -97,8 +97,8 @@ def sim(
     def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
         if plant is None:
             ids = node_ids or DEFAULT_IDS
-            drives = [drive_maker(number, node_id, SHAPES[shape or "schunk"]) for number, node_id in enumerate(ids)]
-            fleet = simulated_devices({locator: drives}, tell, keeper=_keeper(state or ""), say=partial(_report, screen))
+            drives = [(locator, node_id) for node_id in ids]
+            fleet = simulated_fleet(drives, SHAPES[shape or "schunk"], tell, keeper=_keeper(state or ""))
             return counted(len(ids), "simulated drive"), fleet
         made = models(plant.devices, screen)
         keeper = _keeper(state or plant.state)
