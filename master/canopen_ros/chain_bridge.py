@@ -24,6 +24,7 @@ from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_view import ChainState
 from canopen_proto.cia402.modes import short_name
+from canopen_proto.nmt import NmtState
 from canopen_ros.goal_motion import GoalMotion, Tell
 from canopen_ros.goals import GoalCode, GoalRefused, GoalResult, Outcome, TrajectoryGoal, checked
 from canopen_ros.names import COMMANDS, MODE_SERVICES, OTHER_MODES
@@ -143,6 +144,9 @@ class ChainBridge:
         return f"chain {self.name} stands"
 
     async def _shut_down(self) -> str:
+        stopped = all(device.nmt_state is NmtState.STOPPED for device in self.chain.devices)
+        if self.chain.state is ChainState.OFF and stopped:  # a node in this state answers nothing
+            return f"chain {self.name} is off already"
         await self.chain.shut_down()
         return f"chain {self.name} is off"
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import json
 import os
 import shutil
 import signal
@@ -15,11 +16,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import xmlrpc.client
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import pytest
 import trio
@@ -121,7 +122,7 @@ class Process:
                 shell=isinstance(arguments, str),
                 executable="/bin/bash" if isinstance(arguments, str) else None,
                 env=dict(environment),
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=file,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
@@ -155,7 +156,50 @@ class Process:
         """End it and its children at once."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait(PATIENCE)
+        self.process.communicate()
+
+
+class Client:
+    """A client of the node, as a process: see ros_client.py."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+
+    def __call__(self, request: str, *arguments: Any) -> Any:
+        """Make a request, and return its answer."""
+        stdin = self._process.process.stdin
+        assert stdin is not None
+        lines = len(self._lines())
+        stdin.write(json.dumps([request, *arguments]).encode() + b"\n")
+        stdin.flush()
+        until(lambda: len(self._lines()) > lines, f"the answer to {request}", self._process.must_live)
+        answer = json.loads(self._lines()[-1])
+        assert not isinstance(answer, dict) or "raised" not in answer, answer
+        return answer
+
+    def _lines(self) -> list[str]:
+        return [line for line in self._process.text.splitlines(keepends=True) if line.endswith("\n")]
+
+    def call(self, service: str) -> str:
+        """Call a service, which has to succeed; return its message."""
+        success, message = self("call", service)
+        assert success, message
+        return str(message)
+
+    def goals(self, *goals: Mapping[str, Any]) -> tuple[list[dict[str, Any]], list[dict[str, float]]]:
+        """Send goals; return what the client was told of each, and the positions meanwhile."""
+        report = self("goals", goals)
+        return report["goals"], report["states"]
+
+    @property
+    def positions(self) -> dict[str, float]:
+        """The positions of the joints, from the next message."""
+        return dict(self("positions"))
+
+    @property
+    def state(self) -> str:
+        """The state of chain arm."""
+        return str(self("state", "/arm"))
 
 
 class Ros:
@@ -182,6 +226,11 @@ class Ros:
             "ROS_PACKAGE_PATH": os.pathsep.join([str(package), "/usr/share"]),
         }
 
+    @property
+    def printed(self) -> str:
+        """All that the process that was started first has printed."""
+        return self._processes[0].text
+
     def __enter__(self) -> Ros:
         return self
 
@@ -204,6 +253,10 @@ class Ros:
         assert process.wait() == status, process.text
         return process.text
 
+    def client(self) -> Client:
+        """Start a client."""
+        return Client(self.start([sys.executable, str(Path(__file__).with_name("ros_client.py"))]))
+
     def launch(self, arguments: str, **environment: str) -> Process:
         """`roslaunch ros_canopen ARGUMENTS`, with a master at our port; returns when the node offers its services."""
         process = self.start(f"exec roslaunch -p {self.port} ros_canopen {arguments}", **environment)
@@ -212,17 +265,9 @@ class Ros:
 
     def has_services(self) -> bool:
         """Whether the last service of the node is registered at the master."""
-        import rosgraph
-
         try:
-            rosgraph.Master("/test", self.environment["ROS_MASTER_URI"]).lookupService("/set_object")
-        except (OSError, rosgraph.MasterError):
+            with xmlrpc.client.ServerProxy(self.environment["ROS_MASTER_URI"]) as master:
+                answer = master.lookupService("/test", "/set_object")
+        except OSError:
             return False
-        return True
-
-
-@contextmanager
-def ros_in(folder: Path) -> Iterator[Ros]:
-    """A ROS environment; all processes are ended with the block."""
-    with Ros(folder) as ros:
-        yield ros
+        return isinstance(answer, list) and answer[0] == 1
