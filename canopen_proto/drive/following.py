@@ -23,7 +23,9 @@ set-points. So the limit is compared with the distance from the position to the 
 or later. A drive in profile position has a profile of its own, and may be further behind (`slack`): it is seen that much later
 that such a drive has stopped.
 
-Values that no PDO carries (`unsent`) must be read: `read_unsent` does that. `following_limit` finds the limit.
+Values that no PDO carries (`unsent`) must be read: `read_unsent` (unsent.py) does that. `following_limit` finds the limit.
+
+**Late positions.** On a bus without room, positions come late, and look like a following error: answer_delay.py tells them apart.
 
     limit = yield from following_limit(axis, (yield from read_limits(axis)))
     yield from start_interpolation(axis, cycle_time)
@@ -37,32 +39,24 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeStatus, mode_name
 from canopen_proto.cia402.states import State, StatusBit
+from canopen_proto.drive.answer_delay import AnswerDelay
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.bounds import MAX_MISSED, Bounds
 from canopen_proto.drive.failures import accounted
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, SetPointLimits
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
-from canopen_proto.multiplexer import Mux, index_of, split_mux
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
+from canopen_proto.multiplexer import Mux, index_of
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.objects import ABSENT, read_if_present, value_of
+from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import (
-    Cancelled,
     Procedure,
-    ProcedureError,
-    SdoFailed,
-    Wait,
-    act,
-    all_of,
-    current_time,
-    sleep,
 )
-from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
 LAG: Final = 2
 """SYNCs from sending a set-point to reaching it: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
@@ -92,18 +86,22 @@ class FollowingLost(Event):
     """A drive no longer follows its set-points; reported once for each `Following.begin`.
 
     cause: in words, as "no longer follows ...". is_silent: its PDOs stopped coming. still_follows: the drive goes on to follow
-    its set-points, though not as it should. axis: of the node.
+    its set-points, though not as it should. axis: of the node. late: by how many SYNCs its positions come late, which is why it
+    seems to be off its path; 0: they come in time.
     """
 
-    __slots__ = ("axis", "cause", "is_silent", "still_follows")
-    __match_args__ = ("node_id", "cause", "is_silent", "still_follows", "axis")
+    __slots__ = ("axis", "cause", "is_silent", "late", "still_follows")
+    __match_args__ = ("node_id", "cause", "is_silent", "still_follows", "axis", "late")
 
-    def __init__(self, node_id: int, cause: str, is_silent: bool = False, still_follows: bool = False, axis: int = 0) -> None:
+    def __init__(
+        self, node_id: int, cause: str, is_silent: bool = False, still_follows: bool = False, axis: int = 0, late: int = 0
+    ) -> None:
         self.node_id = node_id
         self.axis = axis
         self.cause = cause
         self.is_silent = is_silent
         self.still_follows = still_follows
+        self.late = late
 
 
 class TurnToRead(Event):
@@ -130,6 +128,7 @@ class Following:
         "_bounds",
         "_catches_up",
         "_cyclic",
+        "_delay",
         "_flawless",
         "_forgiven",
         "_has_bit_12",
@@ -165,6 +164,7 @@ class Following:
         self._limit = Limit(0.0, "")
         self._lag = LAG
         self._points: deque[int] = deque()  # the set-points of the last cycles, in counts
+        self._delay = AnswerDelay()
         self._cyclic: Mapping[Mux, int] = {}
         self._silent_syncs = SILENT_SYNCS
         self._pdo: Collection[Mux] | None = None  # the objects of a PDO that brings all expected ones
@@ -250,6 +250,7 @@ class Following:
         self._flawless = None
         self._limited = self._forgiven = self._period = 0
         self.error = 0.0
+        self._delay.begin(self._axis.set_point_counts)
         self._is_on = True
 
     def expect(self, cyclic: Mapping[Mux, int]) -> None:
@@ -269,12 +270,12 @@ class Following:
         self._is_on = False
         self.error = 0.0
 
-    def lose(self, cause: str, *, is_silent: bool = False, still_follows: bool = False) -> None:
+    def lose(self, cause: str, *, is_silent: bool = False, still_follows: bool = False, late: int = 0) -> None:
         """End the watch with FollowingLost, if it is on: for a cause that only the caller can see."""
         if self._is_on:
             self._is_on = False
             node = self._axis.node
-            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows, self._axis.number))
+            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows, self._axis.number, late))
 
     def await_turn(self, syncs: int, not_before: Time) -> None:
         """Report TurnToRead once: at the SYNC after `syncs` - 1 others, or at the first later one that comes `not_before` (ns).
@@ -297,6 +298,7 @@ class Following:
         if self._bounds is not None:
             self._judge_bounds(self._bounds.judge())
         elif objects.POSITION_ACTUAL_VALUE in muxes:
+            self._delay.on_position(muxes)
             self._judge_position()
 
     def _judge_mode(self) -> None:
@@ -346,6 +348,7 @@ class Following:
                 f"is {off:.4g} off its path: it is at {position:.4g} and should be at {wanted:.4g}; "
                 f"the limit is {limit:.4g}, by {self._limit.source}",
                 still_follows=True,
+                late=self._delay.late(counts, self._lag, round(axis.counts_of_amount(limit))),
             )
 
     def _on_boot(self) -> None:
@@ -365,6 +368,7 @@ class Following:
         if self._period:
             self._judge_period(now)
         self._points.append(self._axis.set_point_counts)  # this SYNC takes it along
+        self._delay.on_sync(self._points[-1])
         if self._bounds is not None:
             self._judge_bounds(self._bounds.on_sync())
         if self._syncs_to_turn > 1:
@@ -398,12 +402,6 @@ class Following:
             self._unanswered[mux] = unanswered + 1, first
 
 
-_TURN: Final = (TurnToRead,)
-_ANSWERS: Final = (SdoUploaded, SdoAborted)
-READ_INTERVAL: Final = 5 * MILLISECOND
-"""The least mean time between two requests on a bus: some 5 % of the bus load at 1 Mbit/s."""
-UNANSWERED: Final = 3
-"""SDO time-outs for which an object may stay unread: an answer may be lost, and another client may disturb the transfer."""
 DEFAULT_TIME: Final = 100 * MILLISECOND
 """How far behind a drive may be by default, at its top speed: position controllers without feed-forward lag by 10 to 50 ms."""
 OFF: Final = 0x7FFF_FFFF
@@ -428,73 +426,3 @@ def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
     way = f"its way in {DEFAULT_TIME / SECOND:g} s at {speed:.4g} per second"
     source = f"default, {way}; following_error_limit of its settings raises it"
     return Limit(speed * DEFAULT_TIME / SECOND, source)
-
-
-def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
-    """Read the watched objects that the drives do not send at SYNCs (`Following.unsent`), until cancelled.
-
-    The drives take turns behind the SYNCs, one request each, at least READ_INTERVAL apart. Without SYNC no drive follows
-    set-points, and nothing is read. A change is seen after as many cycles as there are objects to read. Each drive has its own
-    request: a drive that does not answer delays no other.
-
-    A request overtakes all that wait for the same drive, but not a transfer under way: an SDO channel serves one at a time. If
-    the node has several channels (`RemoteNode.add_sdo_channel`), a free one is used. A drive is lost if an object could not be
-    read for UNANSWERED times its SDO time-out. An object that a drive does not have is not read again.
-    """
-    yield from all_of(*(_watch(drive, number, len(drives)) for number, drive in enumerate(drives, start=1)))
-
-
-def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
-    node = drive.axis.node
-    not_before = yield from current_time()
-    while drive.unsent:
-        for mux in sorted(drive.unsent):
-            drive.await_turn(turn, not_before)
-            yield Wait(None, node, drive.axis.is_told_by, _TURN)
-            turn, not_before = turns, (yield from current_time()) + turns * READ_INTERVAL
-            if mux in drive.unsent:  # else its first PDO has come meanwhile
-                yield from _read(drive, mux)
-
-
-def _read(drive: Following, mux: Mux) -> Procedure[None]:
-    """Read an object, repeatedly until it succeeds; the drive is lost if it does not."""
-    node = drive.axis.node
-    patience = UNANSWERED * node.sdo.timeout
-    deadline = (yield from current_time()) + patience
-    why = "another SDO transfer with it is under way"
-    while drive.is_on:
-        try:
-            if (yield from _ask(drive, mux, deadline)):
-                return
-        except SdoFailed as failed:
-            if failed.abort_code in ABSENT:
-                drive.unsent.discard(mux)
-                return
-            why = str(failed)
-        except (ProcedureError, LocalProtocolError) as error:
-            why = str(error)
-        if (yield from current_time()) >= deadline:
-            drive.lose(f"cannot be watched: 0x{index_of(mux):04X} could not be read for {patience / SECOND:g} s: {why}")
-            return
-        yield from sleep(READ_INTERVAL)
-
-
-def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
-    """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
-    node = drive.axis.node
-    index, subindex = split_mux(node.on_device(mux))
-    client = next((each for each in (node.sdo, *node.sdo_channels) if not each.busy), node.sdo)
-    request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
-    try:
-        left = max(0, deadline - (yield from current_time()))
-        outcome = yield Wait(left, node, lambda answer: isinstance(answer, Outcome) and answer.request_id == request_id, _ANSWERS)
-    except Cancelled:
-        yield from act(lambda now: node.cancel(request_id, now))
-        raise
-    if isinstance(outcome, SdoAborted):
-        raise SdoFailed(outcome, "reading")
-    if outcome is None:
-        yield from act(lambda now: node.cancel(request_id, now))
-        return False
-    value_of(node, node.dictionary.variable(mux), outcome)
-    return True

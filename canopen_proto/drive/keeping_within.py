@@ -16,9 +16,10 @@ from typing import NoReturn
 
 from canopen_proto.drive.bounds import MAX_MISSED, Bounds
 from canopen_proto.drive.failures import DriveError
-from canopen_proto.drive.following import SILENT_SYNCS, Following, FollowingLost, read_unsent
+from canopen_proto.drive.following import SILENT_SYNCS, Following, FollowingLost
 from canopen_proto.drive.halting import halt_after
 from canopen_proto.drive.set_points import SET_POINT_OF
+from canopen_proto.drive.unsent import read_unsent
 from canopen_proto.machine import Event
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.steps import Cancelled, Procedure, Wait, act, all_of

@@ -19,8 +19,9 @@ from canopen_proto.cia402.objects import (
 )
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drive.axis import Axis, AxisSettings
-from canopen_proto.drive.following import READ_INTERVAL, SILENT_TIME, Following, FollowingLost, following_limit, read_unsent
+from canopen_proto.drive.following import SILENT_TIME, Following, FollowingLost, following_limit
 from canopen_proto.drive.limits import DEFAULT_SPEED, Limit, limits_of
+from canopen_proto.drive.unsent import READ_INTERVAL, read_unsent
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.network import Network
@@ -74,6 +75,36 @@ class Desk:
         assert len(causes) <= 1
         assert self.following.is_on is not bool(causes)
         return causes[0] if causes else ""
+
+
+def late_by(desk: Desk) -> int:
+    """By how many SYNCs the positions came late, by the event that tells that the drive is off its path."""
+    assert "off its path" in desk.lost
+    return next(event.late for event in desk.node.out.events if isinstance(event, FollowingLost))
+
+
+def test_positions_that_come_late_are_told_from_a_drive_that_lags() -> None:
+    """Its PDOs answer older and older SYNCs: each second one waits on the bus. The drive itself is on its path."""
+    desk = Desk()
+    points = [0, 0]
+    for number in range(100):
+        points.append(10 * number)
+        desk.axis.set_position_counts(points[-1])
+        desk.sync()
+        if number % 2 == 0 and not desk.lost:
+            desk.send(points[number // 2])
+    late = late_by(desk)
+    assert late == pytest.approx(LIMIT.value / 10 + 4, abs=2)  # when it was so far off, beside the uncertainty of the pairing
+
+
+def test_lost_pdos_do_not_make_a_blocked_drive_a_late_one() -> None:
+    desk = Desk()
+    for number in range(200):
+        desk.axis.set_position_counts(10 * number)
+        desk.sync()
+        if number % 10 and not desk.lost:
+            desk.send(10 * min(number, 150))
+    assert late_by(desk) == 0
 
 
 @pytest.mark.parametrize("lag", [1, 2])

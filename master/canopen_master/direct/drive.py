@@ -33,9 +33,10 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.drive.axis import AxisSettings
-from canopen_proto.drive.following import FollowingLost, read_unsent
+from canopen_proto.drive.following import FollowingLost
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import read_limits
+from canopen_proto.drive.unsent import read_unsent
 from canopen_proto.frame import routing_key
 from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux

@@ -68,6 +68,7 @@ from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode, short_name
 from canopen_proto.cia402.states import POWERED
 from canopen_proto.drive import home, home_if_needed
+from canopen_proto.drive.reasons import Reason
 from canopen_proto.machine import SECOND, RequestId, Time
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
@@ -114,7 +115,7 @@ class Chain(ChainView, Moving):
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
         self._stopping: Waiter | None = None  # the procedure that halts the joints
-        self._culprit: tuple[Device, str, str] | None = None  # the joint that stopped it, why, and the likely cause
+        self._culprit: tuple[Device, str, Reason | None] | None = None  # the joint that stopped it, why, and the likely cause
         self._why_halted = ""
         buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
         self._nodes = tuple(dict.fromkeys(device.node for device in devices))
@@ -480,7 +481,7 @@ class Chain(ChainView, Moving):
 
     # ---- in the pump's turn ----
 
-    def _joint_failed(self, device: Device, reason: str, cause: str, follows: bool) -> None:
+    def _joint_failed(self, device: Device, reason: str, cause: Reason | None, follows: bool) -> None:
         if self._participant.is_closed and not follows:
             self.abandon()  # the master ends, and halts all drives
         if self.state is ChainState.FAULT or self._participant.is_closed:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
 
 from canopen_master.errors import (
     CHAIN_FAILED,
@@ -20,16 +22,19 @@ from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drive import DriveError, DriveFault, ReferenceLost
-from canopen_proto.drive.reasons import outer_reason
+from canopen_proto.drive.reasons import Reason, outer_reason
 from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
+
+FIND: Final = "find the cause"
+"""The step before a recovery."""
 
 
 def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     """The error for a joint whose procedure failed in `operation`."""
     device, error = failed.device, failed.error
     if isinstance(error, DriveFault):
-        return joint_fault(chain, device, "is in fault", error.reason)
+        return joint_fault(chain, device, "is in fault", Reason(error.reason, FIND) if error.reason else None)
     if isinstance(error, ReferenceLost):
         return reference_lost(chain, operation, [device])
     code, what, seen, cause = CHAIN_FAILED, str(error), "", ""
@@ -76,10 +81,12 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
     )
 
 
-def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> ChainFault:
+def joint_fault(chain: str, device: Device, reason: str, cause: Reason | None = None) -> ChainFault:
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
-    found = None if cause else outer_reason(device.last_look or device.axis.view())
-    step = "find the cause" if found is None or device.has_fault else found.remedy
+    view = device.last_look or device.axis.view()
+    # It took positions until then, so it is no drive that takes none before it is homed
+    found = cause or outer_reason(replace(view, is_homed=None))
+    step = FIND if found is None or device.has_fault else found.remedy
     home_again = ", chain.home(if_needed=True) and chain.follow()" if device.axis.has_lost_reference else ""
     return ChainFault(
         chain,
@@ -92,6 +99,6 @@ def joint_fault(chain: str, device: Device, reason: str, cause: str = "") -> Cha
         error_code=device.error_code,
         emcy=device.emcy,
         seen=device.describe(),
-        cause=cause if found is None else found.what,
+        cause="" if found is None else found.what,
         tries=(f"{step}, then await chain.recover(){home_again}",),
     )

@@ -18,13 +18,16 @@ from functools import partial
 from typing import Final
 
 from canopen_master.bus import Bus
+from canopen_master.motion.chain_errors import FIND
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import Followed
 from canopen_master.participant import Participant
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import AxisStateChanged
-from canopen_proto.drive.following import FollowingLost, read_unsent
+from canopen_proto.drive.following import FollowingLost
+from canopen_proto.drive.reasons import Reason
 from canopen_proto.drive.slow_position import feed_targets
+from canopen_proto.drive.unsent import read_unsent
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
@@ -38,23 +41,25 @@ _SLOW: Final = Mode.PROFILE_POSITION
 
 SILENT: Final = (
     "its power is off, its cable is loose, or it was stopped; or it does not send its PDO at each SYNC (then "
-    "ChainSettings(define_pdos=True) tells it to)"
+    "ChainSettings(define_pdos=True) tells it to); or the bus has no room for all frames"
 )
+_FULL: Final = "the bus has no room for all frames, or a computer on it is too slow"
 
 
 class Supervision:
     """See this module's text. is_on: whether failures are reported."""
 
     def __init__(
-        self, participant: Participant, devices: Sequence[Device], failed: Callable[[Device, str, str, bool], None]
+        self, participant: Participant, devices: Sequence[Device], failed: Callable[[Device, str, Reason | None, bool], None]
     ) -> None:
-        """failed: called in the pump's turn with the joint, what it did, such as "fell into fault", the likely cause, or "", and
-        whether the joint still follows its set-points, if badly. It may be called several times for one failure.
+        """failed: called in the pump's turn with the joint, what it did, such as "fell into fault", the likely cause, if known,
+        and whether the joint still follows its set-points, if badly. It may be called several times for one failure.
         """
         self._participant = participant
         self._devices = devices
         self._failed = failed
         self._beside: RequestId | None = None  # what goes by SDO beside the cycle
+        self._cycle_time: Time = 0
         self.is_on = False
         for device in devices:
             kinds = (AxisStateChanged, FollowingLost, HeartbeatLost, NodeGuardingLost, NodeBooted)
@@ -65,6 +70,7 @@ class Supervision:
 
         cycle_time: ns from SYNC to SYNC.
         """
+        self._cycle_time = cycle_time
         for device, (limit, mode, catches_up, _, slack) in zip(self._devices, followed, strict=True):
             device.following.begin(
                 limit,
@@ -92,10 +98,12 @@ class Supervision:
     ) -> None:
         if not self.is_on or (isinstance(report, AxisStateChanged | FollowingLost) and report.axis != device.axis.number):
             return
-        cause = foreign_commands(device, self._participant.bus(device.node.bus))
+        foreign = foreign_commands(device, self._participant.bus(device.node.bus))
+        cause = Reason(foreign, FIND) if foreign else None
         match report:
-            case FollowingLost(cause=reason, is_silent=is_silent, still_follows=still_follows):
-                self._failed(device, reason, cause or (SILENT if is_silent else ""), still_follows)
+            case FollowingLost(cause=reason, is_silent=is_silent, still_follows=still_follows, late=late):
+                likely = self._lateness(late) if late else Reason(SILENT, FIND) if is_silent else None
+                self._failed(device, reason, cause or likely, still_follows)
             case AxisStateChanged() if device.has_fault:
                 self._failed(device, "fell into fault", cause, False)
             case HeartbeatLost(timeout=timeout):
@@ -105,7 +113,14 @@ class Supervision:
             case NodeBooted():
                 self._node_failed(device, "was reset, or lost its power: it has booted again", cause)
 
-    def _node_failed(self, device: Device, reason: str, cause: str) -> None:
+    def _lateness(self, late: int) -> Reason:
+        """Say by how much positions come late, so that a drive only seems to be off its path. late: SYNCs."""
+        time = late * self._cycle_time / MILLISECOND
+        cycles = f"{late} cycles of {self._cycle_time / MILLISECOND:g} ms"
+        what = f"its positions come {time:.3g} ms late ({cycles}: so many PDOs are missing), and it was on its path then: {_FULL}"
+        return Reason(what, "look at the load (`canopen plan`); fewer TPDOs, a longer cycle_time, or a higher bit rate")
+
+    def _node_failed(self, device: Device, reason: str, cause: Reason | None) -> None:
         """Report what happened to a node, and with it to all joints that are axes of it."""
         others = [each.name for each in self._devices if each.node is device.node and each is not device]
         self._failed(device, f"{reason}; and with it {', '.join(others)}, on the same node" if others else reason, cause, False)
