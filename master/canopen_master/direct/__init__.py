@@ -63,6 +63,8 @@ homing = _session.homing
 enable_ip_mode = _session.enable_ip_mode
 send_pos = _session.send_pos
 get_pos = _session.get_pos
+move_until_user_interrupt = _session.move_until_user_interrupt
+interactive_homing = _session.interactive_homing
 drive_mode = _session.drive_mode
 halt = _session.halt
 enable_brake = _session.enable_brake
@@ -103,7 +105,9 @@ __all__ = [
     "init_listener_thread",
     "init_master_thread",
     "init_nmt",
+    "interactive_homing",
     "last_error",
+    "move_until_user_interrupt",
     "open_connection",
     "release_brake",
     "release_break",

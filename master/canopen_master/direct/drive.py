@@ -17,6 +17,7 @@ the last STEPS SYNCs together must keep to the limits too, by the clock. A pause
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Final, TypeVar
 
@@ -36,6 +37,7 @@ from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.drive.following import FollowingLost
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import read_limits
+from canopen_proto.drive.settings import HomingStyle
 from canopen_proto.drive.unsent import read_unsent
 from canopen_proto.frame import routing_key
 from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
@@ -49,6 +51,7 @@ from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
 from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 from canopen_proto.sync import SyncReceived, SyncSent
+from canopen_proto.trajectory import JointLimits
 
 T = TypeVar("T")
 
@@ -66,18 +69,19 @@ _SYNC_TIME_OUT: Final = "0x200E"
 
 
 class DirectDrive:
-    """See this module's text. interval: ms between two SYNCs, as written to the drive."""
+    """See this module's text. interval: ms between two SYNCs, as written to the drive. in_counts: whether positions are integers
+    as on the wire. master: that it belongs to."""
 
     def __init__(self, master: Master, device: Device, rpdo: str, tpdo: str, in_counts: bool = True) -> None:
         """rpdo, tpdo: the PDOs of the dictionary that the drive comes with; an unknown name means none. in_counts: positions are
         integers as on the wire; False: in the unit of the machine file.
         """
-        self._master = master
+        self.master = master
         self._device = device
         self.axis = device.axis
         self.node = device.node
         self.interval = 10
-        self._in_counts = in_counts
+        self.in_counts = in_counts
         self._producer: PdoProducer | None = None
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
@@ -113,11 +117,22 @@ class DirectDrive:
             self._end_following()
         await self._run(drive.change_state(self.axis, state))
 
-    async def home(self) -> None:
-        """Home the drive, in its own way: see `identify`."""
+    async def home(self, method: int | None = None) -> None:
+        """Home the drive, in its own way: see `identify`. method: of this homing, for a drive that has methods."""
         self._end_following()
         await self._run(identify(self.axis))
-        await self._run(drive.home(self.axis))
+        settings = self.axis.settings
+        if method is not None and settings.homing is not HomingStyle.SCHUNK:
+            self.axis.settings = replace(settings, homing_method=method)
+        try:
+            await self._run(drive.home(self.axis))
+        finally:
+            self.axis.settings = settings
+
+    @property
+    def limits(self) -> JointLimits:
+        """The limits of the joint's motions, as `follow` has read them."""
+        return self._device.limits.of_paths
 
     async def set_mode(self, mode: int) -> None:
         """Select a mode of operation."""
@@ -145,14 +160,14 @@ class DirectDrive:
         self._taken.clear()
         self._on_sync()
         self._is_following, self._lost = True, None
-        self._reading, _ = self._master.launch(read_unsent([following]))
+        self._reading, _ = self.master.launch(read_unsent([following]))
 
     async def halt(self) -> None:
         """Stop the drive, and end its running commands; it stays enabled."""
         self._end_following()
         for scope in self._running:
             scope.cancel()
-        await self._master.run(drive.halt(self.axis))
+        await self.master.run(drive.halt(self.axis))
 
     async def shut_down(self) -> None:
         """Take the drive's power away."""
@@ -185,12 +200,12 @@ class DirectDrive:
         if description.direction is Direction.RPDO:
             self._end_following()
         if state is NmtState.OPERATIONAL:
-            await self._master.nmt_enter_pre_operational(self.node.node_id, bus=self.node.bus)
+            await self.master.nmt_enter_pre_operational(self.node.node_id, bus=self.node.bus)
         try:
             await self._run(define_pdo(self.node.remote, description, number=number, transmission_type=transmission_type))
         finally:
             if state is NmtState.OPERATIONAL:
-                await self._master.nmt_start(self.node.node_id, bus=self.node.bus)
+                await self.master.nmt_start(self.node.node_id, bus=self.node.bus)
             if description.direction is Direction.RPDO and number is not None:
                 self.node.remote.remove_pdo(Direction.RPDO, number)  # we send it by hand, not behind the SYNC
         if description.direction is Direction.TPDO and number is not None:
@@ -200,18 +215,22 @@ class DirectDrive:
         self._use(description, number, transmission_type)
 
     async def _run(self, procedure: Procedure[T]) -> T:
-        """Run a sequence to its end. Raises ProcedureError if `halt` ended it before."""
+        """Run a sequence to its end. Raises as `until_halted` does."""
+        return await self.until_halted(lambda: self.master.run(procedure))
+
+    async def until_halted(self, function: Callable[[], Awaitable[T]]) -> T:
+        """Call a function, and return its result. Raises ProcedureError if `halt` ended it before."""
         with trio.CancelScope() as scope:
             self._running.add(scope)
             try:
-                return await self._master.run(procedure)
+                return await function()
             finally:
                 self._running.remove(scope)
         raise ProcedureError(f"drive {self.node.node_id} was halted meanwhile")
 
     async def send_position(self, position: float) -> None:
         """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos."""
-        chain = next((each for each in self._master.chains.values() if self._device in each.devices), None)
+        chain = next((each for each in self.master.chains.values() if self._device in each.devices), None)
         if chain is not None and self.axis.node.rpdo_of(objects.INTERPOLATION_SET_POINT) is not None:
             at = {device: device.desired_position for device in chain.devices} | {self._device: position}
             chain.set_positions(list(at.values()))  # the master's next cycle takes it along
@@ -225,26 +244,26 @@ class DirectDrive:
         self.axis.set_position_counts(self._checked(position))
         producer = self._producer
         assert producer is not None  # a drive that follows has one
-        await self._master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
+        await self.master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
 
     def _checked(self, position: float) -> int:
         """Return the counts of a set-point.
 
         Raises ValueRangeError or SetPointRefused for one that the drive cannot hold, or that is beyond its limits.
         """
-        counts = position if self._in_counts else self.axis.to_counts(position)
+        counts = position if self.in_counts else self.axis.to_counts(position)
         self.node.dictionary.variable(objects.INTERPOLATION_SET_POINT).encode(counts)
         interval = self.interval * MILLISECOND
         (since, start), (_, last) = self._taken[0], self._taken[-1]
         check_limits(self._device, last, position, interval)
         if abs(position - start) > abs(last - start):  # standing and coming back must always be possible
-            check_limits(self._device, start, position, self._master.now() - since + interval)
+            check_limits(self._device, start, position, self.master.now() - since + interval)
         return int(counts)
 
     def _on_sync(self, report: Event | None = None) -> None:
         if self._device.taken_over_by:  # by a command of the master's, past this drive
             self._end_following()
-        self._taken.append((self._master.now(), self.axis.set_point))
+        self._taken.append((self.master.now(), self.axis.set_point))
 
     def _end_following(self) -> None:
         self._is_following = False
@@ -252,25 +271,25 @@ class DirectDrive:
         self._device.following.end()
         reading, self._reading = self._reading, None
         if reading is not None:
-            self._master.take_back(reading)
+            self.master.take_back(reading)
 
     def _on_lost(self, report: FollowingLost) -> None:
         """Stop the drive: it does not follow its set-points. The next send_position says why."""
-        if self.axis.is_told_by(report) and self._is_following and not self._master.is_closed:
+        if self.axis.is_told_by(report) and self._is_following and not self.master.is_closed:
             self._end_following()
             self._lost = report
-            self._master.launch(quietly(self._device, stop(self._device)))
+            self.master.launch(quietly(self._device, stop(self._device)))
 
     async def _why(self, lost: FollowingLost) -> Exception:
         """Return the error to raise."""
         if self._device.has_fault:
-            return await self._master.run(drive.fault_of(self.axis, "while it followed set-points"))
+            return await self.master.run(drive.fault_of(self.axis, "while it followed set-points"))
         failed = f"drive {self.node.node_id} {lost.cause}"
         if not lost.is_silent:
             return drive.DriveError(self.axis, lost.cause)
         cause, tries = "its power is off, its cable is loose, or it was stopped", ("look at the drive and its cable",)
-        network = self._master.bus(self.node.bus).network
-        known = missing_frame(network, self.node.remote, self._master.now(), cause, tries, pdo=True)
+        network = self.master.bus(self.node.bus).network
+        known = missing_frame(network, self.node.remote, self.master.now(), cause, tries, pdo=True)
         return NodeSilent(NOT_HEARD, self.node.node_id, self.node.bus, failed, **known._asdict())
 
     def _require_first_axis(self, function: str) -> None:
@@ -288,7 +307,7 @@ class DirectDrive:
         key = routing_key(description.can_id(self.node.node_id))
         store = remote.values.store
         self._producer = PdoProducer(remote.out, remote.node_id, number or 0, key, mapping, store, transmission_type)
-        self._producer.set_enabled(True, self._master.now())
+        self._producer.set_enabled(True, self.master.now())
 
     def _set_interval(self, milliseconds: int) -> Procedure[None]:
         remote = self.axis.node

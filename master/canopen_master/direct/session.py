@@ -32,6 +32,7 @@ from canopen_master.assembly import described
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import COUNTS, DirectDrive
+from canopen_master.direct.hold_to_run import move_while_held
 from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.machine_file import MachineFile, read_machine
 from canopen_master.master import Master
@@ -54,6 +55,8 @@ _LOOK_UP: Final = 0.5
 """Seconds between two checks, by a thread that waits for PDOs, whether the connection is still open."""
 NMT_TIME: Final = 0.1
 """Seconds that init_nmt gives the devices to get to Operational: nothing confirms an NMT command."""
+HOME_HERE: Final = 37
+"""The homing method of CiA 402 that takes the present position as the home position."""
 SYNC_INTERVAL: Final = 10
 """Milliseconds; the manual's."""
 
@@ -259,6 +262,31 @@ class Session:
             await self._drive(master, node).send_position(position)
 
         self._call(send)
+
+    def move_until_user_interrupt(self, node: int | str, speed: float, held: Callable[[], bool]) -> bool:
+        """Move the drive as long as `held` says so, from where it stands: IT MOVES. True once it stands again.
+
+        speed: in millidegrees (the drive's counts) per second; its sign is the direction. held: called again and again, in a
+        thread of its own; it waits at most a tenth of a second and returns whether the user still wants the motion. The first
+        True starts it; False, an error, Ctrl-C, or a `held` that hangs for longer than DEAD_MAN brake the drive. It accelerates
+        and brakes within its limits, and rests before those of its position. It then follows set-points, as after
+        `enable_ip_mode`. SYNC is sent meanwhile. Needs the extra `motion` (ruckig). Raises LocalProtocolError while the master's
+        own SYNC runs.
+        """
+        return self._attempt(node, lambda drive: move_while_held(drive, speed, held))
+
+    def interactive_homing(self, node: int | str, speed: float, held: Callable[[], bool], *, method: int = HOME_HERE) -> bool:
+        """Move the drive as `move_until_user_interrupt` does; where it stands then becomes its home position. True if so.
+
+        method: the homing method that takes the present position; 35 for older drives. Schunk's joints have no methods: they
+        home in their own way, and MOVE AGAIN.
+        """
+
+        async def home(drive: DirectDrive) -> None:
+            await move_while_held(drive, speed, held)
+            await drive.home(method)
+
+        return self._attempt(node, home)
 
     def get_pos(self, node: int | str) -> float:
         """Read the actual position (0x6064) from the drive. Raises ProcedureError."""

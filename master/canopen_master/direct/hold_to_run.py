@@ -1,0 +1,88 @@
+"""Motion of one drive while its user holds something, for the direct half, which sends SYNC by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import trio
+
+from canopen_master.direct.drive import DirectDrive
+from canopen_master.motion.target_motion import DEAD_MAN
+from canopen_master.trajectories.target_stream import TargetStream
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.trajectory import PathPoint
+
+
+async def move_while_held(drive: DirectDrive, speed: float, held: Callable[[], bool]) -> None:
+    """Move a drive at `speed`, in its unit per second, as long as `held` returns True; see Session.move_until_user_interrupt.
+
+    held: waits in a thread of its own. If it hangs, the dead man's switch of the stream brakes. Once cancelled, the drive brakes
+    first. Raises as DirectDrive.follow and send_position do, and what `held` raises, once the drive stands.
+    """
+    if drive.master.sync_period:
+        raise LocalProtocolError("the master's own SYNC runs: jog a chain instead")
+    if not await _asked(held):
+        return
+    await drive.follow()
+    await drive.until_halted(_Motion(drive, speed, held).to_its_end)
+
+
+async def _asked(held: Callable[[], bool]) -> bool:
+    return await trio.to_thread.run_sync(held, abandon_on_cancel=True)
+
+
+class _Motion:
+    """One motion. failure: what ended it; None if `held` did."""
+
+    def __init__(self, drive: DirectDrive, speed: float, held: Callable[[], bool]) -> None:
+        self._drive, self._speed, self._held = drive, speed, held
+        self._period = drive.interval / 1000
+        start = PathPoint([drive.axis.set_point], [0.0], [0.0])
+        cycles = math.ceil(DEAD_MAN / self._period)
+        self._stream = TargetStream(start, [drive.limits], self._period, renew_cycles=cycles)
+        self._stream.move_at([speed])
+        self.failure: Exception | None = None
+
+    async def to_its_end(self) -> None:
+        """Move until it ends, and the drive has the set-point at which it stands. Raises what ended it."""
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(self.listen)
+            try:
+                await self.run()
+            except trio.Cancelled:
+                with trio.CancelScope(shield=True):
+                    self._stream.stop()
+                    await self.run()
+                raise
+            finally:
+                nursery.cancel_scope.cancel()
+        if self.failure is not None:
+            raise self.failure
+
+    async def listen(self) -> None:
+        """Ask `held` until it says no; then brake."""
+        try:
+            while await _asked(self._held) and not self._stream.is_stopping:
+                self._stream.renew()
+        except Exception as error:  # noqa: BLE001 - the user's code: the drive brakes first
+            self.failure = error
+        self._stream.stop()
+
+    async def run(self) -> None:
+        """Send a set-point and SYNC in each interval until the stream has ended and is at rest."""
+        due = trio.current_time()
+        try:
+            while not (self._stream.is_stopping and self._stream.is_at_rest):
+                (position,) = self._stream.step().positions
+                await self._drive.send_position(round(position) if self._drive.in_counts else position)
+                await self._drive.master.send_sync()
+                due += self._period
+                late = trio.current_time() - due
+                if late > 0:  # the path waits; the dead man's switch does not
+                    lost = int(late / self._period)
+                    self._stream.after_gap(lost, from_rest=False)
+                    due += lost * self._period
+                await trio.sleep_until(due)
+        except Exception as error:  # noqa: BLE001 - a nursery would wrap it in a group
+            self.failure = error
