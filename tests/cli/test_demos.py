@@ -8,7 +8,16 @@ from collections.abc import Iterator
 
 import pytest
 
-from canopen_cli.demos import canopenmaster_single_device, homing, multiple_devices, single_device
+from canopen_cli.demos import (
+    canopenmaster_multiple_devices,
+    canopenmaster_single_device,
+    getpos,
+    homing,
+    memtest,
+    move_device,
+    multiple_devices,
+    single_device,
+)
 from canopen_cli.problem import ExitCode
 from canopen_master import direct
 from canopen_master.direct import connection
@@ -45,6 +54,20 @@ RUNS = {
         "referenced, at [0] mdeg",
         "sent to [1000] mdeg, ends at [1000] mdeg",
     ],
+    "canopenmaster_multiple_devices 3 4 --bus virtual --pause 0 --steps 10": [
+        "homing joint1, joint2",
+        "referenced, at [0, 0] mdeg",
+        "sent to [1000, 1000] mdeg, ends at [1000, 1000] mdeg",
+    ],
+    "getpos 3 12 --bus virtual": ["device 3 is at 3000 mdeg", "device 12 is at 3000 mdeg"],
+    "move_device 12 --bus virtual --steps 10 --speed -10000": [
+        "device 12 is at 3000 mdeg",
+        "faster: sent to 2450 mdeg, at -10000 mdeg/s",
+        "on: sent to 1450 mdeg, at -10000 mdeg/s",
+        "slower: sent to 900 mdeg, at -1000 mdeg/s",
+        "rest: sent to 900 mdeg, at 0 mdeg/s",
+        "device 12 ends at 900 mdeg",
+    ],
 }
 
 DEMOS = {
@@ -52,6 +75,9 @@ DEMOS = {
     "single_device": single_device,
     "multiple_devices": multiple_devices,
     "canopenmaster_single_device": canopenmaster_single_device,
+    "canopenmaster_multiple_devices": canopenmaster_multiple_devices,
+    "getpos": getpos,
+    "move_device": move_device,
 }
 
 WARNING = "will not stop by itself if this program dies: no 0x6007"
@@ -184,6 +210,13 @@ def test_a_demo_does_what_the_manual_says(
             break
     assert status == ExitCode.OK, said.err
     assert_as_in_the_manual(command, said.out)
+
+
+def test_memory_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    assert memtest.main(["12", "--bus", "virtual", "--steps", "5"]) == ExitCode.OK
+    said = capsys.readouterr().out
+    assert re.fullmatch(r"5 answers of device 12: \d+ KiB are left behind, \d+ KiB at most\n", said)
+    assert int(numbers(said)[2]) < 1024
 
 
 def test_an_interrupt_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,7 +80,7 @@ def test_nothing_moves_before_it_is_held(session: Session, arm: Devices) -> None
 
 def test_a_holder_that_hangs_lets_go(session: Session, arm: Devices, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hold_to_run, "DEAD_MAN", 0.2)
-    end, calls = threading.Event(), iter((True, True))
+    end, calls = threading.Event(), iter((True, True, True, True))
 
     def held() -> bool:
         return next(calls, None) is not None or not end.wait(LIMIT)

@@ -20,30 +20,33 @@ SPEED = 10_000  # millidegrees per second
 INTERVAL = 0.01  # seconds, as the master's cycle
 
 
-def serve(options: Options) -> None:
-    """Run the master. It does not need the main thread, and any number of clients may call its chains."""
-    (device,) = options.node_ids
+def serve(options: Options, name: str = "chain1", file: str = "single_device.csv", devices: Sequence[int] = (12,)) -> None:
+    """Run the master. It does not need the main thread, and any number of clients may call its chains.
+
+    name: of the chain. file: of the chain of `devices`.
+    """
     canopen.using_master_thread = True
-    if device == 12:
-        canopen.init_chain_map("single_device.csv")
+    if options.node_ids == tuple(devices):
+        canopen.init_chain_map(file)
     else:
-        canopen.init_chain_map(text=f"chain1 joint1 /dev/pcan32 {device}")
+        joints = [f"joint{number} /dev/pcan32 {device}" for number, device in enumerate(options.node_ids, start=1)]
+        canopen.init_chain_map(text=f"{name} {' '.join(joints)}")
     check(canopen.open_connection(options.bus), "Cannot open CAN device; aborting.")
     canopen.init_nmt()
     canopen.init_listener_thread()
     canopen.init_incoming_pdo_processor_thread()
     canopen.init_master_thread()
 
-    client = ThreadPoolExecutor(max_workers=1).submit(command, options)
+    client = ThreadPoolExecutor(max_workers=1).submit(command, options, name)
     while not client.done():
         time.sleep(INTERVAL)
     client.result()  # raises what made the client fail
     canopen.close_connection()
 
 
-def command(options: Options) -> None:
+def command(options: Options, name: str) -> None:
     """Run a client in a thread of its own."""
-    chain = canopen.chain_map["chain1"]
+    chain = canopen.chain_map[name]
     check(chain.init(), "The chain could not be initialized; aborting.")
     print(f"homing {', '.join(chain.joints)}")
     check(chain.homing(), "Homing was not successful; aborting.")

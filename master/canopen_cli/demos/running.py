@@ -18,13 +18,15 @@ from canopen_master.plain_text import clean_lines
 
 @dataclass(frozen=True)
 class Options:
-    """The arguments of a demo. cycles, steps: how often and how far it moves; pause: seconds before that."""
+    """The arguments of a demo. cycles, steps: how often and how far it moves; pause: seconds before that; speed: millidegrees per
+    second."""
 
     node_ids: tuple[int, ...]
     bus: str
     cycles: int
     steps: int
     pause: float
+    speed: float = 0.0
 
 
 class Failed(Exception):
@@ -37,6 +39,25 @@ def check(succeeded: bool, otherwise: str) -> None:
         raise Failed(otherwise) from canopen.last_error()
 
 
+def make_ready(options: Options) -> None:
+    """Open the bus and lead its devices to Operation enabled."""
+    check(canopen.open_connection(options.bus), "Cannot open CAN device; aborting.")
+    canopen.init_listener_thread()
+    for device in options.node_ids:
+        check(canopen.fault_reset(device), f"The fault of device {device} could not be reset; aborting.")
+    canopen.init_nmt()
+    for device in options.node_ids:
+        check(canopen.init_device(device), f"Device {device} could not be initialized; aborting.")
+
+
+def shut_down(options: Options) -> None:
+    """Engage the brakes, take the power away, and close the bus."""
+    for device in options.node_ids:
+        canopen.enable_brake(device)
+        canopen.shutdown_device(device)
+    canopen.close_connection()
+
+
 def parse(
     arguments: Sequence[str] | None,
     about: str,
@@ -47,10 +68,11 @@ def parse(
     cycles: int | None = None,
     steps: int | None = None,
     pause: float | None = None,
+    speed: float | None = None,
 ) -> Options | None:
     """Parse the arguments of a demo; print `usage` and return None if there are no node-IDs, or more than `most`. Raises Problem.
 
-    ids: the default node-IDs. cycles, steps, pause: the defaults; None if the demo does not have the option.
+    ids: the default node-IDs. cycles, steps, pause, speed: the defaults; None if the demo does not have the option.
     """
     parser = argparse.ArgumentParser(description=about.splitlines()[0], epilog=usage)
     parser.add_argument("ids", metavar="ID", nargs="*", help="CAN device ID, decimal")
@@ -61,14 +83,16 @@ def parse(
         parser.add_argument("--steps", type=_count, help=f"set-points of one way (default: {steps})")
     if pause is not None:
         parser.add_argument("--pause", type=float, help=f"seconds before it moves (default: {pause:g})")
-    parser.set_defaults(cycles=cycles or 0, steps=steps or 0, pause=pause or 0.0)
+    if speed is not None:
+        parser.add_argument("--speed", type=float, help=f"millidegrees per second; below 0 the other way (default: {speed:g})")
+    parser.set_defaults(cycles=cycles or 0, steps=steps or 0, pause=pause or 0.0, speed=speed or 0.0)
     given = parser.parse_args(arguments)
     chosen = given.ids or ids
     if not 1 <= len(chosen) <= most:
         print(usage)
         return None
     node_ids = dict.fromkeys(map(node_id_of, chosen))
-    return Options(tuple(node_ids), given.bus, given.cycles, given.steps, given.pause)
+    return Options(tuple(node_ids), given.bus, given.cycles, given.steps, given.pause, given.speed)
 
 
 def _count(text: str) -> int:

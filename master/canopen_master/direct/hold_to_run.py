@@ -41,7 +41,6 @@ class _Motion:
         start = PathPoint([drive.axis.set_point], [0.0], [0.0])
         cycles = math.ceil(DEAD_MAN / self._period)
         self._stream = TargetStream(start, [drive.limits], self._period, renew_cycles=cycles)
-        self._stream.move_at([speed])
         self.failure: Exception | None = None
 
     async def to_its_end(self) -> None:
@@ -61,10 +60,12 @@ class _Motion:
             raise self.failure
 
     async def listen(self) -> None:
-        """Ask `held` until it says no; then brake."""
+        """Ask `held` until it says no; then brake. The first answer may be from before the drive was ready: it moves nothing."""
         try:
-            while await _asked(self._held) and not self._stream.is_stopping:
-                self._stream.renew()
+            is_held = await _asked(self._held)
+            self._stream.renew()
+            while is_held and (is_held := await _asked(self._held)) and not self._stream.is_stopping:
+                self._stream.move_at([self._speed])
         except Exception as error:  # noqa: BLE001 - the user's code: the drive brakes first
             self.failure = error
         self._stream.stop()
