@@ -9,10 +9,11 @@ import pytest
 from canopen_master import standard_drives
 from canopen_master.direct import Session, hold_to_run
 from canopen_proto.cia402.objects import HOMING_METHOD, POSITION_ACTUAL_VALUE
+from canopen_proto.cia402.states import State
 from canopen_proto.drive import DriveFault
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.simulated_drive.node import DriveNode
-from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices, until
+from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices
 
 pytest.importorskip("ruckig", reason="hold to run needs the extra `motion`")
 
@@ -55,19 +56,15 @@ def until_moved(arm: Devices, distance: int) -> Callable[[], bool]:
     return held
 
 
-def stands(arm: Devices, session: Session) -> bool:
-    session.send_sync(10)
-    return not arm.is_moving(12)
-
-
 @pytest.mark.parametrize("speed", [SPEED, -SPEED])
 def test_a_drive_moves_while_it_is_held_and_then_stands(session: Session, arm: Devices, speed: float) -> None:
     start = place(arm)
     assert session.move_until_user_interrupt(12, speed, until_moved(arm, 500)), session.last_error()
-    until(lambda: stands(arm, session))
+    assert not arm.is_moving(12)
     assert (place(arm) - start) * speed > 0
     assert 500 <= abs(place(arm) - start) < 5000
-    session.send_pos(12, place(arm))  # it follows set-points, as after enable_ip_mode
+    assert arm.node(12).drive.state is State.OPERATION_ENABLED
+    assert session.enable_ip_mode(12), session.last_error()
 
 
 def test_nothing_moves_before_it_is_held(session: Session, arm: Devices) -> None:
@@ -88,7 +85,7 @@ def test_a_holder_that_hangs_lets_go(session: Session, arm: Devices, monkeypatch
     assert session.move_until_user_interrupt(12, SPEED, held), session.last_error()
     assert not end.is_set()  # it still hangs, and the drive has stopped all the same
     end.set()
-    until(lambda: stands(arm, session))
+    assert not arm.is_moving(12)
 
 
 def test_an_error_of_the_holder_brakes_first(session: Session, arm: Devices) -> None:
@@ -101,7 +98,7 @@ def test_an_error_of_the_holder_brakes_first(session: Session, arm: Devices) -> 
 
     with pytest.raises(ZeroDivisionError):
         session.move_until_user_interrupt(12, SPEED, held)
-    until(lambda: stands(arm, session))
+    assert not arm.is_moving(12)
 
 
 def test_halt_of_another_thread_ends_it(session: Session, arm: Devices) -> None:
@@ -116,7 +113,7 @@ def test_halt_of_another_thread_ends_it(session: Session, arm: Devices) -> None:
     assert not session.move_until_user_interrupt(12, SPEED, held)
     assert "was halted meanwhile" in str(session.last_error())
     halted[0].join(LIMIT)
-    until(lambda: stands(arm, session))
+    assert not arm.is_moving(12)
 
 
 def test_a_fault_ends_it(session: Session, arm: Devices) -> None:

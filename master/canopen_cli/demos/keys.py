@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
+from functools import partial
+from typing import Final, TypeVar
 
 import trio
 
@@ -11,7 +15,11 @@ from canopen_cli.jog import is_terminal
 from canopen_cli.problem import usage
 from canopen_cli.terminal_keys import END, Keys, key_by_key, read_terminal
 
-ENDS = ("q", "\x1b", END)
+T = TypeVar("T")
+
+_LOOK_UP: Final = 0.5
+"""The longest single wait, in seconds: on Windows, a Ctrl-C takes effect only when it is over."""
+ENDS: Final = ("q", "\x1b", END)
 """Keys that end a demo; also the end of the terminal."""
 
 
@@ -23,15 +31,31 @@ class HeldKeys:
 
     def next(self) -> str:
         """Wait for the next key, and return it."""
-        return trio.run(self._keys.next)
+        return _in_thread(self._keys.next)
 
     def is_held(self, key: str) -> bool:
         """Return whether a key that has just come is held, that is, repeated."""
-        return trio.run(self._keys.is_held, key)
+        return _in_thread(partial(self._keys.is_held, key))
 
     def holder(self, key: str) -> Callable[[], bool]:
         """Return a function that waits for the next repetition of a key that is held, and returns whether it came in time."""
-        return lambda: trio.run(self._keys.is_still_held, key)
+        return lambda: _in_thread(partial(self._keys.is_still_held, key))
+
+
+def _in_thread(function: Callable[[], Awaitable[T]]) -> T:
+    """Run an async function in a thread, so that a Ctrl-C ends the waiting here, and return its result."""
+    future: Future[T] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(trio.run(function))
+        except BaseException as error:  # noqa: BLE001 - it belongs to the caller
+            future.set_exception(error)
+
+    threading.Thread(target=work, daemon=True, name="keys").start()
+    while not future.done():
+        wait((future,), _LOOK_UP)
+    return future.result()
 
 
 @contextmanager

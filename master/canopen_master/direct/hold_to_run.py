@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 
 import trio
 
 from canopen_master.direct.drive import DirectDrive
+from canopen_master.errors import MasterError
 from canopen_master.motion.target_motion import DEAD_MAN
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.trajectory import PathPoint
 
 
@@ -18,14 +21,21 @@ async def move_while_held(drive: DirectDrive, speed: float, held: Callable[[], b
     """Move a drive at `speed`, in its unit per second, as long as `held` returns True; see Session.move_until_user_interrupt.
 
     held: waits in a thread of its own. If it hangs, the dead man's switch of the stream brakes. Once cancelled, the drive brakes
-    first. Raises as DirectDrive.follow and send_position do, and what `held` raises, once the drive stands.
+    first. In the end it is halted: nobody sends SYNC from then on. Raises as DirectDrive.follow and send_position do, and what
+    `held` raises, once the drive stands.
     """
     if drive.master.sync_period:
         raise LocalProtocolError("the master's own SYNC runs: jog a chain instead")
     if not await _asked(held):
         return
     await drive.follow()
-    await drive.until_halted(_Motion(drive, speed, held).to_its_end)
+    try:
+        await drive.until_halted(_Motion(drive, speed, held).to_its_end)
+    except BaseException:
+        with trio.CancelScope(shield=True), suppress(ProcedureError, MasterError):  # the first error is the one to tell
+            await drive.halt()
+        raise
+    await drive.halt()
 
 
 async def _asked(held: Callable[[], bool]) -> bool:

@@ -269,8 +269,8 @@ class Session:
         speed: in millidegrees (the drive's counts) per second; its sign is the direction. held: called again and again, in a
         thread of its own; it waits at most a tenth of a second and returns whether the user still wants the motion. The first
         True starts it; False, an error, Ctrl-C, or a `held` that hangs for longer than DEAD_MAN brake the drive. It accelerates
-        and brakes within its limits, and rests before those of its position. It then follows set-points, as after
-        `enable_ip_mode`. SYNC is sent meanwhile. Needs the extra `motion` (ruckig). Raises LocalProtocolError while the master's
+        and brakes within its limits, and rests before those of its position. In the end it is halted, and stays enabled. SYNC is
+        sent meanwhile. Needs the extra `motion` (ruckig). Raises LocalProtocolError while the master's
         own SYNC runs.
         """
         return self._attempt(node, lambda drive: move_while_held(drive, speed, held))
