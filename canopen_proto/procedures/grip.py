@@ -255,7 +255,7 @@ def _put_back(hold: Hold, kept: int = 0) -> Procedure[None]:
     while len(hold.before) > kept:
         (index, subindex), data = next(reversed(hold.before.items()))
         yield from download(hold.node.sdo, index, subindex, data)
-        del hold.before[index, subindex]
+        hold.before.pop((index, subindex), None)  # a boot, or another release, may have emptied it meanwhile
 
 
 def _read(hold: Hold, index: int, subindex: int) -> Procedure[int]:

@@ -13,6 +13,7 @@ reason, the chains' state is "failed", and diagnostics go on telling. The node h
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -36,8 +37,8 @@ from canopen_ros.simulated import on_virtual_buses, simulated_machine
 
 MOST_SAMPLES: Final = 256
 """Samples that wait for a slow reader: some seconds. With more, the oldest are dropped."""
-DIAGNOSTIC_PERIOD: Final = 1.0
-"""Seconds between two diagnostics, if nothing changes."""
+EARLY: Final = 0.002
+"""Seconds that a sample may be early, so that a rate of 100 Hz takes each SYNC at 10 ms."""
 SAME_AGAIN: Final = 5.0
 """Seconds until the same report is made again: commands may be refused a hundred times a second."""
 
@@ -69,7 +70,7 @@ class Bridge:
         self.failure: Exception | None = None
         self._wall = wall
         self._reports: deque[Report] = deque(maxlen=MOST_SAMPLES)
-        self._reported: dict[Report, float] = {}
+        self._reported: dict[tuple[str, str], float] = {}
         self._has_report = trio.lowlevel.ParkingLot()
         self._changed = trio.lowlevel.ParkingLot()
         self.chains: Mapping[str, ChainBridge] = {
@@ -98,7 +99,7 @@ class Bridge:
         return sample_of(devices, self.master.now(), self._wall())
 
     def samples(self) -> Samples:
-        """A sample for each SYNC, as an async iterator; none while no SYNC is sent. Ends when the master does."""
+        """A sample for each SYNC, or as often as `joint_states_rate` says, as an async iterator; none while no SYNC is sent."""
         return Samples(self)
 
     def diagnostics(self) -> list[Diagnostic]:
@@ -111,8 +112,8 @@ class Bridge:
         return found
 
     async def changed(self) -> None:
-        """Wait until the state of a chain changes, or for DIAGNOSTIC_PERIOD: it is time for diagnostics."""
-        with trio.move_on_after(DIAGNOSTIC_PERIOD):
+        """Wait until the state of a chain changes, or for `diagnostics_period`: it is time for diagnostics."""
+        with trio.move_on_after(self.parameters.diagnostics_period):
             await self._changed.park()
 
     async def reports(self) -> AsyncIterator[Report]:
@@ -145,12 +146,12 @@ class Bridge:
         self._changed.unpark_all()
 
     def _report(self, chain: str, text: str) -> None:
-        report, now = Report(chain, text), trio.current_time()
-        if now - self._reported.get(report, -SAME_AGAIN) < SAME_AGAIN:
-            return
+        what, now = (chain, text.partition("\n")[0]), trio.current_time()
         self._reported = {each: at for each, at in self._reported.items() if now - at < SAME_AGAIN}
-        self._reported[report] = now
-        self._reports.append(report)
+        if what in self._reported:
+            return
+        self._reported[what] = now
+        self._reports.append(Report(chain, text))
         self._has_report.unpark_all()
 
 
@@ -162,10 +163,15 @@ class Samples:
         self._bridge = bridge
         self._waiting: deque[Sample] = deque()
         self._news = trio.lowlevel.ParkingLot()
+        self._last = -math.inf
         master = bridge.master
         self._watcher = master.watch((SyncSent,), self._take, master.bus(next(iter(master.buses))))
 
     def _take(self, sync: SyncSent) -> None:
+        now, rate = trio.current_time(), self._bridge.parameters.joint_states_rate
+        if rate and now - self._last < 1 / rate - EARLY:
+            return
+        self._last = now
         if len(self._waiting) == MOST_SAMPLES:
             self._waiting.popleft()
             self.dropped += 1
@@ -231,7 +237,8 @@ class _Session:
                 task_status.started(bridge)
                 await self._over.wait()
                 for chain in bridge.chains.values():
-                    await chain.call("shutdown")
+                    if chain.state != "off":
+                        await chain.call("shutdown")
                 nursery.cancel_scope.cancel()
         except MasterError as error:
             if bridge is None:

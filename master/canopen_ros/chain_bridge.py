@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
 from typing import Final
 
 import trio
@@ -120,9 +121,16 @@ class ChainBridge:
             return Reply(False, self._no_service(service))
         try:
             self._check_open()
+            self._drop_waiting_goals(service)
             return Reply(True, await command())
         except COMMAND_ERRORS as error:
             return Reply(False, text_of(error, self.name))
+
+    def _drop_waiting_goals(self, service: str) -> None:
+        """A service ends what the chain does; that includes trajectories that wait for their start."""
+        for goal in self._goals:
+            if not goal.has_begun:
+                goal.cancel(f"{service} was called")
 
     async def _init(self) -> str:
         await self.chain.initialise()
@@ -196,6 +204,8 @@ class ChainBridge:
             raise self._refused(what, "it was halted, and the halt is in force", "{chain}/recover")
         if self.chain.state is ChainState.OFF:
             raise self._refused(what, "it is off", "{chain}/init")
+        if self.chain.state is ChainState.FAULT:
+            raise self.chain.stop_reason()
 
     def _scales(self) -> list[float]:
         """Return the radians, or metres, in one unit of each joint. Raises ChainError for a joint without a unit."""
@@ -208,8 +218,9 @@ class ChainBridge:
 
         Never raises or waits: a refusal is reported (`Bridge.reports`). Zeros begin no motion.
         """
+        what = "take velocities"
         try:
-            self._require_movable("take velocities")
+            self._require_movable(what)
             velocities = self._in_units("velocity", values)
         except COMMAND_ERRORS as error:
             self._tell(error)
@@ -217,7 +228,7 @@ class ChainBridge:
         if self._jogging is not None and not self._jogging.is_over:
             self._jogging.give(velocities)
         elif any(velocities):
-            self._jogging = Jogging(self.chain, self._tell, velocities, self.watchdog)
+            self._jogging = Jogging(self.chain, self._tell, partial(self._require_movable, what), velocities, self.watchdog)
             self._nursery.start_soon(self._jogging.run)
 
     def command_positions(self, names: Sequence[str], positions: Sequence[float], velocities: Sequence[float] = ()) -> None:
@@ -227,10 +238,11 @@ class ChainBridge:
         Never raises or waits: a refusal is reported. Refused are unknown names, arrays that are too short, and values that are
         no finite numbers, as a whole.
         """
+        what = "take positions"
         try:
-            self._require_movable("take positions")
+            self._require_movable(what)
             if self._goals:
-                raise self._refused("take positions", "it follows a trajectory", "one source of commands at a time")
+                raise self._refused(what, "it follows a trajectory", "one source of commands at a time")
             targets = self._targets(names, positions)
             if velocities:
                 self._targets(names, velocities)
@@ -240,7 +252,7 @@ class ChainBridge:
         if self._streaming is not None and not self._streaming.is_over:
             self._streaming.give(targets)
         else:
-            self._streaming = Streaming(self.chain, self._tell, targets)
+            self._streaming = Streaming(self.chain, self._tell, partial(self._require_movable, what), targets)
             self._nursery.start_soon(self._streaming.run)
 
     def _tell(self, error: Exception) -> None:
@@ -285,10 +297,11 @@ class ChainBridge:
         ends PREEMPTED. A goal that is refused changes nothing. If the task is cancelled, or by `cancel`, the joints brake along
         the path; `cancel` lets this return PREEMPTED. A trajectory without points stops the present motion.
         """
+        check = partial(self._require_movable, "follow a trajectory")
         try:
-            self._require_movable("follow a trajectory")
+            check()
             points = checked(goal, self.joints, self._wall())
-            motion = GoalMotion(self.chain, goal, self._scales(), self.goal_time)
+            motion = GoalMotion(self.chain, goal, self._scales(), self.goal_time, check)
         except GoalRefused as refused:
             return GoalResult(refused.code, str(refused), Outcome.REJECTED)
         except COMMAND_ERRORS as error:

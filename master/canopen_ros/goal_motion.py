@@ -35,9 +35,13 @@ class GoalMotion:
     All times are those of trio's clock.
     """
 
-    def __init__(self, chain: Chain, goal: TrajectoryGoal, scales: Sequence[float], goal_time: float) -> None:
-        """scales: radians, or metres, in one unit of each joint. goal_time: seconds, for a goal that names none."""
+    def __init__(
+        self, chain: Chain, goal: TrajectoryGoal, scales: Sequence[float], goal_time: float, check: Callable[[], object]
+    ) -> None:
+        """scales: radians, or metres, in one unit of each joint. goal_time: seconds, for a goal that names none. check: raises
+        if the chain may not begin to move."""
         self.goal = goal
+        self._check = check
         self.is_over = False
         self._chain = chain
         self._names = tuple(device.name for device in chain.devices)
@@ -86,6 +90,7 @@ class GoalMotion:
             return self._path
 
         try:
+            self._check()  # a halt may have come since the goal did
             await chain.follow(make)
         except GoalRefused as refused:
             return GoalResult(refused.code, str(refused), Outcome.REJECTED)

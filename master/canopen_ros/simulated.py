@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from functools import partial
+from typing import Final
 
 import trio
 
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
 from canopen_master.machine_file import MachineFile, NodeEntry
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_master.simulation import DeviceMaker, DeviceModel, Host, powerballs, simulate
+from canopen_master.simulation import DeviceMaker, DeviceModel, Host, simulate
 from canopen_proto.cia402.names import is_drive
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
 
-BOOT_TIME = 0.05
+BOOT_TIME: Final = 0.05
 """Seconds from power-on until the boot-up frames are sent."""
+
+_POWERBALL: Final = DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=Track(home_switch=(0.0, math.inf)))
+"""The home switch is active from the middle to the positive end. With one in the middle only, homing from beyond it would run
+into the limit switch."""
 
 
 def on_virtual_buses(machine: MachineFile) -> MachineFile:
@@ -54,7 +62,7 @@ async def simulated_machine(machine: MachineFile) -> AsyncIterator[Mapping[str, 
 def _maker(node: NodeEntry, files: Dictionaries) -> DeviceMaker:
     description = files.description_of(node)
     if description is None:
-        return powerballs(node.node_id)[0]
+        return partial(DriveNode, node_id=node.node_id, settings=_POWERBALL)
     dictionary, shape = description.dictionary, Shape.STANDARD
     if "schunk" in description.device_info.vendor_name.casefold() or node.device.shape == "schunk":
         shape = Shape.SCHUNK_POWERBALL

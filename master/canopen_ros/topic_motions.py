@@ -19,9 +19,11 @@ QUIET: Final = 0.5
 class _TopicMotion:
     """A motion under way. is_over: it takes no more messages."""
 
-    def __init__(self, chain: Chain, report: Callable[[Exception], object]) -> None:
-        """report: called with the error that ended it, if one did."""
+    def __init__(self, chain: Chain, report: Callable[[Exception], object], check: Callable[[], object]) -> None:
+        """report: called with the error that ended it, if one did. check: raises if the chain may not begin to move."""
         self.chain = chain
+        self._check = check
+        self._given_at = trio.current_time()
         self.is_over = False
         self._report = report
         self._scope = trio.CancelScope()
@@ -35,6 +37,7 @@ class _TopicMotion:
         """Move until it is over."""
         try:
             with self._scope:
+                self._check()  # a halt may have come since the message did
                 await self._move()
         except MotionReplaced:
             return
@@ -50,15 +53,22 @@ class _TopicMotion:
 class Jogging(_TopicMotion):
     """Moves at the velocities that were given last, in the joints' units, until `watchdog` seconds pass without new ones."""
 
-    def __init__(self, chain: Chain, report: Callable[[Exception], object], velocities: Sequence[float], watchdog: float) -> None:
-        super().__init__(chain, report)
+    def __init__(
+        self,
+        chain: Chain,
+        report: Callable[[Exception], object],
+        check: Callable[[], object],
+        velocities: Sequence[float],
+        watchdog: float,
+    ) -> None:
+        super().__init__(chain, report, check)
         self._velocities = velocities
         self._watchdog = watchdog
         self._jog: Jog | None = None
 
     def give(self, velocities: Sequence[float]) -> None:
         """Move at these velocities from now on. While the joints brake behind the watchdog, this does nothing."""
-        self._velocities = velocities
+        self._velocities, self._given_at = velocities, trio.current_time()
         motion = self.chain.motion
         if self._jog is not None and motion is not None and not motion.is_braking and not motion.course.is_finished:
             try:
@@ -68,6 +78,8 @@ class Jogging(_TopicMotion):
 
     async def _move(self) -> None:
         async with self.chain.jog(renew_within=self._watchdog) as jog:
+            if trio.current_time() - self._given_at > self._watchdog:
+                return  # the chain needed longer to begin; the client may be gone
             self._jog = jog
             jog.velocity(self._velocities)
             motion = self.chain.motion
@@ -78,13 +90,18 @@ class Jogging(_TopicMotion):
 class Streaming(_TopicMotion):
     """Goes to the positions that were given last, in the joints' units; see QUIET."""
 
-    def __init__(self, chain: Chain, report: Callable[[Exception], object], targets: Mapping[int, float]) -> None:
+    def __init__(
+        self,
+        chain: Chain,
+        report: Callable[[Exception], object],
+        check: Callable[[], object],
+        targets: Mapping[int, float],
+    ) -> None:
         """targets: by the places of the joints; the others stay where they are."""
-        super().__init__(chain, report)
+        super().__init__(chain, report, check)
         self._given = dict(targets)
         self._positions: list[float] = []
         self._targets: Targets | None = None
-        self._given_at = trio.current_time()
 
     def give(self, targets: Mapping[int, float]) -> None:
         """Go to these positions from now on."""

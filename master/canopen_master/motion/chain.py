@@ -33,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final, TypeVar, cast
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -41,7 +41,14 @@ from trio.lowlevel import enable_ki_protection
 from canopen_master.dispatch import ProcedureTakenBack, Waiter
 from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
 from canopen_master.motion.bus_room import make_room
-from canopen_master.motion.chain_errors import chain_halted, joint_failed, joint_fault, reference_lost
+from canopen_master.motion.chain_errors import (
+    chain_halted,
+    joint_failed,
+    joint_fault,
+    other_cycle,
+    raise_first,
+    reference_lost,
+)
 from canopen_master.motion.chain_settings import ChainSettings as ChainSettings
 from canopen_master.motion.chain_view import ChainState as ChainState
 from canopen_master.motion.chain_view import ChainView
@@ -90,10 +97,7 @@ class _Operation:
 
 
 class Chain(ChainView, Moving):
-    """See this module's text; `ChainView` says what is known of it, `Moving` how it moves along paths.
-
-    begun: woken when a motion begins.
-    """
+    """See this module's text; `ChainView` says what is known of it, `Moving` how it moves along paths."""
 
     def __init__(
         self,
@@ -110,13 +114,14 @@ class Chain(ChainView, Moving):
         self._participant = participant
         self._heartbeat_timeout = heartbeat_timeout
         self._chains = chains
-        self.begun = trio.lowlevel.ParkingLot()
+        self.begun = trio.lowlevel.ParkingLot()  # woken when a motion begins
         self._supervision = Supervision(participant, self.devices, self._joint_failed)
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
         self._stopping: Waiter | None = None  # the procedure that halts the joints
         self._culprit: tuple[Device, str, Reason | None] | None = None  # the joint that stopped it, why, and the likely cause
         self._why_halted = ""
+        self._stops = 0  # how often `halt` or `shut_down` was called: each of them ends every command before it
         buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
         self._nodes = tuple(dict.fromkeys(device.node for device in devices))
         participant.watch((SyncSent,), self._on_sync, buses[0])
@@ -134,15 +139,18 @@ class Chain(ChainView, Moving):
         self._require_idle("initialise")
         await self._joints_halted("initialise")
         self._require_idle("initialise")
-        self._require_same_cycle()
+        if (others := self._others()) and participant.sync_period != round(settings.cycle_time * SECOND):
+            raise other_cycle(self.name, settings.cycle_time, participant.sync_period, [chain.name for chain in others])
         self._supervision.is_on = False
         self._end_following(ChainState.OFF)
         self._culprit, self._why_halted = None, ""
+        stops = self._stops
         await self._for_all("initialise", lambda device: meet(device, settings))
         make_room(self, self._others(), participant.bus)
         await self._for_all("initialise", lambda device: prepare(device, settings, self._heartbeat_timeout))
         for node in self._nodes:
             await participant.nmt_start(node.node_id, bus=node.bus)
+        self._check_not_stopped(stops, "initialise")
         if participant.sync_period != round(settings.cycle_time * SECOND):
             participant.sync_start(settings.cycle_time)
         await self._for_all("initialise", reset_and_enable)
@@ -196,12 +204,13 @@ class Chain(ChainView, Moving):
     def begin_halt(self) -> None:
         """Tell all joints to stop; `halted` waits until they stand."""
         self._participant.check_open()
+        self._stops += 1
         if self._stopping is None or self._stopping.is_done:
             self._stop("by halt()")
 
     async def halted(self) -> None:
         """Wait until the joints stand. Raises as `halt`."""
-        self._raise_first("halt", await self._joints_stopped())
+        raise_first(self.name, "halt", await self._joints_stopped())
 
     async def recover(self) -> None:
         """Reset and enable all joints after a fault or a halt. A chain that followed set-points follows them again.
@@ -222,6 +231,7 @@ class Chain(ChainView, Moving):
         Raises ChainError, which names a joint that was not shut down.
         """
         self._participant.check_open()
+        self._stops += 1
         self._supervision.is_on = self._followed = False
         if self._running is not None or self.motion is not None:
             self._stop("by shut_down()")
@@ -235,7 +245,7 @@ class Chain(ChainView, Moving):
                 await self._participant.nmt_stop(node.node_id, bus=node.bus)
         if all(chain.state is ChainState.OFF and chain._running is None for chain in self._chains):  # none begins, either
             self._participant.sync_stop()
-        self._raise_first("shut down", failures)
+        raise_first(self.name, "shut down", failures)
 
     def cycles(self) -> Cycles:
         """The SYNC cycles from now on, as an async iterator. Read the path at `Cycle.time`. A late loop gets the newest cycle.
@@ -277,16 +287,6 @@ class Chain(ChainView, Moving):
         return recording(lambda: Recorder(*followed, lambda: self.state is not ChainState.OFF, lambda: self.motion, path))
 
     # ---- along a path: see path_motion.py and moving.py ----
-
-    @property
-    def desired(self) -> list[float]:
-        """The set-points that the next SYNC takes along; empty while it follows none."""
-        return self._set_points.desired
-
-    @property
-    def without_torque(self) -> list[Device]:
-        """The joints that take no torque beside their set-points."""
-        return self._set_points.without_torque
 
     def check_open(self) -> None:
         """Raise BusError if a bus has failed, MasterClosed if the master has been left."""
@@ -346,7 +346,9 @@ class Chain(ChainView, Moving):
         request_id, waiter = self._participant.launch(all_of(*procedures))
         running = self._running = _Operation(operation, request_id)
         try:
-            results: list[T] = await self._participant.outcome_of(request_id, waiter)
+            results = cast("list[T]", await self._participant.outcome_of(request_id, waiter))
+            if self._running is not running:  # it was stopped at the moment of its end
+                raise ProcedureTakenBack
             return results
         except JointFailed as failed:
             raise joint_failed(self.name, operation, failed) from failed.error
@@ -356,13 +358,6 @@ class Chain(ChainView, Moving):
         finally:
             if self._running is running:  # else halt() or shut_down() took over
                 self._running = None
-
-    def _raise_first(self, operation: str, failures: Sequence[JointFailed | None]) -> None:
-        errors = [joint_failed(self.name, operation, failed) for failed in failures if failed is not None]
-        if errors:
-            for other in errors[1:]:
-                errors[0].add_note(str(other))
-            raise errors[0]
 
     # ---- state ----
 
@@ -403,15 +398,6 @@ class Chain(ChainView, Moving):
     def _others(self) -> list[Chain]:
         """Return the other chains that run."""
         return [chain for chain in self._chains if chain is not self and chain.state is not ChainState.OFF]
-
-    def _require_same_cycle(self) -> None:
-        """Raise ChainError if other chains run with another cycle: SYNC is one for all chains."""
-        period = self._participant.sync_period
-        others = [chain.name for chain in self._others()]
-        if others and period != round(self.settings.cycle_time * SECOND):
-            failed = f"chain {self.name} cannot run with a cycle of {self.settings.cycle_time:g} s"
-            seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"
-            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("one cycle_time for all chains",))
 
     def _end_following(self, state: ChainState) -> None:
         self.state = state
@@ -454,17 +440,22 @@ class Chain(ChainView, Moving):
         await trio.lowlevel.checkpoint()
         if self.state is ChainState.STOPPING and self.motion is not None:
             await self.motion.braked()
-        if self._stopping is None:
-            return []
-        await self._stopping.wait()
-        failures: list[JointFailed | None] = self._participant.result_of(self._stopping)
-        return failures
+        while self._stopping is not None and not self._stopping.is_done:  # another stop may begin meanwhile
+            await self._stopping.wait()
+        return [] if self._stopping is None else self._participant.result_of(self._stopping)
 
     async def _joints_halted(self, what: str) -> None:
         """Halt joints that follow set-points, and wait for a halt under way. The next procedure sees whether each stands."""
+        stops = self._stops
         if self.state is ChainState.FOLLOWING:
             self._stop(f"to {what}")
         await self._joints_stopped()
+        self._check_not_stopped(stops, what)
+
+    def _check_not_stopped(self, stops: int, what: str) -> None:
+        """Raise if `halt` or `shut_down` was called since there were so many stops."""
+        if self._stops != stops:
+            raise chain_halted(self.name, f"before it could {what}")
 
     async def why_stopped(self) -> ChainError | None:
         """Why the chain follows no set-points, once the joints stand; None while it follows them."""

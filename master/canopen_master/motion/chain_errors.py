@@ -23,6 +23,7 @@ from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drive import DriveError, DriveFault, ReferenceLost
 from canopen_proto.drive.reasons import Reason, outer_reason
+from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
 
@@ -52,6 +53,22 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
         tries = ("open_master(..., grip=Grip()) enables it all the same, and names it",)
     failure = f"chain {chain} could not {operation}: {device.where}: {what}"
     return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
+
+
+def raise_first(chain: str, operation: str, failures: Sequence[JointFailed | None]) -> None:
+    """Raise the error of the first joint that failed, if one did; the others are its notes."""
+    errors = [joint_failed(chain, operation, failed) for failed in failures if failed is not None]
+    if errors:
+        for other in errors[1:]:
+            errors[0].add_note(str(other))
+        raise errors[0]
+
+
+def other_cycle(chain: str, cycle_time: float, period: Time, others: Sequence[str]) -> ChainError:
+    """Return the error for a chain whose cycle is not that of the chains that run: SYNC is one for all. period: of SYNC, in ns."""
+    failed = f"chain {chain} cannot run with a cycle of {cycle_time:g} s"
+    seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"
+    return ChainError(CHAIN_NOT_READY, chain, failed, seen=seen, tries=("one cycle_time for all chains",))
 
 
 def reference_lost(chain: str, operation: str, devices: Sequence[Device]) -> ChainError:

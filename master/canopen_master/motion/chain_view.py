@@ -116,6 +116,16 @@ class ChainView:
         """Periods in which no SYNC was sent while it followed set-points, because this process was late."""
         return self._set_points.skipped_cycles
 
+    @property
+    def desired(self) -> list[float]:
+        """The set-points that the next SYNC takes along; empty while it follows none."""
+        return self._set_points.desired
+
+    @property
+    def without_torque(self) -> list[Device]:
+        """The joints that take no torque beside their set-points."""
+        return self._set_points.without_torque
+
     def _known(self, what: str, values: Sequence[float | None]) -> list[float]:
         """The values, one for each joint. Raises ChainError if one is not known."""
         known = []

@@ -1,0 +1,63 @@
+"""Halts and shut downs that come at the same time, or between the steps of another command: they count, and nothing breaks."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+
+import pytest
+import trio
+
+from canopen_master import Chain, ChainHalted, ChainState
+from tests.master.path_world import arms, swing
+from tests.master.world import virtual_time
+
+
+@pytest.mark.parametrize("name", ["home", "initialise", "recover"])
+@virtual_time
+async def test_a_halt_while_a_command_waits_for_the_stop_before_it_ends_that_command(name: str) -> None:
+    commands: dict[str, Callable[[Chain], Awaitable[None]]] = {
+        "home": Chain.home, "initialise": Chain.initialise, "recover": Chain.recover,
+    }  # fmt: skip
+    async with arms(2) as (_, [arm], record):
+        ended: list[str] = []
+        async with trio.open_nursery() as nursery:
+
+            async def follow() -> None:
+                with pytest.raises(ChainHalted):
+                    await arm.follow(swing(0.5, -0.3))
+
+            async def command() -> None:
+                with pytest.raises(ChainHalted, match="before it could"):
+                    await commands[name](arm)
+                ended.append(name)
+
+            nursery.start_soon(follow)
+            await trio.sleep(1.5)
+            nursery.start_soon(command)
+            await trio.sleep(0.05)  # it brakes along the path
+            await arm.halt()
+        assert ended == [name]
+        assert arm.state is ChainState.HALTED
+        before = record.rows[-1]
+        await trio.sleep(1)
+        assert record.rows[-1] == before
+
+
+@virtual_time
+async def test_two_shut_downs_at_once() -> None:
+    async with arms(2) as (_, [arm], _record):
+        async with trio.open_nursery() as nursery:
+            results: list[Exception | None] = []
+
+            async def shut_down() -> None:
+                try:
+                    await arm.shut_down()
+                except ChainHalted as halted:  # it was taken over by the other one
+                    results.append(halted)
+                else:
+                    results.append(None)
+
+            nursery.start_soon(shut_down)
+            nursery.start_soon(shut_down)
+        assert None in results
+        assert arm.state is ChainState.OFF
