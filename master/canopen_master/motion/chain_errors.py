@@ -65,7 +65,7 @@ def raise_first(chain: str, operation: str, failures: Sequence[JointFailed | Non
 
 
 def other_cycle(chain: str, cycle_time: float, period: Time, others: Sequence[str]) -> ChainError:
-    """Return the error for a chain whose cycle is not that of the chains that run: SYNC is one for all. period: of SYNC, in ns."""
+    """Return the error for a chain whose cycle is not that of the others: SYNC is one for all. period: of SYNC, in ns."""
     failed = f"chain {chain} cannot run with a cycle of {cycle_time:g} s"
     seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"
     return ChainError(CHAIN_NOT_READY, chain, failed, seen=seen, tries=("one cycle_time for all chains",))
