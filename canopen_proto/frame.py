@@ -55,6 +55,8 @@ SDO_CLIENT_TO_SERVER: Final = 0x600
 ERROR_CONTROL: Final = 0x700
 
 MAX_NODE_ID: Final = 127
+UNCONFIGURED: Final = 0xFF
+"""The node-ID of a device that has none."""
 
 _CANDUMP: Final = r"\s*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#(?:[Rr]([0-8])?|((?:[0-9A-Fa-f]{2}(?:\.?[0-9A-Fa-f]{2}){0,7})?))\s*"
 

@@ -16,14 +16,13 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 from canopen_proto.frame import MAX_NODE_ID, Frame, RoutingKey
+from canopen_proto.frame import UNCONFIGURED as UNCONFIGURED
 from canopen_proto.machine import LocalProtocolError
 
 FROM_SLAVE: Final = RoutingKey(0x7E4)
 FROM_MASTER: Final = RoutingKey(0x7E5)
 LENGTH: Final = 8
 
-UNCONFIGURED: Final = 0xFF
-"""The node-ID of a device that has none."""
 OK: Final = 0
 SPECIFIC: Final = 0xFF
 """Error byte: the maker's own error, which the byte behind it tells."""

@@ -31,12 +31,13 @@ from canopen_proto.frame import (
     TPDO1,
     TPDO4,
     Frame,
+    RoutingKey,
     routing_key,
 )
 from canopen_proto.lss import messages as lss
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.observer.pdo import OverheardPdo, OverheardPdos
-from canopen_proto.observer.sdo import OverheardChannel, bytes_text, shown_value
+from canopen_proto.observer.sdo import OverheardChannel, Settled, bytes_text, shown_value
 from canopen_proto.pdo.mapping import MappedEntry
 from canopen_proto.time_stamp import time_of
 
@@ -62,16 +63,26 @@ class Meaning(NamedTuple):
 
 
 class Decoder:
-    """Puts frames in words. dictionary_of: returns the dictionary of a node-ID, or None."""
+    """Puts frames in words. dictionary_of: returns the dictionary of a node-ID, or None.
+
+    Of the last frame: pdo: it is this one, or None. settled: the node, and the value that it has shown to hold, or None.
+    """
 
     def __init__(self, dictionary_of: Callable[[int], ObjectDictionary | None] = lambda node_id: None) -> None:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
         self._channels: dict[int, OverheardChannel] = {}
         self._pdos = OverheardPdos(self._dictionaries)
+        self.pdo: OverheardPdo | None = None
+        self.settled: tuple[int, Settled] | None = None
+
+    def shared_cob_ids(self) -> list[tuple[RoutingKey, OverheardPdo, OverheardPdo]]:
+        """Return the PDOs that two nodes send with one COB-ID, with its routing key."""
+        return self._pdos.shared
 
     def decode(self, frame: Frame) -> Meaning:
         """Return the meaning of a frame, as the next one after all frames before."""
-        pdo = self._pdos.find(routing_key(frame.can_id, frame.flags & ~REMOTE), frame.can_id & 0x7F, len(frame.data))
+        self.settled = None
+        self.pdo = pdo = self._pdos.find(routing_key(frame.can_id, frame.flags & ~REMOTE), frame.can_id & 0x7F, len(frame.data))
         if pdo is not None:
             return _of_pdo(pdo, self._dictionaries[pdo.node_id], frame)
         if frame.flags & EXTENDED:
@@ -107,6 +118,7 @@ class Decoder:
         channel = self._channel(node_id)
         text = channel.server(data)
         if channel.settled is not None:
+            self.settled = node_id, channel.settled
             self._pdos.settle(node_id, *channel.settled.place, channel.settled.data)
         return text
 

@@ -31,23 +31,28 @@ _NEXT_PDO: Final = 0x100  # from the function code of a PDO to that of the next 
 
 
 class OverheardPdo(NamedTuple):
-    """A PDO of a device. name: "TPDO 1", or its name in PDOs.csv."""
+    """A PDO of a device. name: "TPDO 1", or its name in PDOs.csv; is_guess: the latter, which may be of another device."""
 
     node_id: int
     name: str
     direction: Direction
     mapping: PdoMapping
     is_recorded: bool
+    is_guess: bool = False
 
 
 class OverheardPdos:
-    """The PDOs of all devices on a bus; see this module's text. dictionaries: by node-ID."""
+    """The PDOs of all devices on a bus; see this module's text. dictionaries: by node-ID.
+
+    shared: those that two nodes send with one COB-ID; `find` fills it.
+    """
 
     def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
         self._dictionaries = dictionaries
         self._recorded: dict[int, dict[Mux, int]] = {}  # by node-ID: mux -> value
         self._of_node = {node_id: self._pdos_of(node_id) for node_id in dictionaries}  # with their routing keys
         self._by_key: dict[int, OverheardPdo] | None = None
+        self.shared: list[tuple[RoutingKey, OverheardPdo, OverheardPdo]] = []
 
     def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
         """Take note that the device holds this value. Does nothing if the object is not a PDO parameter."""
@@ -64,10 +69,13 @@ class OverheardPdos:
         """Return the PDO with a routing key, or None. node_id: of the CAN-ID; length: bytes of the frame; both for PDOs.csv."""
         if self._by_key is None:
             self._by_key = {}
+            self.shared = []
             known = [pair for pairs in self._of_node.values() for pair in pairs]
             known.sort(key=lambda pair: (not pair[1].is_recorded, pair[1].direction is Direction.RPDO))
             for each, pdo in known:
-                self._by_key.setdefault(each, pdo)
+                first = self._by_key.setdefault(each, pdo)
+                if first.node_id != pdo.node_id and Direction.RPDO not in (first.direction, pdo.direction):
+                    self.shared.append((each, first, pdo))
         if key in self._by_key or self._of_node.get(node_id):
             return self._by_key.get(key)
         return self._of_csv(key, node_id, length)
@@ -75,6 +83,7 @@ class OverheardPdos:
     def _renew(self, node_id: int) -> None:
         self._of_node[node_id] = self._pdos_of(node_id)
         self._by_key = None
+        self.shared = []
 
     def _of_csv(self, key: RoutingKey, node_id: int, length: int) -> OverheardPdo | None:
         pdos = self._dictionaries[node_id].pdos if node_id in self._dictionaries else ()
@@ -83,7 +92,7 @@ class OverheardPdos:
             return None
         best = next((each for each in candidates if (each.bit_length + 7) // 8 == length), candidates[0])
         try:
-            return OverheardPdo(node_id, best.name, best.direction, PdoMapping.from_description(best), False)
+            return OverheardPdo(node_id, best.name, best.direction, PdoMapping.from_description(best), False, True)
         except MappingError:
             return None
 

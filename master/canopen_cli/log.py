@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import click
 import trio
@@ -19,15 +19,19 @@ from canopen_cli.running import run, same_file
 from canopen_cli.screen import Screen, escape
 from canopen_cli.session import read_dictionary
 from canopen_master.plain_text import clean, json_text
+from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND
 from canopen_proto.observer.decoding import Decoder
+from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observation, Observer
 from canopen_transports import open_transport
 from canopen_transports.locator import bitrate_text, parse_bitrate
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
-from canopen_transports.wire.frame_bits import frame_bits
 
 if TYPE_CHECKING:
     from io import BufferedReader
+
+    from canopen_transports.record import Record
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=True)
@@ -191,7 +195,8 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
 def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, services: tuple[str, ...]) -> None:
     """Say what each frame in a file means; - is standard input.
 
-    PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv.
+    PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. A line that begins
+    with ! says what is wrong with the frame before it.
 
     \b
     canopen log decode trace.log
@@ -200,28 +205,91 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
     """
     screen = settings.screen()
     files = NodeFiles(settings, screen, read_dictionary(screen))
-    reader, decoder = _reader(source), Decoder(files.dictionary_of)
+    reader, buses = _reader(source), _Buses(files)
     wanted = tuple(service.lower() for service in services)
-    first = None
     for number, record in enumerate(reader):
-        first = record.time if first is None else first
-        meaning = decoder.decode(record.frame)
+        seconds, (meaning, findings) = buses.observe(record)
         kind = meaning.service.lower()
         if (nodes and meaning.node_id not in nodes) or (wanted and not any(word in kind for word in wanted)):
             continue
         if number % 256 == 0:
             screen.check_reader()
-        seconds = (record.time - first) / SECOND
         if settings.json:
             line = {"time": record.time, "channel": record.channel, "frame": str(record.frame), "sent": record.sent}
             line |= {"service": meaning.service, "node": meaning.node_id, "text": meaning.text}
+            line |= {"findings": [finding._asdict() for finding in findings]}
             screen.out.out(json_text(line), highlight=False)
         else:
             node = str(meaning.node_id) if meaning.node_id else ""
             screen.out.out(
                 f"{seconds:12.6f} {record.frame!s:<25} {meaning.service:<9} {node:>3}  {clean(meaning.text)}", highlight=False
             )
+            for finding in findings:
+                screen.out.out(f"! {_finding_text(finding)}", highlight=False)
     _tell_skipped(screen, reader)
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
+@click.option("--bitrate", default="", help="Look at the load of the bus, too: 1M, 250k.")
+@click.option("--limit", default=LOAD_LIMIT * 100, show_default=True, type=click.FloatRange(1, 100), help="Of the load, in %.")
+@common
+@click.pass_obj
+def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
+    """Say what is wrong on the bus that a file was recorded on; - is standard input. Exit status 1 if anything is.
+
+    \b
+    canopen log check trace.log
+    canopen log check trace.log -e 5=drive.eds --bitrate 500k
+    """
+    screen = settings.screen()
+    try:
+        rate = parse_bitrate(bitrate) if bitrate else 0
+    except ValueError as error:
+        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
+    files = NodeFiles(settings, screen, read_dictionary(screen))
+    reader, buses = _reader(source), _Buses(files, bitrate=rate, load_limit=limit / 100)
+    counts: Counter[str] = Counter()
+    number = 0
+    for number, record in enumerate(reader, 1):
+        if number % 256 == 0:
+            screen.check_reader()
+        seconds, observation = buses.observe(record)
+        for finding in observation.findings:
+            counts[finding.rule] += 1
+            if settings.json:
+                where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
+                screen.out.out(json_text(where | finding._asdict()), highlight=False)
+            else:
+                screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {_finding_text(finding)}", highlight=False)
+    for rule, count in sorted(counts.items()):
+        screen.say(f"{count:>7} x [bold]{rule}[/]: {RULES[rule]}")
+    screen.say(f"{number} frames, {sum(counts.values()) or 'no'} findings")
+    _tell_skipped(screen, reader)
+    return ExitCode.DIFFERENT if counts else ExitCode.OK
+
+
+class _Buses:
+    """The observers of a file: each bus in it has its own."""
+
+    def __init__(self, files: NodeFiles, **settings: Any) -> None:
+        self._files = files
+        self._settings = settings
+        self._first: int | None = None
+        self._observers: dict[str, Observer] = {}
+
+    def observe(self, record: Record) -> tuple[float, Observation]:
+        """Return the seconds since the first record, and what is known of this one."""
+        if self._first is None:
+            self._first = record.time
+        if record.channel not in self._observers:
+            self._observers[record.channel] = Observer(self._files.dictionary_of, **self._settings)
+        now = record.time - self._first
+        return now / SECOND, self._observers[record.channel].observe(record.frame, now)
+
+
+def _finding_text(finding: Finding) -> str:
+    return f"{finding.rule}: {f'node {finding.node_id}: ' if finding.node_id else ''}{clean(finding.text)}"
 
 
 def _tell_skipped(screen: Screen, reader: LogReader) -> None:

@@ -20,8 +20,7 @@ import click
 from canopen_cli.chosen_machine import MACHINE_VARIABLE, NUMBER, ChosenMachine
 from canopen_cli.importing import importing
 from canopen_cli.problem import Problem, usage
-from canopen_proto.frame import MAX_NODE_ID
-from canopen_proto.lss.messages import UNCONFIGURED
+from canopen_proto.frame import MAX_NODE_ID, UNCONFIGURED
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 
 if TYPE_CHECKING:

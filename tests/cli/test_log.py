@@ -287,6 +287,51 @@ def test_decode_by_a_devices_file(run: Run, tmp_path: Path) -> None:
     assert "1 entries passed over" in outcome.err
 
 
+BAD = (
+    "(1.0) can0 603#4041600000000000\n(1.1) can0 583#4B41600037020000\n(1.2) can0 583#4B41600037060000\n"
+    "(1.3) can1 603#4041600000000000\n(1.4) can1 583#4B41600037020000\n(1.5) can1 000#01\n"
+)
+"""Two answers on can0, as two nodes with one ID give them; nothing of the kind on can1, but a command that is too short."""
+
+
+def test_decode_says_what_is_wrong_with_a_frame(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(BAD)
+    outcome = run("log", "decode", "a.log")
+    lines = outcome.out.splitlines()
+    assert lines[3] == "! double id: node 3: a second answer to one SDO request: two nodes have one ID"
+    assert lines[7] == "! length: an NMT command of 1 bytes; it has two"
+    assert (outcome.status, len(lines)) == (0, 8)
+    third = json.loads(run("log", "decode", "a.log", "--json").out.splitlines()[2])
+    assert [(each["rule"], each["node_id"]) for each in third["findings"]] == [("double id", 3)]
+
+
+def test_check(run: Run, tmp_path: Path, log: Path) -> None:
+    outcome = run("log", "check", str(log))
+    assert (outcome.status, outcome.out) == (0, "")
+    assert "4 frames, no findings" in outcome.err
+    (tmp_path / "a.log").write_text(BAD)
+    outcome = run("log", "check", "a.log")
+    assert outcome.status == 1
+    assert outcome.out.splitlines() == [
+        "    0.200000 583#4B41600037060000      double id: node 3: a second answer to one SDO request: two nodes have one ID",
+        "    0.500000 000#01                    length: an NMT command of 1 bytes; it has two",
+    ]
+    assert "1 x double id: two nodes have one ID" in outcome.err
+    assert "6 frames, 2 findings" in outcome.err
+    found = [json.loads(line) for line in run("log", "check", "a.log", "--json").out.splitlines()]
+    assert [(each["rule"], each["channel"]) for each in found] == [("double id", "can0"), ("length", "can1")]
+
+
+def test_check_looks_at_the_load(run: Run, tmp_path: Path) -> None:
+    text = "".join(f"({1 + number / 1000:.6f}) can0 185#0102030405060708\n" for number in range(2500))
+    (tmp_path / "a.log").write_text(text)
+    assert run("log", "check", "a.log", "--bitrate", "250k").status == 0
+    outcome = run("log", "check", "a.log", "--bitrate", "250k", "--limit", "40")
+    assert outcome.status == 1
+    assert "of 250000 bit/s in the last 1 s; the limit is 40 %" in outcome.out
+    assert run("log", "check", "a.log", "--bitrate", "2M").status == 2
+
+
 def test_decode_names_the_line_that_is_wrong(run: Run, log: Path) -> None:
     log.write_text(LOG + "hello\n")
     outcome = run("log", "decode", str(log))

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame_bits import crc15, stuff_bits, stuffed_part
 from canopen_transports.wire import duration, frame_bits, least_bits, worst_bits
-from canopen_transports.wire.frame_bits import crc15, stuff_bits, stuffed_part
 
 
 @st.composite

@@ -7,8 +7,8 @@
 Time is ns on any monotonic clock, and an argument, as in the core.
 """
 
+from canopen_proto.frame_bits import duration, frame_bits, least_bits, worst_bits
 from canopen_transports.wire.faults import FaultKind, FaultRates
-from canopen_transports.wire.frame_bits import duration, frame_bits, least_bits, worst_bits
 from canopen_transports.wire.member import QueueFull, QueueOrder, WireMember
 from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
 from canopen_transports.wire.response_time import Message, ResponseTime, response_times

@@ -17,10 +17,10 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import Final
 
+from canopen_proto.frame_bits import duration
 from canopen_proto.machine import Time
 from canopen_transports.errors import BusState
 from canopen_transports.wire.faults import FaultKind
-from canopen_transports.wire.frame_bits import duration
 from canopen_transports.wire.member import WireMember
 from canopen_transports.wire.reports import FaultHappened, StateReported, WireEvent
 from canopen_transports.wire.segment import Segment

@@ -5,9 +5,9 @@ from __future__ import annotations
 from random import Random
 
 from canopen_proto.frame import Frame
+from canopen_proto.frame_bits import FRAME_TAIL, INTERMISSION, frame_bits, stuff_bits, stuffed_part
 from canopen_transports.errors import BusState
 from canopen_transports.wire.faults import FaultKind, FaultRates
-from canopen_transports.wire.frame_bits import FRAME_TAIL, INTERMISSION, frame_bits, stuff_bits, stuffed_part
 from canopen_transports.wire.member import WireMember
 from canopen_transports.wire.segment import Segment, Transmission
 

@@ -33,8 +33,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from canopen_proto.frame_bits import duration
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
-from canopen_transports.wire.frame_bits import duration
 
 MAX_INSTANCES: Final = 1_000
 """Instances of one message in one busy period: its next frame always waits already. A network that is meant to work has a few."""

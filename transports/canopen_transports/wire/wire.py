@@ -34,12 +34,12 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from canopen_proto.frame import Frame
+from canopen_proto.frame_bits import INTERMISSION, duration
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_transports.errors import BusState
 from canopen_transports.wire.confinement import BUS_OFF_LIMIT, Confinement
 from canopen_transports.wire.course import decide
 from canopen_transports.wire.faults import FaultKind, FaultRates
-from canopen_transports.wire.frame_bits import INTERMISSION, duration
 from canopen_transports.wire.member import TRANSMIT_QUEUE_SIZE, QueueOrder, Waiting, WireMember
 from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
 from canopen_transports.wire.segment import Segment, Transmission

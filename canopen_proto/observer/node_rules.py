@@ -1,0 +1,137 @@
+"""Look whether the nodes of a bus keep to the rules of network management, by listening only: states and heartbeats.
+
+The state of a node is the one that its last heartbeat, or guarding answer, has told. An NMT command counts as well, once the node
+had the time to obey; a node that does not obey shows it by its next heartbeat. Behind a boot-up the state is not known: the node
+may start by itself (0x1F80, CiA 302-2).
+
+Two nodes with one ID: their heartbeats tell two states in turn. A state that changes, back, and again, without an NMT command or
+a boot-up, is that; a single change is a device that changes its state by itself (CiA 301 v4.2.0, 7.3.2.2).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.frame import MAX_NODE_ID
+from canopen_proto.machine import MILLISECOND, NEVER, Time
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.observer.finding import Finding
+
+OBEYING: Final = 100 * MILLISECOND
+"""Time for a node to obey an NMT command: what it has in its queues still goes out, and a slow node takes its time."""
+MAX_CONSUMERS: Final = 127
+"""Entries of 0x1016 that one node may have (CiA 301 v4.2.0, 7.5.2.19)."""
+
+_BOOT_UP: Final = 0
+_STATE: Final = 0x7F
+_AFTER: Final[dict[int, int]] = {
+    NmtCommand.START: NmtState.OPERATIONAL,
+    NmtCommand.STOP: NmtState.STOPPED,
+    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
+}
+"""The state behind a command; behind a reset it is not known until the node says it."""
+_TURNS: Final = 3
+"""Changes of a state without a reason that only two nodes can make: A, B, A, B."""
+
+
+class _View:
+    """What is known of one node. state: None if it is not known. since: when it got there at the latest."""
+
+    __slots__ = ("deadline", "is_told", "limit", "since", "state", "turns")
+
+    def __init__(self) -> None:
+        self.state: int | None = None
+        self.since: Time = 0
+        self.turns: list[int] = []  # states without a reason for the change, the oldest first
+        self.limit: Time = NEVER  # of its heartbeat, by its most impatient consumer
+        self.deadline: Time = NEVER
+        self.is_told = False  # that an SDO went to the stopped node
+
+
+class NodeRules:
+    """See this module's text."""
+
+    __slots__ = ("_consumers", "_next", "_views")
+
+    def __init__(self) -> None:
+        self._views = [_View() for _ in range(MAX_NODE_ID + 1)]
+        self._consumers: dict[tuple[int, int], tuple[int, Time]] = {}  # by consumer and subindex: the producer and its time
+        self._next: Time = NEVER
+
+    def consumer(self, node_id: int, subindex: int, value: int) -> None:
+        """Take note of an entry of a node's 0x1016. value: node-ID << 16 | ms."""
+        producer, time = value >> 16 & 0x7F, (value & 0xFFFF) * MILLISECOND
+        self._consumers.pop((node_id, subindex), None)
+        if producer and time and 0 < subindex <= MAX_CONSUMERS:
+            self._consumers[node_id, subindex] = (producer, time)
+        for number, view in enumerate(self._views):
+            view.limit = min((time for each, time in self._consumers.values() if each == number), default=NEVER)
+            if view.limit == NEVER:
+                view.deadline = NEVER
+
+    def overdue(self, now: Time) -> list[Finding]:
+        """Return the heartbeats that are later than their consumers allow; each one once."""
+        if now < self._next:
+            return []
+        found = []
+        for node_id, view in enumerate(self._views):
+            if view.deadline <= now:
+                view.deadline = NEVER
+                allowed = view.limit // MILLISECOND
+                waiting = [str(consumer) for (consumer, _), (each, _) in sorted(self._consumers.items()) if each == node_id]
+                text = f"no heartbeat for more than {allowed} ms, which node {', '.join(waiting)} allows"
+                found.append(Finding("late heartbeat", node_id, text))
+        self._next = min(view.deadline for view in self._views)
+        return found
+
+    def command(self, command: int, node_id: int, now: Time) -> None:
+        """Take note of an NMT command. node_id: 0 for all nodes."""
+        for view in self._views[node_id : node_id + 1] if node_id else self._views:
+            view.state = _AFTER.get(command)
+            view.since = now
+            view.turns.clear()
+            view.is_told = False
+
+    def error_control(self, node_id: int, data: bytes, now: Time) -> list[Finding]:
+        """Take note of a boot-up, a heartbeat, or a guarding answer."""
+        if len(data) != 1:
+            return [Finding("length", node_id, f"a heartbeat of {len(data)} bytes; it has one")]
+        view, state = self._views[node_id], data[0] & _STATE
+        view.deadline = NEVER if view.limit == NEVER else now + view.limit
+        self._next = min(self._next, view.deadline)
+        if state == _BOOT_UP:
+            view.state = None
+            view.turns.clear()
+            return []
+        found = []
+        if not view.turns or state != view.turns[-1]:
+            view.turns.append(state)
+            if len(view.turns) > _TURNS:
+                if view.turns[-1] == view.turns[-3] and view.turns[-2] == view.turns[-4]:
+                    text = f"its heartbeats say {_word(view.turns[-2])} and {_word(state)} in turn: two nodes have one ID"
+                    found.append(Finding("double id", node_id, text))
+                del view.turns[:-1]
+        if state != view.state:
+            view.state, view.since, view.is_told = state, now, False
+        return found
+
+    def sdo(self, node_id: int, now: Time, *, is_answer: bool) -> list[Finding]:
+        """Take note of an SDO frame."""
+        view = self._views[node_id]
+        if view.state != NmtState.STOPPED or now - view.since < OBEYING or (view.is_told and not is_answer):
+            return []
+        view.is_told = True
+        text = "it is stopped, and answers an SDO" if is_answer else "an SDO goes to a node that is stopped: it may not answer"
+        return [Finding("stopped", node_id, text)]
+
+    def pdo(self, node_id: int, now: Time) -> list[Finding]:
+        """Take note of a PDO that a node has sent."""
+        view = self._views[node_id]
+        if view.state in (None, NmtState.OPERATIONAL) or now - view.since < OBEYING:
+            return []
+        view.since = now  # said again after a while only
+        return [Finding("not operational", node_id, f"it sends a PDO, and is {_word(view.state or 0)}")]
+
+
+def _word(state: int) -> str:
+    return NmtState(state).name.lower().replace("_", "-") if state in set(NmtState) else f"in state 0x{state:02X}"

@@ -1,0 +1,191 @@
+"""SDO transfers overheard: nothing is found in clean ones, whatever they are; each fault that is planted is found."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.observer import Observer
+from canopen_proto.sdo.codec import TOGGLE
+from tests.examples import examples
+from tests.proto.block_pair import BlockPair, pattern
+from tests.proto.bus import Bus
+
+Session = list[tuple[Time, Frame]]
+REQUEST, ANSWER = 0x60C, 0x58C
+
+
+def findings(session: Session) -> list[Finding]:
+    observer = Observer()
+    return [finding for now, frame in session for finding in observer.observe(frame, now).findings]
+
+
+def rules(session: Session) -> list[str]:
+    return [finding.rule for finding in findings(session)]
+
+
+def transfer(
+    size: int, *, up: bool, block: bool, crc: bool = True, block_size: int = 127, loss: float = 0.0, seed: int = 0
+) -> Session:
+    """A transfer of our client and our server, as a recording has it."""
+    content = pattern(size)
+    pair = BlockPair(
+        Bus(seed, loss=loss), content, client={"crc": crc, "block_size": block_size}, server={"block_size": block_size}
+    )
+    if up:
+        pair.upload(block)
+    else:
+        pair.download(content, block)
+    pair.bus.settle()
+    return pair.bus.sent
+
+
+def frames(*texts: str, apart: Time = MILLISECOND) -> Session:
+    """Frames in candump's notation, some time apart."""
+    return [(number * apart, Frame.parse(text)) for number, text in enumerate(texts)]
+
+
+def with_data(session: Session, number: int, data: bytes) -> Session:
+    """The same recording; one frame has other data."""
+    now, frame = session[number]
+    return [*session[:number], (now, Frame(frame.can_id, data)), *session[number + 1 :]]
+
+
+SIZES = st.integers(1, 2000)
+BLOCK_SIZES = st.integers(2, 127)
+
+
+@given(SIZES, st.booleans(), st.booleans(), st.booleans(), BLOCK_SIZES)
+@examples(60)
+def test_nothing_is_found_in_a_clean_transfer(size: int, up: bool, block: bool, crc: bool, block_size: int) -> None:
+    session = transfer(size, up=up, block=block, crc=crc, block_size=block_size)
+    assert findings(session) == []
+    assert findings([*session, *[(now + SECOND * 9, frame) for now, frame in session]]) == []
+
+
+@given(SIZES, st.booleans(), BLOCK_SIZES, st.integers(0, 99))
+@examples(60)
+def test_nothing_is_found_in_a_block_transfer_that_repairs_losses(size: int, up: bool, block_size: int, seed: int) -> None:
+    """The recording has what was sent, and not what the receiver has heard: it takes part only by its acknowledgements."""
+    found = findings(transfer(size, up=up, block=True, block_size=block_size, loss=0.02, seed=seed))
+    assert {finding.rule for finding in found} <= {"no request", "sdo"}  # a frame that came behind an abort
+    assert not any("CRC" in finding.text for finding in found)
+
+
+@pytest.mark.parametrize("up", [False, True])
+@given(size=st.integers(15, 300), place=st.integers(0, 10**6))
+@examples(40)
+def test_a_toggle_bit_that_does_not_alternate_is_found(up: bool, size: int, place: int) -> None:
+    session = transfer(size, up=up, block=False)
+    segments = range(2, len(session))
+    number = segments[place % len(segments)]
+    frame = session[number][1]
+    planted = with_data(session, number, bytes([frame.data[0] ^ TOGGLE]) + frame.data[1:])
+    assert rules(planted)[0] == "toggle"
+
+
+@pytest.mark.parametrize("up", [False, True])
+@given(size=st.integers(8, 1500), place=st.integers(0, 10**6), bit=st.integers(0, 55), block_size=BLOCK_SIZES)
+@examples(60)
+def test_a_flipped_bit_in_a_block_is_found(up: bool, size: int, place: int, bit: int, block_size: int) -> None:
+    session = transfer(size, up=up, block=True, block_size=block_size)
+    sender = ANSWER if up else REQUEST
+    numbers = [each for each, (_, frame) in enumerate(session) if frame.can_id == sender]
+    # Behind the initiate frames, and before the end; an upload's sender has one frame more at the beginning than a download's
+    segments = numbers[1:-1]
+    count = -(-size // 7)
+    assert len(segments) == count
+    at = place % size
+    data = bytearray(session[segments[at // 7]][1].data)
+    data[1 + at % 7] ^= 1 << bit % 8
+    assert rules(with_data(session, segments[at // 7], bytes(data))) == ["crc"]
+    without = transfer(size, up=up, block=True, block_size=block_size, crc=False)
+    assert rules(with_data(without, segments[at // 7], bytes(data))) == []
+
+
+@pytest.mark.parametrize("block", [False, True])
+@pytest.mark.parametrize("up", [False, True])
+def test_a_size_that_was_announced_wrongly_is_found(up: bool, block: bool) -> None:
+    session = transfer(100, up=up, block=block)
+    number = 1 if up else 0
+    data = session[number][1].data
+    planted = with_data(session, number, data[:4] + (99).to_bytes(4, "little"))
+    (found,) = findings(planted)
+    assert (found.rule, found.text) == ("size", "2000:00 was announced with 99 bytes, and has 100")
+
+
+@pytest.mark.parametrize(
+    ("texts", "rule", "words"),
+    [
+        (["60C#4041600000000000", "58C#4B41600037020000", "58C#4B41600037060000"], "double id", "two nodes have one ID"),
+        (["60C#4041600000000000", "58C#4B41600037020000", "58C#4B41600037020000"], "no request", "once more"),
+        (["60C#4041600000000000", "58C#4B42600037020000"], "no request", "for 6042:00; the request was for 6041:00"),
+        (["60C#4041600000000000", "58C#6041600000000000"], "no request", "of another kind"),
+        (["60C#4041600000000000", "60C#4064600000000000"], "two masters", "two clients"),
+        (["60C#2B4060000600", "58C#6040600000000000", "58C#8040600000000008"], "no request", "aborts a transfer, and none"),
+        (["60C#2B4060000600", "58C#6040600000000000", "60C#0000000000000000"], "sdo", "outside of such a transfer"),
+        (["60C#2B40"], "sdo", "too short for its command"),
+        (["60C#2B4060000600", "58C#60"], "sdo", "an SDO answer is too short"),
+        (["60C#4000200000000000", "58C#4100200014000000", "58C#0041424344454647"], "no request", "a segment's answer"),
+        (
+            ["60C#C200200007000000", "58C#A40020007F000000", "60C#81AABBCCDDEEFF00", "58C#A2057F0000000000"],
+            "sdo",
+            "5 segments are",
+        ),
+        (
+            ["60C#C200200007000000", "58C#A40020007F000000", "60C#81AABBCCDDEEFF00", "58C#A3017F0000000000"],
+            "no request",
+            "not fit",
+        ),
+        (["60C#A00020007F000000", "58C#C200200007000000", "60C#A200000000000000"], "sdo", "does not fit here"),
+    ],
+)
+def test_what_does_not_fit(texts: list[str], rule: str, words: str) -> None:
+    found = findings(frames("60C#4041600000000000", "58C#4B41600037020000", *texts))
+    assert [finding.rule for finding in found] == [rule]
+    assert words in found[0].text
+    assert found[0].node_id == 12
+
+
+def test_an_answer_long_after_the_last_one_is_to_no_request() -> None:
+    session = frames("60C#4041600000000000", "58C#4B41600037020000", "58C#4B41600037060000", apart=SECOND)
+    assert [finding.text for finding in findings(session)] == ["an SDO answer to which there is no request"]
+
+
+def test_a_request_that_is_given_up_is_no_fault() -> None:
+    assert findings(frames("60C#4041600000000000", "60C#4064600000000000", "58C#4364600000000000", apart=SECOND)) == []
+    assert findings(frames("60C#4041600000000000", "60C#4041600000000000", "58C#4B41600037020000")) == []
+
+
+def test_a_recording_that_begins_in_the_middle_is_no_fault() -> None:
+    for block in (False, True):
+        for up in (False, True):
+            session = transfer(100, up=up, block=block)
+            for begin in range(1, len(session)):
+                later = [(now + SECOND, frame) for now, frame in transfer(9, up=True, block=False)]
+                assert findings(session[begin:] + later) == []
+
+
+def test_segments_that_the_recording_lacks_are_no_fault() -> None:
+    for up in (False, True):
+        session = transfer(100, up=up, block=True)
+        segments = [number for number, (_, frame) in enumerate(session) if frame.can_id == (ANSWER if up else REQUEST)][1:-1]
+        for number in segments[:-1]:  # without the last one it cannot be known where the sub-block ends
+            assert findings(session[:number] + session[number + 1 :]) == []
+
+
+def test_an_abort_in_the_middle_of_a_block_ends_the_transfer() -> None:
+    for up in (False, True):
+        session = transfer(100, up=up, block=True)
+        abort = Frame.parse("60C#8000200000000405") if not up else Frame.parse("58C#8000200000000405")
+        assert findings([*session[:5], (session[5][0], abort), *transfer(20, up=up, block=False)]) == []
+
+
+def test_a_server_may_answer_a_block_upload_in_segments() -> None:
+    session = frames("60C#A40020007F150000", "58C#4100200008000000", "60C#6000000000000000", "58C#0041424344454647")
+    session += frames("60C#7000000000000000", "58C#1D48000000000000")
+    assert findings(session) == []
