@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
+import errno
 import sys
 from collections.abc import Sequence
-from typing import IO, TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -14,6 +13,7 @@ from canopen_cli.importing import LibraryMissing, importing
 from canopen_cli.lazy import LazyGroup
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import NO_ROOM, ExitCode, Problem
+from canopen_cli.streams import open_closed_streams, put_lost_terminal_to_rest, put_to_rest
 
 if TYPE_CHECKING:
     import trio
@@ -67,14 +67,14 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     Raises LibraryMissing.
     """
     settings = Settings(clock=clock)
-    _open_closed_streams()
+    open_closed_streams()
     try:
         result = cli.main(
             None if arguments is None else list(arguments), prog_name="canopen", standalone_mode=False, obj=settings
         )
         sys.stdout.flush()
     except BrokenPipeError:
-        _put_to_rest(sys.stdout)
+        put_to_rest(sys.stdout)
         return CLOSED_PIPE
     except SystemExit as ended:  # click met a closed pipe, and has silenced stdout; or it completed words for a shell (0)
         return CLOSED_PIPE if ended.code else ExitCode.OK
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         if isinstance(error, click.UsageError | Problem) and "--json" in (sys.argv if arguments is None else arguments):
             settings.json = True  # click failed before it read this option
         if isinstance(error, OSError) and error.errno in NO_ROOM:
-            _put_to_rest(sys.stdout)
+            put_to_rest(sys.stdout)
         with importing():
             from canopen_cli.failures import problem_of
         return _show(settings, problem_of(error))
@@ -102,25 +102,16 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     return result if isinstance(result, int) else ExitCode.OK
 
 
-def _open_closed_streams() -> None:
-    """Replace a standard stream that the shell closed (`canopen scan >&-`): Python has None in its place."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - until the process ends
-
-
-def _put_to_rest(stream: IO[str]) -> None:
-    """Throw away what is still to be written; or Python would complain when it flushes the stream at the end."""
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
 def _show(settings: Settings, problem: Problem) -> int:
     if settings.late is not None and settings.late is not problem:
         problem.also.append(f"{settings.late.failed}: {settings.late.seen}")
     try:
         settings.screen().problem(problem.on_bus(*settings.typed_bus()))
     except BrokenPipeError:  # it may have been the problem itself
-        _put_to_rest(sys.stderr)
+        put_to_rest(sys.stderr)
         return CLOSED_PIPE
+    except OSError as error:
+        if error.errno != errno.EIO:
+            raise
+        put_lost_terminal_to_rest()
     return problem.exit_code

@@ -17,7 +17,7 @@ from canopen_cli.problem import usage
 from canopen_cli.record_option import check_record, record_option, recorded
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted
-from canopen_cli.terminal_keys import END, LEFT, RIGHT, Keys, ended_with_terminal, key_by_key, read_terminal
+from canopen_cli.terminal_keys import END, LEFT, RIGHT, Keys, key_by_key, read_terminal
 from canopen_master.motion.chain import Chain
 from canopen_master.trajectories.scaled_joints import load_ruckig
 
@@ -82,7 +82,7 @@ class _Jogging:
 
     async def run(self, record: Path | None) -> None:
         """Open the machine, and follow the keys until they end."""
-        async with ended_with_terminal(), open_chain(self.settings, self.chosen) as (_, arm):
+        async with open_chain(self.settings, self.chosen) as (_, arm):
             with DemoView(self.screen, f"{arm.name}: {counted(len(arm.devices), 'joint')}", range=180) as view:
                 view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
                 await arm.initialise()

@@ -182,6 +182,7 @@ class _Move:
         for name, path in legs:
             step = view.begin("move", name, progress=0.0)
             failure: Exception | None = None
+            began = trio.current_time()
             async with trio.open_nursery() as nursery:
                 nursery.start_soon(self._show, arm, view, step, path.duration)
                 try:
@@ -191,7 +192,7 @@ class _Move:
                 nursery.cancel_scope.cancel()
             if failure is not None:
                 raise failure
-            view.done(step, f"{name}, {path.duration:.2f} s")
+            view.done(step, f"{name} in {trio.current_time() - began:.2f} s; its plan has {path.duration:.2f} s")
 
     async def _show(self, arm: Chain, view: DemoView, step: Step, duration: float) -> None:
         between = max(1, round(REFRESH / arm.settings.cycle_time))

@@ -1,8 +1,8 @@
 """Run the async part of a command, so that Ctrl-C ends it in good order.
 
-The first Ctrl-C (or SIGTERM) cancels the command. The master then halts moving drives before it closes the bus;
-canopen_master/session.py says how long that may take. A second Ctrl-C meanwhile changes nothing, since drives must not be left
-running. The result is a `Problem` with exit status 130, which says what was done.
+The first Ctrl-C, SIGTERM, or SIGHUP (the terminal is gone) cancels the command. The master then halts moving drives before it
+closes the bus; canopen_master/session.py says how long that may take. A second one meanwhile changes nothing, since drives must not
+be left running. The result is a `Problem` with exit status 130, which says what was done.
 
 With --trace all traffic of the buses is recorded meanwhile, including the last frames of that ending.
 """
@@ -14,7 +14,7 @@ import signal
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 import trio
 
@@ -23,6 +23,7 @@ from canopen_cli.new_files import check_new_file
 from canopen_cli.options import Settings
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, counted, escape
+from canopen_cli.streams import put_lost_terminal_to_rest
 from canopen_master.errors import HaltNotConfirmed
 from canopen_master.grip import LOGGER
 from canopen_transports.log_files import LOSSES, log_writer
@@ -34,6 +35,8 @@ Story: TypeAlias = Callable[[bool], list[str]]
 """Tells what happened to the drives, line by line. Its argument: whether all of them confirmed that they stand."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+HANG_UP: Final = getattr(signal, "SIGHUP", None)
+"""The terminal is gone; None on a system that does not tell (Windows)."""
 
 
 def run(
@@ -134,13 +137,18 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
 
     async def watch(signals: AsyncIterator[int], scope: trio.CancelScope) -> None:
         async for number in signals:
+            if number == HANG_UP:
+                put_lost_terminal_to_rest()
             if received:
                 screen.say("[yellow]already ending: the drives are halted first[/]")
             else:
                 received.append(number)
                 scope.cancel()
 
-    with trio.open_signal_receiver(*SIGNALS) as signals:
+    numbers: tuple[int, ...] = SIGNALS
+    if HANG_UP is not None and signal.getsignal(HANG_UP) is not signal.SIG_IGN:  # as `nohup` has it
+        numbers = (*SIGNALS, HANG_UP)
+    with trio.open_signal_receiver(*numbers) as signals:
         async with trio.open_nursery() as nursery:
             with trio.CancelScope() as scope:
                 nursery.start_soon(watch, signals, scope)
@@ -159,7 +167,8 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
 
 
 def _interrupted(number: int, story: Story, failure: BaseException | None) -> Problem:
-    name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+    names = {signal.SIGINT: "Ctrl-C", HANG_UP: "the end of its terminal"}
+    name = names.get(number) or signal.Signals(number).name
     problem = Problem(ExitCode.INTERRUPTED, "CO132", f"interrupted by {name}")
     problem.also = story(all_stand(failure)) + notes_of(failure)
     errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure

@@ -8,10 +8,9 @@ that is there at a time is one key, the last: what a stalled program finds later
 from __future__ import annotations
 
 import os
-import signal
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Final
 
 import trio
@@ -90,24 +89,3 @@ def key_by_key() -> Iterator[None]:
     finally:
         with suppress(termios.error):  # it is gone
             termios.tcsetattr(fd, termios.TCSADRAIN, before)
-
-
-@asynccontextmanager
-async def ended_with_terminal() -> AsyncIterator[None]:
-    """Cancel the block if the terminal goes away (SIGHUP), in place of ending the process at once."""
-    failure: BaseException | None = None
-    async with trio.open_nursery() as nursery:
-        with trio.open_signal_receiver(signal.SIGHUP) as signals, trio.CancelScope() as scope:
-
-            async def watch() -> None:
-                async for _ in signals:
-                    scope.cancel()
-
-            nursery.start_soon(watch)
-            try:
-                yield
-            except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
-                failure = error
-        nursery.cancel_scope.cancel()
-    if failure is not None:
-        raise failure

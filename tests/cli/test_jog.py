@@ -106,7 +106,9 @@ def test_ctrl_c(jogged: Jog, fleets: list[Fleet]) -> None:
 
 
 def test_a_terminal_that_goes_away(jogged: Jog, fleets: list[Fleet]) -> None:
-    assert jogged(*held(RIGHT, 1.5), (0.01, HANG_UP)).status == 0
+    outcome = jogged(*held(RIGHT, 1.5), (0.01, HANG_UP))
+    assert outcome.status == ExitCode.INTERRUPTED
+    assert "by the end of its terminal" in outcome.err
     assert all(stands(drive) for drive in fleets[0].drives.values())
     assert -13 < degrees(fleets)[0] < -9
 

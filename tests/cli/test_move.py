@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import signal
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from canopen_cli.fleet import Fleet
 from canopen_cli.problem import ExitCode
+from canopen_cli.streams import put_lost_terminal_to_rest
 from canopen_master import read_record
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
@@ -129,6 +131,34 @@ def test_ctrl_c_brakes_on_the_path(run: Run, fleets: list[Fleet], alarm: Alarm, 
     assert steps[-1] == pytest.approx(0, abs=0.2)  # it came to rest by its set-points, not by a halt
     assert max(abs(b - a) for a, b in itertools.pairwise(steps)) * 100 <= 60 * 1.01
     assert degrees(fleets[0])[0] == pytest.approx(points[-1], abs=0.1)
+
+
+@pytest.mark.parametrize("is_ignored", [False, True])
+def test_a_terminal_that_goes_away_is_a_ctrl_c(run: Run, fleets: list[Fleet], alarm: Alarm, is_ignored: bool) -> None:
+    """But for `nohup canopen move`, which goes on."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if is_ignored else signal.SIG_DFL)
+    try:
+        alarm.set((1.2, signal.SIGHUP))
+        outcome = run(*DEMO, "--to", "80,9,21,-7,16,-22")
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert outcome.status == (ExitCode.OK if is_ignored else ExitCode.INTERRUPTED), outcome.err
+    assert ("interrupted by the end of its terminal" in outcome.err) is not is_ignored
+    assert ("stands on its path" in outcome.err) is not is_ignored
+    assert all(stands(drive) for drive in fleets[0].drives.values())
+
+
+def test_a_terminal_that_is_gone_takes_what_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.openpty()
+    with os.fdopen(theirs, "w") as stream:
+        monkeypatch.setattr("sys.stderr", stream)
+        put_lost_terminal_to_rest()
+        assert os.isatty(theirs)  # it is there yet
+        os.close(ours)
+        with pytest.raises(OSError):
+            print("drawn", file=stream, flush=True)
+        put_lost_terminal_to_rest()
+        print("not drawn", file=stream, flush=True)
 
 
 def test_home_first(run: Run, fleets: list[Fleet]) -> None:
