@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import trio
 
-from canopen_cli.chain_session import ChosenChain, choose_chain, open_chain
+from canopen_cli.chain_session import ChosenChains, choose_chains, open_chains
 from canopen_cli.demo_view import DemoView, JointView, Step
 from canopen_cli.options import FiniteRange, Settings, common, enabling
 from canopen_cli.problem import usage
@@ -57,7 +57,7 @@ def jog(settings: Settings, file: Path | None, chain: str | None, home: bool, sp
     screen = settings.screen()
     if file is not None:
         settings.machine = file
-    chosen = choose_chain(settings, chain)
+    chosen = choose_chains(settings, *([] if chain is None else [chain]))
     if not is_terminal():
         raise usage("CO122", "a jog needs a terminal, whose keys are held", seen="nothing was sent", tries=("canopen move",))
     load_ruckig("jogging")  # told before anything has power
@@ -75,14 +75,15 @@ def is_terminal() -> bool:
 class _Jogging:
     """One run of the command."""
 
-    def __init__(self, settings: Settings, screen: Screen, chosen: ChosenChain, home: bool, speed: float) -> None:
+    def __init__(self, settings: Settings, screen: Screen, chosen: ChosenChains, home: bool, speed: float) -> None:
         self.settings, self.screen, self.chosen = settings, screen, chosen
         self.home, self.speed = home, speed
         self._joint = 0
 
     async def run(self, record: Path | None) -> None:
         """Open the machine, and follow the keys until they end."""
-        async with open_chain(self.settings, self.chosen) as (_, arm):
+        async with open_chains(self.settings, self.chosen) as (_, group):
+            (arm,) = group.chains
             with DemoView(self.screen, f"{arm.name}: {counted(len(arm.devices), 'joint')}", range=180) as view:
                 view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
                 await arm.initialise()

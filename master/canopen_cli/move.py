@@ -1,4 +1,4 @@
-"""`canopen move`: a chain moves to a target, or along a path of a file, within the limits of its joints."""
+"""`canopen move`: chains move to a target, or along a path of a file, within the limits of its joints."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 import click
 import trio
 
-from canopen_cli.chain_session import ChosenChain, choose_chain, open_chain
+from canopen_cli.chain_session import ChosenChains, Group, choose_chains, open_chains
 from canopen_cli.courses import courses_of_record
 from canopen_cli.demo_view import DemoView, JointView, Step
 from canopen_cli.motion_plot import write_motion_plot
@@ -26,7 +26,6 @@ from canopen_cli.screen import Screen, counted, escape
 from canopen_data import text_of
 from canopen_data.path_file import PathFile, read_path
 from canopen_master.errors import MasterError
-from canopen_master.motion.chain import Chain
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.record_reader import read_record
 from canopen_master.motion.recording import Recorder
@@ -39,7 +38,7 @@ REFRESH = 0.1
 @click.command()
 @click.argument("files", metavar="[MACHINE.toml] [PATH.csv]", nargs=-1)
 @click.option("--to", metavar="A,B,...", help="The target: a position for each joint, or JOINT=POSITION for some of them.")
-@click.option("--chain", metavar="NAME", help="Which chain of the machine.  [default: the first]")
+@click.option("--chain", "chains", metavar="NAME", multiple=True, help="Which chain; several move as one.  [default: the first]")
 @click.option("--home", is_flag=True, help="Home the joints first that have no reference.")
 @click.option(
     "--override",
@@ -58,13 +57,13 @@ def move(
     settings: Settings,
     files: tuple[str, ...],
     to: str | None,
-    chain: str | None,
+    chains: tuple[str, ...],
     home: bool,
     override: float,
     plot: FilePath | None,
     record: FilePath | None,
 ) -> None:
-    """Move a chain to a target, or along a path. IT MOVES. Ctrl-C brakes on the path; then it stands, with power.
+    """Move chains to a target, or along a path. IT MOVES. Ctrl-C brakes on the path; then it stands, with power.
 
     A target is planned: as fast as the limits of the joints allow, all arrive together (this needs ruckig). PATH.csv has a
     column `time` in seconds, and one for each joint; the chain first moves to its start. All of it is checked before it moves.
@@ -77,6 +76,7 @@ def move(
     canopen move -b demo --to 10,-20,30,0,0,0             a simulated arm, in degrees
     canopen move cell.toml --to elbow=30 --dry-run
     canopen move cell.toml path.csv --override 0.3 --plot run.png
+    canopen move cell.toml --chain arm --chain leg --to elbow=30,knee=10
     """
     screen = settings.screen()
     path_name = _take_files(settings, files)
@@ -84,7 +84,9 @@ def move(
         raise usage("CO001", f"a target and a path at once: --to and {path_name}", tries=("one of them",))
     if to is None and path_name is None:
         raise usage("CO001", "where to? --to, or the CSV file of a path", tries=("--to 10,20,30", "path.csv"))
-    chosen = choose_chain(settings, chain)
+    chosen = choose_chains(settings, *chains)
+    if len(chosen.names) > 1 and (record is not None or plot is not None):
+        raise usage("CO123", "a recording, and a picture of it, is of one chain", tries=("the same without --record and --plot",))
     path = None if path_name is None else read_path(_text(path_name), path_name, joints=chosen.joints)
     targets = None if to is None else targets_of(to, chosen.joints)
     if targets is not None:
@@ -133,7 +135,7 @@ class _Move:
         self,
         settings: Settings,
         screen: Screen,
-        chosen: ChosenChain,
+        chosen: ChosenChains,
         targets: dict[str, float] | None,
         path: PathFile | None,
         home: bool,
@@ -148,7 +150,7 @@ class _Move:
 
     async def run(self, file: FilePath | None) -> None:
         """Open the machine, move its chain, and take the power away."""
-        async with open_chain(self.settings, self.chosen) as (_, arm):
+        async with open_chains(self.settings, self.chosen) as (_, arm):
             with DemoView(self.screen, f"{arm.name}: {counted(len(arm.devices), 'joint')}", range=180) as view:
                 view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
                 step = view.begin("enable", "NMT, PDOs, fault reset, enable")
@@ -157,17 +159,17 @@ class _Move:
                 if self.home:
                     self._told = "the joints were homing"
                     step = view.begin("home", "the joints look for their reference")
-                    await arm.home(if_needed=True)
+                    await arm.home()
                     view.done(step, "all joints have their reference")
-                await arm.follow()
+                await arm.moving.follow()
                 try:
                     legs = await legs_of(arm, self.targets, self.path)
                 except MasterError:
                     await arm.shut_down()  # nothing is going to move
                     raise
                 await told_legs(self.screen, arm, legs)
-                arm.override = self.override
-                async with recorded(self.settings, self.screen, arm, file, told=self.told) as self.recorder:
+                arm.moving.override = self.override
+                async with recorded(self.settings, self.screen, arm.chains[0], file, told=self.told) as self.recorder:
                     await self._move(arm, legs, view)
                 self._told = "it had arrived"
                 self._result = [
@@ -176,7 +178,7 @@ class _Move:
                 ]
                 await arm.shut_down()
 
-    async def _move(self, arm: Chain, legs: Legs, view: DemoView) -> None:
+    async def _move(self, arm: Group, legs: Legs, view: DemoView) -> None:
         for device in arm.devices:
             device.following.largest_error = 0.0
         for name, path in legs:
@@ -186,7 +188,7 @@ class _Move:
             async with trio.open_nursery() as nursery:
                 nursery.start_soon(self._show, arm, view, step, path.duration)
                 try:
-                    await arm.follow(path)
+                    await arm.moving.follow(path)
                 except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
                     failure = error
                 nursery.cancel_scope.cancel()
@@ -194,10 +196,10 @@ class _Move:
                 raise failure
             view.done(step, f"{name} in {trio.current_time() - began:.2f} s; its plan has {path.duration:.2f} s")
 
-    async def _show(self, arm: Chain, view: DemoView, step: Step, duration: float) -> None:
-        between = max(1, round(REFRESH / arm.settings.cycle_time))
+    async def _show(self, arm: Group, view: DemoView, step: Step, duration: float) -> None:
+        between = max(1, round(REFRESH / arm.cycle_time))
         cycle = 0
-        async for progress in arm.progress():
+        async for progress in arm.moving.progress():
             self._told = f"it had been moving for {progress.time:.1f} s, and stands on its path"
             step.progress = min(1.0, progress.time * self.override / duration) if duration else 1.0
             cycle += 1

@@ -8,11 +8,11 @@ from typing import TypeAlias
 
 import trio
 
+from canopen_cli.chain_session import Group
 from canopen_cli.problem import usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data.path_file import PathFile
 from canopen_master.errors import PlanRefused
-from canopen_master.motion.chain import Chain
 from canopen_master.motion.path_check import check_path
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.trajectory import Path, PathPoint
@@ -29,8 +29,8 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
     parts = [part.strip() for part in text.split(",")]
     if not any("=" in part for part in parts):
         if len(parts) != len(joints):
-            seen, tries = f"its joints are {', '.join(joints)}", ("--to JOINT=POSITION", "--to A,B,... with each joint")
-            failed = f"--to {text!r} is {counted(len(parts), 'value')}, and the chain has {counted(len(joints), 'joint')}"
+            seen, tries = f"the joints are {', '.join(joints)}", ("--to JOINT=POSITION", "--to A,B,... with each joint")
+            failed = f"--to {text!r} is {counted(len(parts), 'value')}, and there are {counted(len(joints), 'joint')}"
             raise usage("CO001", failed, seen=seen, tries=tries)
         parts = [f"{joint}={part}" for joint, part in zip(joints, parts, strict=True)]
     found: dict[str, float] = {}
@@ -39,7 +39,7 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
         if name in found:
             raise usage("CO001", f"--to: {name} has two positions", tries=("each joint once",))
         if name not in joints or not equals:
-            seen = f"its joints are {', '.join(joints)}"
+            seen = f"the joints are {', '.join(joints)}"
             raise usage("CO001", f"--to: {part!r} is not JOINT=POSITION{did_you_mean(name, joints)}", seen=seen)
         try:
             found[name] = float(number)
@@ -50,7 +50,7 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
     return found
 
 
-async def legs_of(arm: Chain, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
+async def legs_of(arm: Group, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
     """Return the way of a chain that stands and follows set-points: to the targets, or to the start of a path and along it.
 
     Raises PathRefused for a path beyond a limit, PlanRefused, PackageMissing.
@@ -60,7 +60,7 @@ async def legs_of(arm: Chain, targets: dict[str, float] | None, path: PathFile |
         assert targets is not None
         there = [targets.get(device.name, position) for device, position in zip(arm.devices, here, strict=True)]
         return [("to the target", planned(arm, here, there))]
-    await check_path(arm.devices, path.path, path.path.start, arm.path_limits, arm.settings.cycle_time)
+    await check_path(arm.devices, path.path, path.path.start, arm.moving.path_limits, arm.cycle_time)
     begin = path.path.start.positions
     along = ("along the path", path.path)
     if all(abs(a - b) <= device.axis.amount_from_counts(1) for device, a, b in zip(arm.devices, here, begin, strict=True)):
@@ -68,27 +68,27 @@ async def legs_of(arm: Chain, targets: dict[str, float] | None, path: PathFile |
     return [("to the start of the path", planned(arm, here, begin)), along]
 
 
-def planned(arm: Chain, here: Sequence[float], there: Sequence[float]) -> Path:
+def planned(arm: Group, here: Sequence[float], there: Sequence[float]) -> Path:
     """Return the fastest way from rest to rest."""
     from canopen_master.trajectories.point_to_point import plan
 
     rest = [0.0] * len(here)
     try:
-        return plan(PathPoint(list(here), rest, rest), there, arm.path_limits)
+        return plan(PathPoint(list(here), rest, rest), there, arm.moving.path_limits)
     except PlanRefused as error:
         error.name_joint([device.name for device in arm.devices])
         raise
 
 
-async def told_legs(screen: Screen, arm: Chain, legs: Legs) -> None:
+async def told_legs(screen: Screen, arm: Group, legs: Legs) -> None:
     """Show each part of the motion, with what it asks of each joint, and the limits."""
     if screen.json_output:
         return
     for name, path in legs:
         screen.data(f"[bold]{name}[/]: {path.duration:.3g} s, within all limits")
         rows = []
-        for number, (device, limits) in enumerate(zip(arm.devices, arm.path_limits, strict=True)):
-            demands = list(demands_of(path, number, arm.settings.cycle_time))
+        for number, (device, limits) in enumerate(zip(arm.devices, arm.moving.path_limits, strict=True)):
+            demands = list(demands_of(path, number, arm.cycle_time))
             lowest, highest = reach_of(path, number)
             asked = [max(getattr(each, kind).magnitude for each in demands) for kind in ("speed", "acceleration", "jerk")]
             most = [limits.speed, limits.acceleration, limits.jerk]

@@ -9,7 +9,7 @@ from typing import Any
 
 import trio.testing
 
-from canopen_cli.chain_session import ChosenChain, open_chain
+from canopen_cli.chain_session import ChosenChains, open_chains
 from canopen_cli.fleet import simulated_devices
 from canopen_cli.move_plan import legs_of, told_legs
 from canopen_cli.options import Settings
@@ -27,7 +27,7 @@ from canopen_transports.tracing import recording
 def rehearse_move(
     settings: Settings,
     screen: Screen,
-    chosen: ChosenChain,
+    chosen: ChosenChains,
     targets: dict[str, float] | None,
     path: PathFile | None,
     override: float,
@@ -37,8 +37,8 @@ def rehearse_move(
     dictionaries: dict[int, ObjectDictionary] = {}
 
     async def look() -> None:
-        async with open_chain(settings, chosen) as (master, arm):
-            buses = {arm.joints[joint].node: chosen.node_of(joint).bus for joint in chosen.joints}  # each node once
+        async with open_chains(settings, chosen) as (master, arm):
+            buses = {device.node: chosen.node_of(device.name).bus for device in arm.devices}  # each node once
             for node, bus in buses.items():
                 dictionaries[node.node_id] = node.dictionary
                 likenesses.setdefault(bus, []).append(await master.run(likeness_of(node)))
@@ -52,15 +52,15 @@ def rehearse_move(
     async def perform() -> None:
         async with AsyncExitStack() as stack:
             await _simulate(stack, locators, likenesses)
-            _, arm = await stack.enter_async_context(open_chain(apart, elsewhere))
+            _, arm = await stack.enter_async_context(open_chains(apart, elsewhere))
             await arm.initialise()
-            await arm.follow()
+            await arm.moving.follow()
             legs = await legs_of(arm, targets, path)
             await told_legs(screen, arm, legs)
-            arm.override = override
+            arm.moving.override = override
             frames.records.clear()
             for _, leg in legs:
-                await arm.follow(leg)
+                await arm.moving.follow(leg)
 
     with recording(frames):
         run(apart, screen, perform)

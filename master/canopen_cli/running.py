@@ -1,8 +1,8 @@
 """Run the async part of a command, so that Ctrl-C ends it in good order.
 
 The first Ctrl-C, SIGTERM, or SIGHUP (the terminal is gone) cancels the command. The master then halts moving drives before it
-closes the bus; canopen_master/session.py says how long that may take. A second one meanwhile changes nothing, since drives must not
-be left running. The result is a `Problem` with exit status 130, which says what was done.
+closes the bus; canopen_master/session.py says how long that may take. A second one meanwhile changes nothing, since drives must
+not be left running. The result is a `Problem` with exit status 130, which says what was done.
 
 With --trace all traffic of the buses is recorded meanwhile, including the last frames of that ending.
 """

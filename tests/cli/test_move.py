@@ -168,11 +168,32 @@ def test_home_first(run: Run, fleets: list[Fleet]) -> None:
     assert degrees(fleets[0]) == pytest.approx([1, 2, 3, 4, 5, 6], abs=0.02)
 
 
+def two_chains(cell: str) -> str:
+    path = Path(cell)
+    path.write_text(CELL.replace('joints = ["shoulder", "elbow"]', 'joints = ["shoulder"]\n[chains.leg]\njoints = ["elbow"]'))
+    return cell
+
+
+def test_two_chains_on_two_buses_are_one_motion(run: Run, fleets: list[Fleet], cell: str, tmp_path: Path) -> None:
+    machine, path = two_chains(cell), tmp_path / "path.csv"
+    path.write_text("time,elbow,shoulder\n0,10,0\n2,0,5\n4,10,-5\n")
+    outcome = run("move", machine, str(path), "-b", "demo", "--chain", "arm", "--chain", "leg", "--json")
+    assert outcome.status == 0, outcome.err
+    positions = {joint["joint"]: joint["position"] for joint in outcome.json}
+    assert positions == pytest.approx({"shoulder": -5, "elbow": 10}, abs=0.02)
+    outcome = run("move", machine, "-b", "demo", "--chain", "leg", "--chain", "arm", "--to", "3,-2", "--dry-run")
+    assert (outcome.status, "within all limits" in outcome.out) == (0, True), outcome.err
+    refused = run("move", machine, "-b", "demo", "--chain", "leg", "--chain", "arm", "--to", "1,50", "--dry-run")
+    assert (refused.status, "shoulder" in refused.err) == (ExitCode.USAGE, True)
+    refused = run("move", machine, "-b", "demo", "--chain", "leg", "--chain", "arm", "--to", "1,5", "--record", "x.csv")
+    assert (refused.status, "of one chain" in refused.err) == (ExitCode.USAGE, True)
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         ((), "where to?"),
-        (("--to", "1,2"), "--to '1,2' is 2 values, and the chain has 6 joints"),
+        (("--to", "1,2"), "--to '1,2' is 2 values, and there are 6 joints"),
         (("--to", "1,2,3,4,5,x"), "'x' is not a finite number"),
         (("--to", "joint9=1"), "'joint9=1' is not JOINT=POSITION"),
         (("--to", "joint1=1,joint1=2"), "joint1 has two positions"),
