@@ -129,7 +129,7 @@ def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
     speed (neither max_speed, nor the settings, nor the drive), or if neither speed nor position can be watched; SdoFailed.
     """
     if max_speed is not None and not max_speed > 0:
-        raise LocalProtocolError(f"max_speed must be above 0, math.inf for no limit; it is {max_speed!r}")
+        raise LocalProtocolError(f"max_speed must be above 0, inf for no limit; it is {max_speed!r}")
     yield from learn_units(axis)
     limits = yield from read_limits(axis)
     if limits.lowest is not None or limits.highest is not None:
@@ -141,7 +141,7 @@ def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
             axis,
             "is not moved",
             reason="nothing limits its speed: neither the settings nor the drive (0x607F, 0x6080) say how fast it may go",
-            remedy="max_speed (--max-speed); math.inf (--any-speed) allows any speed",
+            remedy="max_speed (--max-speed); inf (--any-speed) allows any speed",
         )
     bounds = Bounds(axis, limits)
     if not bounds.watched and not math.isinf(limits.speed.value):

@@ -128,12 +128,12 @@ class AxisSettings:
             raise LocalProtocolError(f"min_position must be below max_position; they are {lowest!r} and {highest!r}")
         if self.following_error_limit is not None and not self.following_error_limit > 0:
             raise LocalProtocolError(
-                f"following_error_limit must be above 0, math.inf for none; it is {self.following_error_limit!r}"
+                f"following_error_limit must be above 0, inf for none; it is {self.following_error_limit!r}"
             )
         for name in ("max_speed", "max_acceleration", "max_jerk"):
             limit = getattr(self, name)
             if limit is not None and not limit > 0:
-                raise LocalProtocolError(f"{name} must be above 0, math.inf for no limit; it is {limit!r}")
+                raise LocalProtocolError(f"{name} must be above 0, inf for no limit; it is {limit!r}")
         for name in ("homing_speed", "homing_zero_speed", "homing_acceleration"):
             rate = getattr(self, name)
             if rate is not None and not (math.isfinite(rate) and rate > 0):

@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.drive_session import command_drive, read_drive, unit_of_command
 from canopen_cli.options import Duration, Settings, commanding, common
-from canopen_cli.problem import usage
+from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen
 from canopen_proto import drive as procedures
 from canopen_proto.cia402 import objects
@@ -19,7 +19,8 @@ from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.digital_io import brake_of
 from canopen_proto.drive.identity import identify
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures.objects import read_if_present, read_int
+from canopen_proto.multiplexer import Mux, index_of
+from canopen_proto.procedures.objects import read_if_present
 from canopen_proto.procedures.steps import Cancelled, Procedure
 
 _BITS = 32
@@ -36,10 +37,7 @@ def inputs(settings: Settings) -> None:
     """Show the digital inputs of a drive (0x60FD)."""
     screen = settings.screen()
 
-    def read(node: AxisNode) -> Procedure[int]:
-        return (yield from read_int(node, objects.DIGITAL_INPUTS))
-
-    word = read_drive(settings, screen, read)
+    word = read_drive(settings, screen, lambda node: _read_own(node, objects.DIGITAL_INPUTS, "digital inputs"))
     if settings.json:
         screen.json({"inputs": word, "active": [_name(_INPUTS, bit) for bit in range(_BITS) if word >> bit & 1]})
         return
@@ -62,12 +60,13 @@ def outputs(settings: Settings, changes: tuple[str, ...], cannot_fall: bool) -> 
     wanted = _changes(changes)
 
     def read(node: AxisNode) -> Procedure[tuple[int, int | None]]:
-        word = yield from read_int(node, objects.DIGITAL_OUTPUTS)
+        word = yield from _read_own(node, objects.DIGITAL_OUTPUTS, "digital outputs")
         mask = yield from read_if_present(node, objects.DIGITAL_OUTPUT_MASK)
         return word, mask if isinstance(mask, int) else None
 
     def change(axis: Axis) -> Procedure[tuple[int, int | None]]:
         yield from identify(axis)
+        yield from read(axis.node)
         brake = brake_of(axis)
         if not cannot_fall and wanted.get(brake.bit, brake.value) != brake.value:
             raise usage(
@@ -100,6 +99,7 @@ def probe(settings: Settings, number: int, edge: str, source: str, limit: Time) 
 
     def procedure(axis: Axis) -> Procedure[ProbeReading]:
         yield from identify(axis)
+        yield from _read_own(axis.node, objects.TOUCH_PROBE_FUNCTION, "touch probes")
         try:
             yield from procedures.arm_probe(
                 axis, number, positive=edge != "negative", negative=edge != "positive", source=_SOURCES[source]
@@ -119,6 +119,29 @@ def probe(settings: Settings, number: int, edge: str, source: str, limit: Time) 
     for name, position in reading._asdict().items():
         if position is not None:
             screen.fact(f"{name} edge", f"at {position:.10g} {unit}")
+
+
+def _read_own(node: AxisNode, mux: Mux, what: str) -> Procedure[int]:
+    """Read an object that CiA 402 leaves to the maker. Raises a Problem that says why if there is none."""
+    value = yield from read_if_present(node, mux)
+    if isinstance(value, int):
+        return value
+    number, device = f"0x{index_of(node.on_device(mux)):04X}", f"drive {node.node_id}"
+    if mux in node.dictionary:
+        raise Problem(
+            ExitCode.SDO_ABORT,
+            "CO202",
+            f"{device} has no {what}: it has no object {number}",
+            seen=f"it refused to tell {number}, which its dictionary describes",
+            cause="not every drive has this object: CiA 402 leaves it to the maker",
+            tries=("-e FILE    its own file says what it has", f"canopen info {node.node_id}    which device it is"),
+        )
+    seen = f"{number} is not in the dictionary of {device}; nothing was sent"
+    tries = (
+        "-e FILE, if another file describes the device",
+        f"canopen read {node.node_id} {number} --type u32    whether it has one",
+    )
+    raise usage("CO302", f"{device} has no {what}", seen=seen, cause="its file describes none", tries=tries)
 
 
 def _changes(texts: tuple[str, ...]) -> Mapping[int, int]:

@@ -16,6 +16,7 @@ from canopen_cli.problem import NO_ROOM, ExitCode, Problem, usage
 from canopen_master import errors
 from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import NotInDictionary
 from canopen_proto.drive import DriveError, DriveFault, HomingFailed, ModeUnsupported
@@ -35,7 +36,10 @@ def problem_of(error: BaseException) -> Problem:
     if isinstance(error, BaseExceptionGroup):
         return _of_group(error)
     problem = _of_expected(error)
-    if problem is None:
+    if problem is not None:
+        problem.seen, problem.cause = in_words_of_files(problem.seen), in_words_of_files(problem.cause)
+        problem.tries = tuple(map(in_words_of_files, problem.tries))
+    else:
         problem = Problem(
             ExitCode.INTERNAL,
             "CO900",
@@ -127,6 +131,35 @@ def advice(steps: Iterable[str]) -> list[str]:
         elif not step.startswith("await "):
             chosen.append(step.partition(", then await ")[0])
     return chosen
+
+
+_SETTING = re.compile(
+    r"(?P<what>Axis|Chain)Settings(?:\((?P<key>[\w.]+)(?:=(?P<value>[^()]*))?\)|\.(?P<name>\w+))(?: in `axes`)?"
+)
+_OF_PYTHON = {
+    "; `set_max_speed` of `direct`": "",
+    "180_000 / math.pi for millidegrees on the wire": "or its unit",
+    "math.inf": "inf",
+}
+
+
+def in_words_of_files(text: str) -> str:
+    """Translate settings of the library into keys of the machine file: AxisSettings(max_speed=...) into max_speed = ..."""
+    for words, others in _OF_PYTHON.items():
+        text = text.replace(words, others)
+    return _SETTING.sub(_as_key, text)
+
+
+def _as_key(setting: re.Match[str]) -> str:
+    entry = "joint" if setting["what"] == "Axis" else "chain"
+    if setting["name"] is not None:
+        return f"{setting['name']} of its {entry} in the machine file"
+    if setting["value"] is None:
+        return f"{setting['key']} of its {entry} in the machine file"
+    value = {"True": "true", "False": "false"}.get(setting["value"], setting["value"])
+    if value.startswith("State."):
+        value = repr(State[value.removeprefix("State.")].value)
+    return f"{setting['key']} = {value} of its {entry} in the machine file"
 
 
 def _spoken(error: Explained, exit_code: ExitCode) -> Problem:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from canopen_cli.machine_import import import_
+from canopen_cli.machine_limits import limits_as_json, show_limits
 from canopen_cli.new_files import check_new_file, write_file
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, usage
@@ -25,7 +26,6 @@ from canopen_master.machine_file import (
 )
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.motion.chain_file import read_chains
-from canopen_proto.drive.settings import AxisSettings
 
 
 @click.group()
@@ -41,7 +41,8 @@ machine.add_command(import_)
 @common
 @click.pass_obj
 def check(settings: Settings, file: Path | None) -> int:
-    """Check a machine file, and the files that it names. Every error is shown, with its line.
+    """Check a machine file, and the files that it names. Every error is shown, with its line; without errors, what it describes,
+    and where the limits of each joint come from.
 
     Exit status: 0 no error, 1 errors, 6 the file cannot be read.
 
@@ -60,10 +61,13 @@ def check(settings: Settings, file: Path | None) -> int:
     except DictionaryError as error:
         _show_findings(settings, screen, path, error.findings)
         return ExitCode.DIFFERENT
+    text = path.read_text(encoding="utf-8-sig")
     if settings.json:
-        screen.json({"file": str(path), "findings": [], **_as_json(found)})
+        screen.json({"file": str(path), "findings": [], **_as_json(found), "limits": limits_as_json(found, text)})
         return ExitCode.OK
     _show(screen, found)
+    show_limits(screen, found, text)
+    screen.say("[green]no error[/]")
     return ExitCode.OK
 
 
@@ -100,23 +104,13 @@ def _show(screen: Screen, machine: MachineFile) -> None:
                 escape(node.name),
                 escape(node.device.file),
                 "" if joint is None else escape(joint.name) + (f" (axis {joint.axis})" if joint.axis else ""),
-                "" if joint is None else _limits(joint.settings),
+                "" if joint is None or joint.settings.unit is None else joint.settings.unit.value,
                 escape(chain),
             )
         )
-    screen.table(("bus", "node", "name", "file", "joint", "limits", "chain"), rows, right=("node",))
+    screen.table(("bus", "node", "name", "file", "joint", "unit", "chain"), rows, right=("node",))
     for bus in machine.buses.values():
         screen.fact(f"bus {bus.name}", escape(bus.locator))
-    screen.say("[green]no error[/]")
-
-
-def _limits(settings: AxisSettings) -> str:
-    unit = "count" if settings.unit is None else settings.unit.value
-    ends = [settings.min_position, settings.max_position]
-    parts = [] if ends == [None, None] else [" to ".join("any" if end is None else f"{end:g}" for end in ends) + f" {unit}s"]
-    if settings.max_speed is not None:
-        parts.append(f"{settings.max_speed:g} {unit}s/s")
-    return ", ".join(parts) or (f"{unit}s" if settings.unit else "")
 
 
 def _as_json(machine: MachineFile) -> dict[str, Any]:

@@ -205,8 +205,15 @@ class PlanRefused(MasterError, ValueError):
 
     def name_joint(self, names: Sequence[str]) -> None:
         """Name the joint in the text, in place of its number. names: of all joints, in their order."""
-        if self.joint is not None:
-            self.failed = re.sub(rf"\bjoint {self.joint}\b", lambda _: names[self.joint or 0], self.failed)
+        self.failed, self.seen = with_names(self.failed, names), with_names(self.seen, names)
+
+
+def with_names(text: str, joints: Sequence[str]) -> str:
+    """Return what the core says of paths and their joints ("joint 0", "Joint 1") with the names of the joints."""
+    return _JOINT.sub(lambda found: joints[int(found[1])] if int(found[1]) < len(joints) else found[0], text)
+
+
+_JOINT = re.compile(r"\b[Jj]oint ([0-9]+)\b")
 
 
 class PackageMissing(MasterError, ImportError):

@@ -9,7 +9,10 @@ import trio
 
 from canopen_cli.fleet import Fleet
 from canopen_cli.problem import ExitCode
+from canopen_proto.abort import AbortCode
 from canopen_proto.cia402 import objects
+from canopen_proto.multiplexer import mux
+from canopen_proto.simulated_drive.answers import Answer
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from tests.cli.cli_support import Alarm, Run, only_drive
@@ -103,6 +106,37 @@ def test_a_probe_that_latches_nothing_is_disarmed(run: Run, drives: list[DriveNo
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "latched nothing by touch probe 1 within 1 s" in outcome.err
     assert drives[-1].values.store[objects.TOUCH_PROBE_FUNCTION] == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "what", "number"),
+    [
+        (("inputs",), "digital inputs", 0x60FD),
+        (("outputs",), "digital outputs", 0x60FE),
+        (("outputs", "17=1"), "digital outputs", 0x60FE),
+        (("probe",), "touch probes", 0x60B8),
+    ],
+)
+@pytest.mark.parametrize("is_described", [True, False])
+def test_a_drive_without_the_object_says_so(
+    run: Run, monkeypatch: pytest.MonkeyPatch, alarm: Alarm, tmp_path: Path,
+    command: tuple[str, ...], what: str, number: int, is_described: bool,
+) -> None:  # fmt: skip
+    absent = Answer(abort=AbortCode.NO_SUCH_OBJECT)
+    settings = DriveSettings(answers=tuple((mux(number, subindex), absent) for subindex in (0, 1, 2)))
+    only_drive(monkeypatch, alarm, lambda out, node_id: DriveNode(out, node_id, settings))
+    file = tmp_path / "drive.eds"
+    if not is_described:
+        of_file = [f"[{index}]\nObjectType=7\nDataType={kind}\nAccessType=ro\n" for index, kind in ((1000, 7), (6041, 6))]
+        file.write_text("[DeviceInfo]\n" + "".join(of_file))
+    outcome = run("drive", "5", *command, *DEMO, *(() if is_described else ("-e", str(file))))
+    assert f"drive 5 has no {what}" in outcome.err
+    if is_described:
+        assert (outcome.status, "CO202" in outcome.err) == (ExitCode.SDO_ABORT, True)
+        assert f"it refused to tell 0x{number:04X}, which its dictionary describes" in outcome.err
+    else:
+        assert (outcome.status, "CO302" in outcome.err) == (ExitCode.USAGE, True)
+        assert f"0x{number:04X} is not in the dictionary of drive 5; nothing was sent" in outcome.err
 
 
 @pytest.mark.parametrize("scale", ["counts_per_unit = 1000.0", "unit = 'degree'\ncounts_per_turn = 360000"])

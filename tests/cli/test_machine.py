@@ -214,6 +214,29 @@ def test_a_joint_runs_in_its_unit_and_within_its_limits(run: Run, cell: str) -> 
     assert "positions of shoulder are in the degree" in run(*run_at, "--in", "rpm", "5").err
 
 
+def test_a_check_tells_where_each_limit_comes_from(run: Run, cell: str) -> None:
+    limits = "[joints]\nshoulder = { max_position = 40, max_jerk = 500 }\nelbow = { max_speed = 5 }"
+    Path("one.toml").write_text(
+        ONE.partition("[joints]")[0] + "[defaults.joints]\nunit = 'degree'\nmax_speed = 20\nmax_acceleration = 60\n" + limits
+    )
+    outcome = run("machine", "check", "one.toml")
+    assert outcome.status == 0, outcome.err
+    shown = [" ".join(line.split()) for line in outcome.out.splitlines()]
+    for line in (
+        "shoulder max_position 40 degree joints.shoulder",
+        "shoulder max_speed 20 degree/s defaults.joints",
+        "shoulder max_acceleration 60 degree/s² defaults.joints",
+        "shoulder max_jerk 500 degree/s³ joints.shoulder",
+        "elbow max_speed 5 degree/s joints.elbow",
+        "max_jerk max_acceleration, reached in 0.1 s; of elbow",
+        "min_position 0x607D of the drive, if it has it",
+    ):
+        assert line in shown
+    document = run("machine", "check", "one.toml", "--json").json
+    assert document["limits"]["elbow"]["max_speed"] == {"value": 5, "source": "joints.elbow"}
+    assert document["limits"]["elbow"]["max_jerk"]["value"] is None
+
+
 def test_a_joint_homes_as_the_file_says(run: Run, cell: str) -> None:
     Path(cell).write_text(LIMITED.replace("max_position = 5", 'homing_timeout = "1ms"'))
     done = run("home", "shoulder", "-m", cell)

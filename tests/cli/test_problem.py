@@ -18,7 +18,7 @@ import trio
 
 from canopen_cli import entry
 from canopen_cli.app import main
-from canopen_cli.failures import problem_of
+from canopen_cli.failures import in_words_of_files, problem_of
 from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.running import notes_of
 from canopen_cli.screen import Screen
@@ -27,6 +27,7 @@ from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_master import errors
 from canopen_master.hooks import ScriptError
 from canopen_master.motion.record_format import RecordError
+from canopen_master.motion.set_point_check import FASTER, NO_SCALE
 from canopen_master.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
@@ -329,3 +330,28 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
     assert "CO402: drive 5 is in fault" in problem.also
     assert problem.cause == "it burns"
     assert problem.tries == ("water",)
+
+
+@pytest.mark.parametrize(
+    ("words", "others"),
+    [
+        (FASTER, "a larger max_speed, if it may go as fast as that: max_speed = ... of its joint in the machine file"),
+        (NO_SCALE[0], "give its scale: counts_per_unit = ... of its joint in the machine file, or its unit"),
+        (
+            "AxisSettings(keeps_reference=True) if it has one",
+            "keeps_reference = true of its joint in the machine file if it has one",
+        ),
+        ("(AxisSettings.mode_change_state)", "(mode_change_state of its joint in the machine file)"),
+        (
+            "AxisSettings(mode_change_state=State.SWITCHED_ON)",
+            "mode_change_state = 'switched on' of its joint in the machine file",
+        ),
+        ("ChainSettings(define_pdos=True) tells it to", "define_pdos = true of its chain in the machine file tells it to"),
+        ("AxisSettings(max_...)", "max_... of its joint in the machine file"),
+        ("above 0, math.inf for none", "above 0, inf for none"),
+    ],
+)
+def test_advice_for_programs_is_told_in_the_words_of_the_machine_file(words: str, others: str) -> None:
+    assert in_words_of_files(words) == others
+    problem = problem_of(errors.SetPointRefused("a set-point was refused", "", words, (words,)))
+    assert (problem.seen, tuple(problem.tries)) == (others, (others,))

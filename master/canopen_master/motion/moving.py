@@ -17,14 +17,14 @@ stops each joint by its own ramp: the others cannot wait for it.
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused, PlanRefused
+from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused, PlanRefused, with_names
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_check import check_now, check_path, check_start, in_steps
@@ -41,8 +41,7 @@ if TYPE_CHECKING:
 PathMaker = Callable[[PathPoint], Path]
 """Makes a path from where the joints are and how they move."""
 
-ROUNDING: Final = 1e-9
-"""In cycles: 0.2 s are 20 cycles of 0.01 s, though 0.2 / 0.01 may be a little more."""
+ROUNDING: Final = 1e-9  # in cycles: 0.2 s are 20 cycles of 0.01 s, though 0.2 / 0.01 may be a little more
 
 
 class Member(Follower, Protocol):
@@ -158,11 +157,8 @@ class Moving:
         from canopen_master.trajectories.point_to_point import plan
 
         def planned(start: PathPoint) -> Path:
-            try:
+            with self._names_joints():
                 return plan(start, targets, self.path_limits, speed_factor=speed)
-            except PlanRefused as error:
-                error.name_joint([device.name for device in self._devices])
-                raise
 
         await self._take_over("move", planned, torques, is_checked=True)
 
@@ -206,18 +202,21 @@ class Moving:
         renew_cycles = None if renew_within is None else max(1, math.ceil(renew_within / self._period - ROUNDING))
         start = self._present()
         limits = [_less(each, RESERVE) for each in self.path_limits]
-        stream = TargetStream(start, limits, self._period, speed_factor=speed, renew_cycles=renew_cycles)
+        with self._names_joints():
+            stream = TargetStream(start, limits, self._period, speed_factor=speed, renew_cycles=renew_cycles)
         motion = self._begin(StreamCourse(stream), start, None)
         try:
-            yield stream, lambda: self._check_goes_on(motion, what)
+            with self._names_joints():
+                yield stream, lambda: self._check_goes_on(motion, what)
         finally:
             motion.brake()
             with trio.CancelScope(shield=True):
                 await motion.braked()
         if not motion.was_replaced:
             await self._check_end(motion)
-        if stream.failure is not None:
-            raise stream.failure
+        with self._names_joints():
+            if stream.failure is not None:
+                raise stream.failure
 
     def _check_goes_on(self, motion: Motion, what: str) -> None:
         """Raise if a motion is over that should not be, or if its chains are being halted."""
@@ -272,6 +271,19 @@ class Moving:
     @property
     def _devices(self) -> list[Device]:
         return [device for member in self._members for device in member.devices]
+
+    @property
+    def _names(self) -> list[str]:
+        return [device.name for device in self._devices]
+
+    @contextmanager
+    def _names_joints(self) -> Iterator[None]:
+        """Let an error name the joint by its name."""
+        try:
+            yield
+        except PlanRefused as error:
+            error.name_joint(self._names)
+            raise
 
     @property
     def _period(self) -> float:
@@ -343,7 +355,7 @@ class Moving:
         try:
             return await in_steps(reserve_in_steps(path, limits, self._period, LONGEST_STOP))
         except PathError as error:
-            raise _cannot_be_followed(error) from error
+            raise self._cannot_be_followed(error) from error
 
     def _clock(self, path: Path, limits: Sequence[JointLimits], reserve: Reserve | None, *, is_moving: bool) -> PathClock:
         """Return the clock of a path. reserve: of `_reserve`; None: it is found in this turn."""
@@ -358,7 +370,7 @@ class Moving:
                 reserve=reserve,
             )
         except PathError as error:
-            raise _cannot_be_followed(error) from error
+            raise self._cannot_be_followed(error) from error
 
     @enable_ki_protection
     async def _run(self, course: Course, start: PathPoint, torques: Torques | None) -> None:
@@ -368,8 +380,7 @@ class Moving:
 
     @enable_ki_protection
     def _begin(self, course: Course, start: PathPoint, torques: Torques | None) -> Motion:
-        without = [device for member in self._members for device in member.without_torque]
-        if torques is not None and without:
+        if torques is not None and (without := [device for member in self._members for device in member.without_torque]):
             name, tries = without[0].name, ("an RPDO with 0x60B2 in its mapping, in the joint's dictionary", "no torques")
             raise PathRefused(f"{name} takes no torque beside its set-points", name, seen="no RPDO of it has 0x60B2", tries=tries)
         motion = Motion(course, self._members, self._period, start, torques)
@@ -393,19 +404,17 @@ class Moving:
             raise motion.error
         self._members[0].check_open()
         if motion.was_replaced:
-            names = ", ".join(member.name for member in self._members)
-            failed, seen = f"chain {names} did not end its motion", "another motion took over, from where it was"
-            raise MotionReplaced(CHAIN_FAILED, names, failed, seen=seen)
+            names, seen = ", ".join(member.name for member in self._members), "another motion took over, from where it was"
+            raise MotionReplaced(CHAIN_FAILED, names, f"chain {names} did not end its motion", seen=seen)
+
+    def _cannot_be_followed(self, error: PathError) -> PathRefused:
+        text, _, tries = with_names(str(error), self._names).partition(" Try: ")
+        return PathRefused("the path cannot be followed", seen=text, tries=(tries,) if tries else ())
 
     async def next_news(self) -> None:
         """Wait until a motion begins, or goes on by a cycle, or ends."""
         self._members[0].check_open()
-        motion = self.present_motion
-        await (self._members[0].begun if motion is None else motion.news).park()
-
-
-def _cannot_be_followed(error: PathError) -> PathRefused:
-    return PathRefused("the path cannot be followed", seen=str(error))
+        await (self._members[0].begun if self.present_motion is None else self.present_motion.news).park()
 
 
 class Progresses:
@@ -477,7 +486,7 @@ class Together(Moving):
 
 
 def _less(limits: JointLimits, reserve: float) -> JointLimits:
-    """Return limits with a reserve of acceleration and jerk, so that a `move` can take over at any time, and stop on its path."""
+    """Return limits with a reserve, so that a `move` can take over at any time, and stop on its path."""
     acceleration = None if limits.acceleration is None else limits.acceleration * (1.0 - reserve)
     jerk = None if limits.jerk is None else limits.jerk * (1.0 - reserve)
     return JointLimits(limits.lowest, limits.highest, limits.speed, acceleration, jerk)
