@@ -127,7 +127,8 @@ def test_a_drive_without_the_object_says_so(
     only_drive(monkeypatch, alarm, lambda out, node_id: DriveNode(out, node_id, settings))
     file = tmp_path / "drive.eds"
     if not is_described:
-        of_file = [f"[{index}]\nObjectType=7\nDataType={kind}\nAccessType=ro\n" for index, kind in ((1000, 7), (6041, 6))]
+        kinds = {1000: 7, 6040: 6, 6041: 6, 6060: 2, 6061: 2, 6064: 4}
+        of_file = [f"[{index}]\nObjectType=7\nDataType={kind}\nAccessType=rw\n" for index, kind in kinds.items()]
         file.write_text("[DeviceInfo]\n" + "".join(of_file))
     outcome = run("drive", "5", *command, *DEMO, *(() if is_described else ("-e", str(file))))
     assert f"drive 5 has no {what}" in outcome.err

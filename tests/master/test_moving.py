@@ -227,7 +227,7 @@ REFUSED = {
     "too fast": (line(3.0, 2.0), "j01 beyond its limit of speed at 0 s", r"speed 1.5 per second, its limit is 1 per second"),
     "too many joints": (swing(0.1, 0.1, 0.1), "the path has 3 joints, not 2", "j01, j02"),
     "beyond": (swing(2.5, 0.0, duration=20.0), "j01 beyond its limit of position", r"its limit is 2: the settings"),
-    "no room to stop": (parabola(4.0), "cannot be followed", "(?s)j01.*leaves nothing free"),
+    "no room to stop": (parabola(4.0), "cannot be followed", "leaves nothing free .* j01 needs the acceleration 4"),
 }
 
 
