@@ -127,9 +127,7 @@ class AxisSettings:
         if not lowest < highest:
             raise LocalProtocolError(f"min_position must be below max_position; they are {lowest!r} and {highest!r}")
         if self.following_error_limit is not None and not self.following_error_limit > 0:
-            raise LocalProtocolError(
-                f"following_error_limit must be above 0, inf for none; it is {self.following_error_limit!r}"
-            )
+            raise LocalProtocolError(f"following_error_limit must be above 0, inf for none; it is {self.following_error_limit!r}")
         for name in ("max_speed", "max_acceleration", "max_jerk"):
             limit = getattr(self, name)
             if limit is not None and not limit > 0:
