@@ -45,6 +45,7 @@ COMMANDS: Final = {
     "plan": ("plan", "Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits."),
     "eds": ("eds", "Device descriptions: EDS, DCF, XDD and XDC files."),
     "machine": ("machine", "The machine file: one file with the buses, devices, joints and chains of a machine."),
+    "ros": ("ros", "ROS: write a package with launch files for a machine."),
     "data": ("data", "The object dictionary and the chain files."),
 }
 """Listed in the order to try them."""
