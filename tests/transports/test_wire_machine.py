@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
@@ -115,6 +117,19 @@ class AnyBus(RuleBasedStateMachine):
                 number = int.from_bytes(delivery.frame.data[:4], "little")
                 assert self.sent[number] in delivery.senders
                 self.heard.setdefault(number, set()).update(member.number for member in delivery.receivers)
+
+    @rule()
+    def look_ahead(self) -> None:
+        """Nothing comes out before the time that `next_output` says; of calm wires, something does then."""
+        foreseen, copy = self.wire.next_output(), deepcopy(self.wire)
+        assert foreseen >= self.wire.next_deadline()
+        copy.drain()
+        while (due := copy.next_deadline()) < foreseen:
+            copy.handle_timeout(due)
+            assert copy.drain() == ([], [])
+        if due == foreseen < NEVER and foreseen > self.wire.next_deadline():
+            copy.handle_timeout(due)
+            assert copy.drain()[0]
 
     @invariant()
     def counters_and_states_agree(self) -> None:

@@ -14,6 +14,9 @@ A `Wire` (canopen_transports.wire) decides who sends when, and what goes wrong; 
 The first member of a name chooses the options of the bus. The others give the same options or none; `virtual:NAME` then joins
 that bus. queue and queue_size are each member's own.
 
+A frame is pushed to a pump as it ends (`PushingTransport`), and the bus wakes once for each frame, at its end: see
+`Wire.next_output`.
+
 Opening waits until the frames that other members had queued before are sent: a new member acknowledges them at once, but hears
 only later frames. So devices that were alone have booted when their master has opened the bus, and the master does not take their
 boot-ups, which nobody had acknowledged, for a reset.
@@ -25,7 +28,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
 import trio
@@ -79,6 +82,8 @@ class PhysicalBus:
         self.faults: deque[FaultHappened] = deque(maxlen=KEPT_FAULTS)
         self._transports: dict[WireMember, WireTransport] = {}
         self._changed = trio.lowlevel.ParkingLot()
+        self._wake: Time = NEVER  # when `_run` looks at the wire again
+        self._is_handing_out = False
         self._room = trio.lowlevel.ParkingLot()
         self._bit = self.wire.time_of(1)
 
@@ -92,6 +97,7 @@ class PhysicalBus:
     @rates.setter
     def rates(self, rates: FaultRates) -> None:
         self.wire.rates = rates
+        self._changed.unpark_all()  # what was foreseen may come sooner now
 
     def bus_off(self, transport: WireTransport) -> None:
         """Take a member bus-off: its queued frames are lost, and it hears nothing."""
@@ -164,7 +170,7 @@ class PhysicalBus:
         """Run the wire one bit time late, so that all members that send at one time take part in the arbitration, whichever task
         runs first. A receiver still has two bits of the intermission to answer before the next frame begins."""
         while self._transports:
-            due = self.wire.next_deadline()
+            self._wake = due = self.wire.next_output()
             with trio.move_on_at((due + self._bit) / SECOND if due < NEVER else math.inf) as scope:
                 await self._changed.park()
             if scope.cancelled_caught:
@@ -172,15 +178,28 @@ class PhysicalBus:
                 self.hand_out()
 
     def hand_out(self) -> None:
-        """Deliver what came out of the wire, and look again when the next step is due."""
+        """Deliver what came out of the wire, and look again when the next thing comes out."""
+        if self._is_handing_out:
+            return  # a receiver sends: the outer call goes on
+        self._is_handing_out = True
+        try:
+            while self._hand_out_once():
+                pass
+        finally:
+            self._is_handing_out = False
+        if not self._transports or self.wire.next_output() < self._wake:
+            self._changed.unpark_all()
+
+    def _hand_out_once(self) -> bool:
+        """Deliver what came out so far. Returns whether anything did."""
         deliveries, events = self.wire.drain()
         touched: dict[WireTransport, None] = {}
         for delivery in deliveries:
-            received = (delivery.frame, delivery.at)
             for member in delivery.receivers:
                 transport = self._transports.get(member)
-                if transport is not None and (transport.is_open or delivery.queued > transport.joined_at):
-                    transport.queue.put(received)
+                if transport is None or not (transport.is_open or delivery.queued > transport.joined_at):
+                    continue
+                if transport.take(delivery.frame, delivery.at):
                     touched[transport] = None
         for event in events:
             if isinstance(event, StateReported):
@@ -195,7 +214,7 @@ class PhysicalBus:
             transport.queue.wake()
         if deliveries or events:
             self._room.unpark_all()
-        self._changed.unpark_all()
+        return bool(deliveries or events)
 
 
 class WireTransport(trio.abc.AsyncResource):
@@ -213,6 +232,7 @@ class WireTransport(trio.abc.AsyncResource):
         self.joined_at = _clock()
         self.member = bus.join(self, order, queue_size)
         self._sending = trio.StrictFIFOLock()
+        self._receiver: Callable[[Frame, Time], None] | None = None
         self._closed = False
 
     @property
@@ -256,6 +276,18 @@ class WireTransport(trio.abc.AsyncResource):
         self.bus.send(self.member, frame)
         return True
 
+    def take(self, frame: Frame, at: Time) -> bool:
+        """Push a frame to the receiver, or queue it if there is none or earlier frames wait. Returns whether it was queued."""
+        if self._receiver is not None and self.queue.is_empty():
+            self._receiver(frame, at)
+            return False
+        self.queue.put((frame, at))
+        return True
+
+    def push_to(self, receiver: Callable[[Frame, Time], None] | None) -> None:
+        """Call `receiver` with each frame, until None is given."""
+        self._receiver = receiver
+
     async def receive(self) -> Received | Report:
         return await self.queue.get()
 
@@ -270,6 +302,7 @@ class WireTransport(trio.abc.AsyncResource):
     def _leave(self) -> None:
         if not self._closed:
             self._closed = True
+            self._receiver = None
             self.bus.leave(self)
             self.queue.close()
 

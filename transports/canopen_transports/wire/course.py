@@ -5,20 +5,19 @@ from __future__ import annotations
 from random import Random
 
 from canopen_proto.frame import Frame
-from canopen_proto.frame_bits import FRAME_TAIL, INTERMISSION, frame_bits, stuff_bits, stuffed_part
+from canopen_proto.frame_bits import FRAME_TAIL, INTERMISSION, stuff_bits, stuffed_part
 from canopen_transports.errors import BusState
 from canopen_transports.wire.faults import FaultKind, FaultRates
 from canopen_transports.wire.member import WireMember
 from canopen_transports.wire.segment import Segment, Transmission
 
 
-def decide(sending: Transmission, segment: Segment, rates: FaultRates, random: Random, acknowledge: bool) -> int:
-    """Set the outcome and the victim of a transmission. Returns the number of bits until that shows.
+def decide(sending: Transmission, segment: Segment, rates: FaultRates, random: Random, acknowledge: bool, bits: int) -> int:
+    """Set the outcome and the victim of a transmission. Returns the number of bits until that shows. bits: of the frame.
 
     A frame that nobody acknowledges is a LOSS with its sender as the victim.
     """
     frame, senders = sending.waiting.frame, sending.senders
-    bits = frame_bits(frame)
     if len(senders) > 1:
         others = [member.sending.frame for member in senders if member.sending is not None]
         place = min((first_difference(frame, other) for other in others if other != frame), default=0)

@@ -34,7 +34,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from canopen_proto.frame import Frame
-from canopen_proto.frame_bits import INTERMISSION, duration
+from canopen_proto.frame_bits import INTERMISSION, duration, frame_bits
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_transports.errors import BusState
 from canopen_transports.wire.confinement import BUS_OFF_LIMIT, Confinement
@@ -90,6 +90,7 @@ class Wire:
         self._events: list[WireEvent] = []
         self._confinement = Confinement(settings.bitrate, settings.auto_recovery, self._events)
         self._tails: dict[int, Time] = {}
+        self._measured: tuple[Frame | None, int] = (None, 0)
         self._intermission = self.time_of(INTERMISSION)
 
     # ---- getters ----
@@ -227,6 +228,27 @@ class Wire:
                 deadline = due
         return deadline
 
+    def next_output(self) -> Time:
+        """Return when something comes out at the earliest if nobody commands anything until then; NEVER if nothing does.
+
+        A driver that wakes at this time, in place of `next_deadline`, gets the same: each step happens when it was due.
+        """
+        segment = self._segments[0]
+        is_plain = len(self._segments) == 1 and not (self._late or segment.recovering or self._confinement.disturbed)
+        if segment.current is not None or segment.begins >= NEVER or not is_plain or self.rates.total:
+            return self.next_deadline()
+        winners = segment.winners(segment.begins)
+        head = winners[0].head()
+        if len(winners) > 1 or head is None or not segment.others(winners)[0]:
+            return segment.begins
+        return segment.begins + self.time_of(self._bits_of(head.frame) - INTERMISSION)
+
+    def _bits_of(self, frame: Frame) -> int:
+        """Return the length of a frame; the last one is remembered, as a frame is first foreseen and then sent."""
+        if frame is not self._measured[0]:
+            self._measured = frame, frame_bits(frame)
+        return self._measured[1]
+
     def handle_timeout(self, now: Time) -> None:
         """Do what is due. An early call does nothing; after a very late one `next_deadline` may still be due."""
         self._run(now + 1, MAX_STEPS)
@@ -305,7 +327,8 @@ class Wire:
         assert first is not None
         sending = segment.current = Transmission(now, first, senders)
         segment.begins = NEVER
-        sending.ends = now + self.time_of(decide(sending, segment, self.rates, self._random, self.settings.acknowledge))
+        bits = self._bits_of(first.frame)
+        sending.ends = now + self.time_of(decide(sending, segment, self.rates, self._random, self.settings.acknowledge, bits))
 
     def _finish(self, segment: Segment, sending: Transmission) -> None:
         """Carry out what was decided when the frame began."""
