@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import click
@@ -13,14 +13,15 @@ from canopen_cli.problem import ExitCode, usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
-from canopen_master.exchanges import Counted, exchange_of_file, exchange_of_named
-from canopen_master.machine_file import BusEntry, MachineFile
+from canopen_master.exchanges import Counted, exchange_of_file, exchange_of_named, exchange_of_plans, room_for
+from canopen_master.machine_file import BusEntry, ChainEntry, JointEntry, MachineFile
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import read_chains
 from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
 from canopen_master.planning import plan as plan_network
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drive.motion_plan import NoMotionPlan, plan_motion
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
 from canopen_transports import parse_bitrate
 from canopen_transports.locator import bitrate_text, parse_locator
@@ -76,7 +77,7 @@ def plan(
     TPDOs at each SYNC, the others once per inhibit time or event timer.
 
     With a machine file (-m) the devices are all of its nodes, and cycle and bit rates are those of the file unless options say
-    otherwise.
+    otherwise. Joints of a chain with `own_pdos` have the PDOs that the chain would plan: see `canopen drive NODE plan`.
 
     Exit status: 0 it fits, 1 it does not.
 
@@ -92,8 +93,9 @@ def plan(
     screen = settings.screen()
     machine = settings.machine_file() if file is None else None
     if machine is not None:
-        by_bus = _of_machine(machine, screen)
         cycle = machine.master.cycle if cycle is None else cycle
+        rates = {name: rate or _rate_of(bus) for name, bus in machine.buses.items()}
+        by_bus = _of_machine(machine, cycle, rates, screen)
     elif file is not None:
         by_bus = _of_chains(file, (rpdo, tpdo), settings, screen)
     else:
@@ -132,25 +134,69 @@ def _of_chains(file: str, pdos: tuple[str, str], settings: Settings, screen: Scr
     return by_bus
 
 
-def _of_machine(machine: MachineFile, screen: Screen) -> dict[str, list[Exchange]]:
-    """Return what the nodes of a machine exchange, by bus. A node without a file that is in no chain exchanges nothing."""
+def _of_machine(machine: MachineFile, cycle: Time, rates: Mapping[str, int | None], screen: Screen) -> dict[str, list[Exchange]]:
+    """Return what the nodes of a machine exchange, by bus. A node without a file that is in no chain exchanges nothing.
+
+    On a bus without room for more, joints with plans of their own send only what is needed, as their chain would have it.
+    """
+    by_bus, notes = _exchanged(machine, cycle, ())
+    crowded = [bus for bus, joints in by_bus.items() if (rate := rates[bus]) and not room_for(joints, cycle, rate).fits]
+    if crowded:
+        by_bus, notes = _exchanged(machine, cycle, crowded)
+    for note in notes:
+        screen.say(f"[yellow]{escape(note)}[/]")
+    return by_bus
+
+
+def _exchanged(machine: MachineFile, cycle: Time, lean: Collection[str]) -> tuple[dict[str, list[Exchange]], list[str]]:
+    """Return what the nodes exchange, by bus, and notes. lean: the buses whose joints send only what is needed."""
     dictionary, _ = load_dictionary()
     dictionaries = Dictionaries(machine, dictionary)
-    joints = {machine.joints[name].node: (chain, name) for chain in machine.chains.values() for name in chain.joints}
+    axes: dict[str, list[tuple[ChainEntry, JointEntry]]] = {}
+    for chain in machine.chains.values():
+        for name in chain.joints:
+            axes.setdefault(machine.joints[name].node, []).append((chain, machine.joints[name]))
     by_bus: dict[str, list[Exchange]] = {}
+    notes = []
     for node in machine.nodes.values():
-        chain, joint = joints.get(node.name, (None, node.name))
-        description = dictionaries.description_of(node)
-        if chain is None and description is None:
-            screen.say(f"[yellow]{escape(node.name)} has no file, and is in no chain: it is left out[/]")
+        joints, description = axes.get(node.name, []), dictionaries.description_of(node)
+        name = ", ".join(f"{chain.name}.{joint.name}" for chain, joint in joints) or node.name
+        own = [each for each in joints if each[0].settings.own_pdos or each[0].settings.mode is None]
+        if own and description is not None:
+            found, spare = _of_plans(name, node.node_id, dictionaries.of(node), own, cycle, lean=node.bus in lean)
+            if spare:
+                notes.append(f"{name}: {', '.join(spare)} would be switched off, as the bus has no room")
+        elif joints:
+            settings = joints[0][0].settings
+            found = exchange_of_named(name, node.node_id, dictionary.pdo(settings.rpdo), dictionary.pdo(settings.tpdo))
+        elif description is not None:
+            found = exchange_of_file(name, node.node_id, description.dictionary)
+        else:
+            notes.append(f"{name} has no file, and is in no chain: it is left out")
             continue
-        settings = DEFAULTS if chain is None else chain.settings
-        if chain is not None and not settings.own_pdos and settings.mode is not None:
-            description = None
-        name = joint if chain is None else f"{chain.name}.{joint}"
-        exchange = _exchange(node.node_id, name, dictionary, (settings.rpdo, settings.tpdo), description, screen)
-        by_bus.setdefault(node.bus, []).append(exchange)
-    return by_bus
+        notes += [f"{name}: {each}: it is left out" for each in found.left_out]
+        by_bus.setdefault(node.bus, []).append(found.exchange)
+    return by_bus, notes
+
+
+def _of_plans(
+    name: str,
+    node_id: int,
+    dictionary: ObjectDictionary,
+    axes: Sequence[tuple[ChainEntry, JointEntry]],
+    cycle: Time,
+    *,
+    lean: bool,
+) -> tuple[Counted, list[str]]:
+    """Return what a node exchanges by the plans of its axes, and the TPDOs that they switch off. What its file has, if no mode
+    fits: its chain says so."""
+    try:
+        plans = [
+            plan_motion(dictionary, node_id, cycle, wish=chain.settings.mode, axis=joint.axis, lean=lean) for chain, joint in axes
+        ]
+    except NoMotionPlan:
+        return exchange_of_file(name, node_id, dictionary), []
+    return exchange_of_plans(name, plans), [f"TPDO {pdo.number}" for plan in plans for pdo in plan.spare]
 
 
 def _rate_of(bus: BusEntry) -> int | None:

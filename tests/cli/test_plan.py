@@ -8,8 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_data.describing import describe
+from canopen_data.eds.writer import write_eds
 from canopen_master.planning import Background, Exchange, bounds, plan, simulate, streams_of
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError
+from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_transports.wire import QueueOrder
 from tests.cli.cli_support import Run, runner
 from tests.examples import examples
@@ -141,6 +144,24 @@ def eds_of(path: Path, pdos: dict[int, tuple[int, int, int, int]]) -> Path:
     sections += [f"{number}=0x{index:X}\n" for number, index in enumerate(listed, 1)]
     path.write_text("".join(sections), encoding="utf-8")
     return path
+
+
+def test_joints_of_a_machine_have_the_pdos_that_their_chain_plans(run: Run, tmp_path: Path) -> None:
+    """Two TPDOs at each SYNC, of 7 and 8 bytes, where the bus has room for them; else only the one that is needed, as
+    tests/master/test_bus_room.py has it."""
+    (tmp_path / "drive.eds").write_text(write_eds(describe(drive_dictionary())), encoding="utf-8")
+    nodes = "".join(f'[nodes.n{id}]\nid = {id}\nfile = "drive.eds"\n[joints.j{id}]\nnode = "n{id}"\n' for id in range(1, 13))
+    names = ", ".join(f'"j{number}"' for number in range(1, 13))
+    cell = tmp_path / "cell.toml"
+    bus = '[buses.can0]\nlocator = "virtual:can0"\nbitrate = "1M"\n'
+    cell.write_text(f'{bus}{nodes}[chains.arm]\njoints = [{names}]\nmode = "ip"\n', encoding="utf-8")
+    for cycle, sizes in (("10ms", [7, 8]), ("4ms", [7])):
+        done = run("plan", "-m", str(cell), "--cycle", cycle, "--emcy", "0", "--json")
+        assert done.status == 0, done.err
+        streams = [each for each in done.json[0]["streams"] if each["node"] == 12]
+        assert [each["bytes"] for each in streams if each["kind"] == "RPDO"] == [6]
+        assert sorted(each["bytes"] for each in streams if each["kind"] == "TPDO") == sizes
+        assert ("arm.j12: TPDO 1, TPDO 3, TPDO 4 would be switched off" in done.err) is (cycle == "4ms")
 
 
 def test_the_devices_own_file_says_which_pdos(run: Run, chains: str, tmp_path: Path) -> None:
