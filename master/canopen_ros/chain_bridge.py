@@ -30,7 +30,7 @@ from canopen_ros.goal_motion import GoalMotion, Tell
 from canopen_ros.goals import GoalCode, GoalRefused, GoalResult, Outcome, TrajectoryGoal, checked
 from canopen_ros.names import COMMANDS, MODE_SERVICES, OTHER_MODES
 from canopen_ros.reply import COMMAND_ERRORS, Reply, text_of
-from canopen_ros.samples import si_per_unit
+from canopen_ros.samples import is_unit_missing, si_per_unit
 from canopen_ros.topic_motions import Jogging, Streaming
 
 WATCHDOG: Final = 0.1
@@ -133,11 +133,16 @@ class ChainBridge:
                 goal.cancel(f"{service} was called")
 
     async def _init(self) -> str:
+        for device in self.chain.devices:
+            if is_unit_missing(device.axis.settings):  # that is certain before the drive is asked for its scale
+                si_per_unit(device)
         await self.chain.initialise()
         self._scales()
         return f"chain {self.name} is ready"
 
     async def _home(self) -> str:
+        if self.chain.state is not ChainState.OFF:
+            self._scales()
         await self.chain.home()
         return f"chain {self.name} is homed"
 
@@ -334,13 +339,16 @@ class ChainBridge:
 
     async def stop(self, why: str) -> None:
         """Let the present motion brake, along its path if it has one, and wait until the joints stand. They stay enabled."""
-        for goal in self._goals:
+        goals = tuple(self._goals)
+        for goal in goals:
             goal.cancel(f"{why} came")
         for other in (self._jogging, self._streaming):
             if other is not None:
                 other.cancel()
         while (motion := self.chain.motion) is not None:
             await motion.news.park()
+        for goal in goals:
+            await goal.over.wait()
 
 
 class States:

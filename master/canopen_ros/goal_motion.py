@@ -30,7 +30,7 @@ Tell = Callable[[Feedback], object]
 
 
 class GoalMotion:
-    """See this module's text. goal: what the client asked for. has_begun: the joints follow it. is_over: they do no longer.
+    """See this module's text. goal: what the client asked for. has_begun: the joints follow it. over: they do no longer.
 
     All times are those of trio's clock.
     """
@@ -42,7 +42,7 @@ class GoalMotion:
         if the chain may not begin to move."""
         self.goal = goal
         self._check = check
-        self.is_over = False
+        self.over = trio.Event()
         self._chain = chain
         self._names = tuple(device.name for device in chain.devices)
         self._scales = scales
@@ -80,7 +80,7 @@ class GoalMotion:
             assert self._why is not None
             return self._why
         finally:
-            self.is_over = True
+            self.over.set()
 
     async def _follow(self, points: Sequence[JointPoint]) -> GoalResult:
         chain = self._chain

@@ -88,15 +88,22 @@ class NodeParameters:
 
 
 def _nested(values: Mapping[str, object]) -> dict[str, Any]:
-    """Return the values with dotted keys as tables in tables."""
+    """Return the values with dotted keys as tables in tables; names of buses may have dots of their own."""
     nested: dict[str, Any] = {}
     for key, value in values.items():
-        *path, last = key.split(".")
-        table = nested
-        for name in path:
-            table = table.setdefault(name, {})
-        table[last] = _nested(value) if isinstance(value, Mapping) and last != "buses" else value
+        name, _, rest = key.partition(".")
+        given = _nested({rest: value}) if rest else _nested(value) if isinstance(value, Mapping) and name != "buses" else value
+        before = nested.get(name)
+        nested[name] = _merged(before, given) if isinstance(before, dict) and isinstance(given, dict) else given
     return nested
+
+
+def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    both = {**one, **other}
+    for key in one.keys() & other.keys():
+        if isinstance(one[key], dict) and isinstance(other[key], dict):
+            both[key] = _merged(one[key], other[key])
+    return both
 
 
 _POSITIVE: Final = ("velocity_watchdog", "goal_time", "diagnostics_period")
@@ -211,10 +218,10 @@ def _of_chains(
     problems += [f"buses: no chain has a bus {name!r}{did_you_mean(name, used)}" for name in locators if name not in used]
     plain = machine_of_chains(chains, locators)
     files = _files(tables.get("eds"), plain, problems)
-    joints = tables.get("joints") or {}
-    for name in joints:
-        if name not in plain.joints:
-            problems.append(f"joints: there is no joint {name!r}{did_you_mean(name, plain.joints)}")
+    joints, defaults = (_table(key, tables.get(key), problems) for key in ("joints", "defaults"))
+    joints = {name: _table(f"joints.{name}", settings, problems) for name, settings in joints.items()}
+    unknown = [name for name in joints if name not in plain.joints]
+    problems += [f"joints: there is no joint {name!r}{did_you_mean(name, plain.joints)}" for name in unknown]
     described: dict[str, Any] = {
         "buses": {name: {"locator": bus.locator} for name, bus in plain.buses.items()},
         "nodes": {
@@ -224,14 +231,23 @@ def _of_chains(
         "joints": {name: {"node": joint.node, **joints.get(name, {})} for name, joint in plain.joints.items()},
         "chains": {name: {"joints": list(chain.joints)} for name, chain in plain.chains.items()},
     }
-    if tables.get("defaults"):
-        described["defaults"] = {"joints": tables["defaults"]}
+    if defaults:
+        described["defaults"] = {"joints": defaults}
     try:
         machine = machine_of_tables(described, "the parameters", Path())
     except DictionaryError as error:
         problems.append(str(error))
         return None
     return _with_cycle(machine, interval)
+
+
+def _table(key: str, value: object, problems: list[str]) -> dict[str, Any]:
+    """Return a table of settings, empty with a problem."""
+    if isinstance(value, dict):
+        return value
+    if value is not None:
+        problems.append(f"{key} is {value!r}; it has to be a table of settings")
+    return {}
 
 
 def _files(value: object, machine: MachineFile, problems: list[str]) -> dict[str, str]:

@@ -25,22 +25,22 @@ def wall() -> int:
     return START + round(trio.current_time() * 1e9)
 
 
-def chain_text(joints: int) -> str:
-    return "arm " + " ".join(f"joint{number} can0 {number + 2}" for number in range(1, joints + 1))
+def chain_text(count: int) -> str:
+    return "arm " + " ".join(f"joint{number} can0 {number + 2}" for number in range(1, count + 1))
 
 
 @asynccontextmanager
-async def bridge_of(joints: int = 2, **parameters: object) -> AsyncIterator[tuple[Bridge, ChainBridge]]:
+async def bridge_of(count: int = 2, /, **parameters: object) -> AsyncIterator[tuple[Bridge, ChainBridge]]:
     """A bridge of one simulated arm of Schunk's joints, in radians."""
-    given = NodeParameters.from_mapping({"chains": chain_text(joints), "simulate": True, **parameters})
+    given = NodeParameters.from_mapping({"chains": chain_text(count), "simulate": True, **parameters})
     async with open_bridge(given, wall=wall) as bridge:
         yield bridge, bridge.chains["arm"]
 
 
 @asynccontextmanager
-async def ready_arm(joints: int = 2, **parameters: object) -> AsyncIterator[tuple[Bridge, ChainBridge]]:
+async def ready_arm(count: int = 2, /, **parameters: object) -> AsyncIterator[tuple[Bridge, ChainBridge]]:
     """... that is initialised and homed."""
-    async with bridge_of(joints, **parameters) as (bridge, arm):
+    async with bridge_of(count, **parameters) as (bridge, arm):
         for service in ("init", "home"):
             reply = await arm.call(service)
             assert reply.success, reply.message
@@ -48,16 +48,19 @@ async def ready_arm(joints: int = 2, **parameters: object) -> AsyncIterator[tupl
 
 
 class Cell:
-    """A bridge with its chain and its simulated drives. nursery: for what runs beside the test, inside the bridge's block."""
+    """A bridge with its chain and its simulated drives. nursery: for what runs beside the test, inside the
+    bridge's block; outer: around it."""
 
     bridge: Bridge
     arm: ChainBridge
     nursery: trio.Nursery
 
-    def __init__(self, hosts: Mapping[str, Host]) -> None:
+    def __init__(self, hosts: Mapping[str, Host], outer: trio.Nursery) -> None:
+        self.outer = outer
         self.hosts = tuple(hosts.values())
         self._is_fed = True
         self._left = trio.Event()
+        self.over = trio.Event()
 
     async def live(self, parameters: NodeParameters, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
         """Keep the bridge open until `leave`, as a node does."""
@@ -66,6 +69,7 @@ class Cell:
             task_status.started()
             await self._left.wait()
             self.nursery.cancel_scope.cancel()
+        self.over.set()
 
     def leave(self) -> None:
         """Leave the bridge's block, with all that runs in it. The drives live on."""
@@ -119,18 +123,20 @@ class Cell:
 
 
 @asynccontextmanager
-async def cell(joints: int = 2, **parameters: object) -> AsyncIterator[Cell]:
+async def cell(count: int = 2, /, **parameters: object) -> AsyncIterator[Cell]:
     """A bridge of one simulated arm, with its drives in sight. SYNC at 20 ms: it saves time."""
-    given = NodeParameters.from_mapping({"chains": chain_text(joints), "sync_interval": 20, **parameters})
+    given = NodeParameters.from_mapping({"chains": chain_text(count), "sync_interval": 20, **parameters})
     given = replace(given, machine=on_virtual_buses(given.machine))
     failure: BaseException | None = None
     async with simulated_machine(given.machine) as hosts, trio.open_nursery() as nursery:
-        world = Cell(hosts)
+        world = Cell(hosts, nursery)
         await nursery.start(world.live, given)
         try:
             yield world
         except BaseException as error:  # noqa: BLE001 - raised below: the nursery would make a group of it
             failure = error
         world.leave()
+        await world.over.wait()
+        nursery.cancel_scope.cancel()
     if failure is not None:
         raise failure

@@ -1,0 +1,289 @@
+"""Trajectories as ROS gives them: their joints, points, times, tolerances; how they blend, are replaced, refused."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import pytest
+import trio
+
+from canopen_ros.goals import Feedback, GoalCode, GoalResult, Outcome, Tolerance, TrajectoryGoal, TrajectoryPoint
+from tests.master.world import virtual_time
+from tests.ros.ros_world import START, Cell, cell, wall
+
+BOTH = ["joint1", "joint2"]
+P = TrajectoryPoint
+NOW = 100.0
+"""Seconds on the clock of trio at the test of what is refused."""
+EXACT = 3e-5
+"""A count is a millidegree."""
+
+
+def goal(*points: TrajectoryPoint, names: Any = BOTH, **more: Any) -> TrajectoryGoal:
+    return TrajectoryGoal(names, list(points), **more)
+
+
+SIMPLE = goal(P([0.3, -0.2], time_from_start=1.5))
+
+REFUSED = {
+    "an unknown joint": (goal(P([0.0, 0.0], time_from_start=1), names=["joint1", "joint9"]), -2, "no joint 'joint9'"),
+    "a joint twice": (goal(P([0.0, 0.0], time_from_start=1), names=["joint1", "joint1"]), -2, "twice"),
+    "no joints": (goal(P([], time_from_start=1), names=[]), -2, "names no joints"),
+    "too few positions": (goal(P([0.1], time_from_start=1)), -1, "point 0 .* has 1 positions for 2 joints"),
+    "too many velocities": (goal(P([0.1, 0.1], [0.0] * 3, time_from_start=1)), -1, "3 velocities for 2 joints"),
+    "not a number": (goal(P([0.1, math.nan], time_from_start=1)), -1, "joint2 has no finite number in the positions .* at 1 s"),
+    "infinite velocity": (
+        goal(P([0.1, 0.1], [math.inf, 0.0], time_from_start=1)), -1, "joint1 has no finite number in the velocities",
+    ),
+    "times that fall": (
+        goal(P([0.1, 0.1], time_from_start=1), P([0.2, 0.2], time_from_start=1)), -1, "later than 1 s",
+    ),
+    "a time before 0": (goal(P([0.1, 0.1], time_from_start=-0.1)), -1, "0 s or later"),
+    "a time that is no number": (goal(P([0.1, 0.1], time_from_start=math.nan)), -1, "at nan s"),
+    "velocities here and there": (
+        goal(P([0.1, 0.1], [0.0, 0.0], time_from_start=1), P([0.2, 0.2], time_from_start=2)), -1, "unlike point 0",
+    ),
+    "accelerations alone": (goal(P([0.1, 0.1], (), [0.0, 0.0], time_from_start=1)), -1, "no velocities"),
+    "an end that moves": (goal(P([0.1, 0.1], [0.0, 0.2], time_from_start=1)), -1, "joint2 does not rest at the end, at 1 s"),
+    "another start": (
+        goal(P([0.0, 0.5], time_from_start=0), P([0.1, 0.5], time_from_start=2)), -1, "joint2 is at 0 at 0 s",
+    ),
+    "too fast": (goal(P([0.1, 2.0], time_from_start=0.1)), -1, "joint2 beyond its limit of .* at 0.0"),
+    "a tolerance of another joint": (
+        goal(P([0.1, 0.1], time_from_start=1), path_tolerance=[Tolerance("joint9", 0.1)]), -2, "joint9",
+    ),
+    "a negative tolerance": (
+        goal(P([0.1, 0.1], time_from_start=1), path_tolerance=[Tolerance("joint1", -0.1)]), -1, "joint1 in position",
+    ),
+    "a tolerance of acceleration": (
+        goal(P([0.1, 0.1], time_from_start=1), goal_tolerance=[Tolerance("joint1", 0, 0, 1)]), -1, "which no drive tells",
+    ),
+    "a negative time": (goal(P([0.1, 0.1], time_from_start=1), goal_time_tolerance=-1.0), -1, "goal_time_tolerance"),
+    "a start long ago": (
+        goal(P([0.1, 0.1], time_from_start=1), start=START + round((NOW - 60.0) * 1e9)), -3, r"ended 59\.?\d* s ago",
+    ),
+}  # fmt: skip
+
+
+@virtual_time
+async def test_goals_that_are_refused_say_why_and_move_nothing() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        await world.ask("home")
+        await trio.sleep(NOW - trio.current_time())
+        before = world.positions
+        for what, (refused, code, text) in REFUSED.items():
+            begun: list[int] = []
+            result = await world.arm.follow(refused, None, lambda begun=begun: begun.append(1))  # type: ignore[misc]
+            assert (result.code, result.outcome) == (code, Outcome.REJECTED), what
+            assert re.search(text, result.text), (what, result.text)
+            assert not begun
+        assert world.positions == before
+        assert (await world.arm.follow(SIMPLE)).outcome is Outcome.SUCCEEDED
+
+
+@virtual_time
+async def test_a_subset_of_the_joints_moves_and_the_others_hold() -> None:
+    async with cell(3) as world:
+        await world.ask("init")
+        await world.ask("home")
+        result = await world.arm.follow(goal(P([0.2, 0.1], time_from_start=1.5), names=["joint3", "joint1"]))
+        assert result == GoalResult(GoalCode.SUCCESSFUL, "the joints are there", Outcome.SUCCEEDED)
+        assert world.bridge.sample().positions == pytest.approx((0.1, 0.0, 0.2), abs=EXACT)
+
+
+@pytest.mark.parametrize("kinds", ["positions", "velocities", "accelerations"])
+@virtual_time
+async def test_a_trajectory_goes_through_its_points_at_their_times(kinds: str) -> None:
+    times = [0.0, 1.0, 2.0, 3.0]
+    # a polynomial of degree 5 from rest to rest: its own values at 1 and 2 s
+    x = [0.3 * (10 * (t / 3) ** 3 - 15 * (t / 3) ** 4 + 6 * (t / 3) ** 5) for t in times]
+    v = [0.3 * (30 * (t / 3) ** 2 - 60 * (t / 3) ** 3 + 30 * (t / 3) ** 4) / 3 for t in times]
+    a = [0.3 * (60 * (t / 3) - 180 * (t / 3) ** 2 + 120 * (t / 3) ** 3) / 9 for t in times]
+    points = [
+        P([x[n], -x[n]], [v[n], -v[n]] if kinds != "positions" else (), [a[n], -a[n]] if kinds == "accelerations" else (), t)
+        for n, t in enumerate(times)
+    ]
+    async with cell(sync_interval=10) as world:
+        await world.ask("init")
+        await world.ask("home")
+        seen: list[Feedback] = []
+        assert (await world.arm.follow(goal(*points), seen.append)).outcome is Outcome.SUCCEEDED
+        for n in (1, 2):
+            at = [
+                each for each in seen if each.actual.time_from_start == pytest.approx(times[n] + 0.03)
+            ]  # reached three SYNCs later
+            assert at[0].actual.positions == pytest.approx([x[n], -x[n]], abs=0.004)
+        assert max(abs(each.error.positions[0]) for each in seen) < 0.01
+
+
+@virtual_time
+async def test_a_new_goal_blends_and_the_one_before_is_preempted() -> None:
+    async with cell(sync_interval=10) as world:
+        await world.ask("init")
+        await world.ask("home")
+        results = await two_goals(world, goal(P([-0.1, 0.3], time_from_start=2.0)))
+        assert [result.outcome for result in results] == [Outcome.PREEMPTED, Outcome.SUCCEEDED]
+        assert world.bridge.sample().positions == pytest.approx((-0.1, 0.3), abs=EXACT)
+
+
+@virtual_time
+async def test_a_goal_that_is_refused_leaves_the_present_one_alone() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        await world.ask("home")
+        results = await two_goals(world, goal(P([0.1, 2.5], time_from_start=0.3)))
+        assert [result.outcome for result in results] == [Outcome.REJECTED, Outcome.SUCCEEDED]
+        assert world.bridge.sample().positions == pytest.approx((0.5, -0.3), abs=EXACT)
+
+
+@virtual_time
+async def test_an_empty_trajectory_stops_on_the_path() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        results = await two_goals(world, goal())
+        assert [result.outcome for result in results] == [Outcome.PREEMPTED, Outcome.SUCCEEDED]
+        assert 1_000 < world.positions[0] < 28_000
+        await world.assert_all_stand()
+        assert world.arm.state == "following"
+
+
+async def two_goals(world: Cell, second: TrajectoryGoal) -> list[GoalResult]:
+    """Give a goal, and another one while the joints move; return the results in the order of their ends."""
+    results: list[GoalResult] = []
+
+    async def follow(each: TrajectoryGoal) -> None:
+        results.append(await world.arm.follow(each))
+
+    async with trio.open_nursery() as nursery:
+        nursery.start_soon(follow, goal(P([0.5, -0.3], time_from_start=3.0)))
+        await trio.sleep(1.5)
+        assert world.is_moving
+        nursery.start_soon(follow, second)
+    return results
+
+
+@pytest.mark.parametrize("how", ["cancel", "scope"])
+@virtual_time
+async def test_a_cancelled_goal_brakes_on_its_path(how: str) -> None:
+    async with cell() as world:
+        await world.ask("init")
+        await world.ask("home")
+        asked = goal(P([0.5, -0.25], time_from_start=3.0))
+        results: list[GoalResult] = []
+        scope = trio.CancelScope()
+
+        async def follow() -> None:
+            with scope:
+                results.append(await world.arm.follow(asked))
+
+        world.nursery.start_soon(follow)
+        await trio.sleep(1.5)
+        if how == "cancel":
+            world.arm.cancel(asked)
+        else:
+            scope.cancel()
+        await trio.sleep(2.0)
+        assert [result.outcome for result in results] == ([Outcome.PREEMPTED] if how == "cancel" else [])
+        first, second = world.positions
+        assert second == pytest.approx(-first / 2, abs=3)  # on the path, on which both move at one rate
+        await world.assert_all_stand()
+
+
+@virtual_time
+async def test_a_joint_that_leaves_its_tolerance_ends_the_goal() -> None:
+    async with cell(sync_interval=10) as world:
+        await world.ask("init")
+        await world.ask("home")
+        tight = goal(P([0.5, -0.3], time_from_start=2.0), path_tolerance=[Tolerance("joint2", 1e-5)])
+        result = await world.arm.follow(tight)
+        assert (result.code, result.outcome) == (GoalCode.PATH_TOLERANCE_VIOLATED, Outcome.ABORTED)
+        assert re.match(r"joint2 is off by \S+ in position, 1e-05 are allowed, at \d\.\d+ s: the joints brake", result.text)
+        await world.assert_all_stand()
+
+
+@virtual_time
+async def test_the_tolerance_of_the_goal_is_waited_for() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        await world.ask("home")
+        exact = goal(P([0.3, 0.1], time_from_start=1.5), goal_tolerance=[Tolerance("joint1", 1e-9)], goal_time_tolerance=0.3)
+        result = await world.arm.follow(exact)
+        assert (result.code, result.outcome) == (GoalCode.GOAL_TOLERANCE_VIOLATED, Outcome.ABORTED)
+        assert "joint1 is off by" in result.text
+        assert "0.3 s behind the end" in result.text
+
+
+@virtual_time
+async def test_a_start_in_the_future_is_waited_for_and_a_halt_drops_it() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        begun: list[float] = []
+        later = goal(P([0.3, 0.1], time_from_start=1.5), start=wall() + 2_000_000_000)
+        now = trio.current_time()
+        assert (await world.arm.follow(later, None, lambda: begun.append(trio.current_time()))).outcome is Outcome.SUCCEEDED
+        assert begun[0] == pytest.approx(now + 2.0, abs=0.5)
+        results: list[GoalResult] = []
+
+        async def follow() -> None:
+            results.append(await world.arm.follow(goal(P([0.0, 0.0], time_from_start=1), start=wall() + 2_000_000_000)))
+
+        world.nursery.start_soon(follow)
+        await trio.sleep(0.5)
+        await world.ask("halt")
+        await world.ask("recover")
+        await trio.sleep(3.0)
+        assert [each.outcome for each in results] == [Outcome.PREEMPTED]
+        assert not world.is_moving
+
+
+@virtual_time
+async def test_a_start_in_the_past_leaves_out_what_is_over() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        late = goal(P([0.01, 0.0], time_from_start=1), P([0.3, 0.1], time_from_start=4.0), start=wall() - 2_000_000_000)
+        now = trio.current_time()
+        assert (await world.arm.follow(late)).outcome is Outcome.SUCCEEDED
+        assert 2.0 <= trio.current_time() - now < 2.9
+
+
+@pytest.mark.parametrize(("service", "code"), [("halt", -4), ("shutdown", -4), ("home", -4), ("init", -4)])
+@virtual_time
+async def test_a_service_ends_a_goal(service: str, code: int) -> None:
+    async with cell() as world:
+        await world.ask("init")
+        results: list[GoalResult] = []
+
+        async def follow() -> None:
+            results.append(await world.arm.follow(goal(P([0.5, -0.3], time_from_start=3.0))))
+
+        world.nursery.start_soon(follow)
+        await trio.sleep(1.5)
+        await world.ask(service)
+        await trio.sleep(0.1)
+        assert [(each.outcome, each.code) for each in results] == [(Outcome.ABORTED, code)]
+        assert "CO403" in results[0].text
+
+
+@virtual_time
+async def test_a_fault_ends_a_goal_and_the_next_one_is_refused() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        results: list[GoalResult] = []
+
+        async def follow() -> None:
+            results.append(await world.arm.follow(goal(P([0.5, -0.3], time_from_start=3.0))))
+
+        world.nursery.start_soon(follow)
+        await trio.sleep(1.5)
+        world.break_down(4)
+        await trio.sleep(1.0)
+        assert (results[0].outcome, results[0].code) == (Outcome.ABORTED, GoalCode.PATH_TOLERANCE_VIOLATED)
+        assert "joint2" in results[0].text
+        refused = await world.arm.follow(SIMPLE)
+        assert refused.outcome is Outcome.REJECTED
+        assert refused.text.startswith("CO402")
+        assert "arm/recover" in refused.text
+        await world.assert_all_stand()
