@@ -57,7 +57,7 @@ class CsvFile:
         self._file = file
 
     def encode(self, row: Row) -> str:
-        return ",".join(["" if value is None else repr(value) for value in row])
+        return repr(row)[1:-1].replace("None", "").replace(" ", "")  # far cheaper than a call for each value
 
     def begin(self, head: RecordHead) -> None:
         names = io.StringIO()

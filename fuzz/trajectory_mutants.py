@@ -1,0 +1,121 @@
+"""Planted bugs of trajectories: limits, clock, blends and stops. No fuzz target knows a path; tests find them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fuzz.mutant import Mutant
+
+CLOCK: Final = ("tests/proto/test_path_clock.py",)
+LIMITS: Final = ("tests/proto/test_path_limits.py",)
+
+_CHECK: Final = "trajectory/limit_check.py"
+_CLOCK: Final = "trajectory/path_clock.py"
+_RESERVE: Final = "trajectory/reserve.py"
+_SPEED: Final = "trajectory/speed_change.py"
+_STOP: Final = "trajectory/stop_check.py"
+
+TRAJECTORY_MUTANTS: Final = tuple(
+    Mutant(*each, in_corpus=False)
+    for each in (
+        # ---- the check before a motion ----
+        (
+            "ends_only",
+            _CHECK,
+            "if a < 0.0 < a1 or a1 < 0.0 < a:",
+            "if a < a1 < a:",
+            "a speed is highest where the acceleration is 0, and not at an end of a segment",
+            LIMITS,
+        ),
+        (
+            "corner_unseen",
+            _CHECK,
+            "_NO_JUMP: Final = (1e-12, 1e-9)",
+            "_NO_JUMP: Final = (1.0, 1e-9)",
+            "a velocity that jumps at a waypoint",
+            LIMITS,
+        ),
+        # ---- the clock ----
+        (
+            "peak_beyond",
+            _SPEED,
+            "if peak > max_acceleration:",
+            "if peak > 2.0 * max_acceleration:",
+            "the rate changes faster than the path leaves free",
+            CLOCK,
+        ),
+        (
+            "change_forgotten",
+            _CLOCK,
+            "braking_at(self._time, rate, change)",
+            "braking_at(self._time, rate, 0.0)",
+            "a stop that begins while the rate changes begins with a jump of the acceleration",
+            CLOCK,
+        ),
+        (
+            "resumed_at_once",
+            _CLOCK,
+            "if self._resumes and self.is_at_rest:",
+            "if self._resumes:",
+            "a stop may brake harder than the path leaves free in general; it cannot be taken back halfway",
+            CLOCK,
+        ),
+        (
+            "speed_behind_gap",
+            _CLOCK,
+            "self._begin(SpeedChange(0.0, 0.0, wanted,",
+            "self._begin(SpeedChange(self._override, 0.0, wanted,",
+            "joints that have stopped by themselves jump to the speed of the path",
+            CLOCK,
+        ),
+        (
+            "end_too_late",
+            _CLOCK,
+            "duration - self._time <= self.stop_time + cycle_time",
+            "duration - self._time <= 0.0",
+            "a path that ends in motion stops dead at its end",
+            CLOCK,
+        ),
+        (
+            "blend_from_rest",
+            _CLOCK,
+            "rate = override if reserve.rests_at_start else 1.0 if moving else 0.0",
+            "rate = override if reserve.rests_at_start else 0.0",
+            "a path that goes on from a motion under way begins with a standstill",
+            CLOCK,
+        ),
+        # ---- what a path leaves free ----
+        (
+            "jerk_of_a_change",
+            _RESERVE,
+            "change = 2.0 * left / root if root else 0.0",
+            "change = 4.0 * left / root if root else 0.0",
+            "a change of the rate costs jerk, and more than the path leaves free",
+            CLOCK,
+        ),
+        (
+            "corner_on_the_way",
+            _STOP,
+            "if stretches[number][10]:",
+            "if stretches[number][10] is None:",
+            "a stop that is tried along its own way passes a jump of the acceleration unseen",
+            CLOCK,
+        ),
+        (
+            "jerk_of_a_stop",
+            _STOP,
+            "if lowest_jerk < -most_jerk or highest_jerk > most_jerk:",
+            "if lowest_jerk < -2.0 * most_jerk or highest_jerk > 2.0 * most_jerk:",
+            "a stop that is tried along its own way keeps no limit of the jerk",
+            CLOCK,
+        ),
+        (
+            "acceleration_of_a_stop",
+            _STOP,
+            "if low < -most or high > most:",
+            "if low < -1.3 * most or high > 1.3 * most:",
+            "nor one of the acceleration",
+            CLOCK,
+        ),
+    )
+)
