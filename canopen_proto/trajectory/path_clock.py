@@ -129,7 +129,7 @@ class PathClock:
         self._resumes = False
         if not self._is_stopping and not self.is_at_rest:
             distance, rate, change = self._change.at(self._elapsed)
-            self._begin(self._reserve.braking_at(self._time, rate, change), distance)
+            self._begin(self._reserve.stop_at(self._time, rate, change), distance)
         self._is_stopping = True
         return 0.0 if self.is_at_rest else rest_time(self._change, self.path.duration - self._origin) - self._elapsed
 

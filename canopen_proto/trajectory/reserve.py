@@ -95,8 +95,32 @@ class Reserve:
         """Return how the clock brakes from this rate and change of rate, anywhere on the path."""
         return SpeedChange(rate, change, 0.0, self.max_change, self.max_onset)
 
+    def stop_at(self, time: float, rate: float, change: float) -> SpeedChange:
+        """Return the stop that is over soonest of those that are tried, from this time of the path on.
+
+        While joints gather speed, the rate can fall only slowly, with what the path leaves of their jerk. Braking behind that may
+        be over sooner, and no further on the path; then the rate is held until there.
+        """
+        stop = self.braking_at(time, rate, change)
+        if change != 0.0 or rate <= 0.0 or not self.rests_at_end:
+            return stop
+        left = self._duration - time
+        lasts = rest_time(stop, left)
+        ramp = max([self._own_stop(joint, time, rate, change) for joint in range(len(self._stretches))])
+        latest = time + rate * (_WORTH * lasts - ramp)
+        places = [place for needs in self._needs if time < (place := _end_of_gathering(needs, time)) < latest]
+        if not places:
+            return stop
+        place = max(places)
+        hold = (place - time) / rate
+        later = self.braking_at(place, rate, 0.0)
+        if later.wanted != 0.0 or hold + later.duration > _WORTH * lasts:
+            return stop
+        held = SpeedChange(rate, 0.0, 0.0, later.max_acceleration, later.max_jerk, hold)
+        return held if held.distance <= min(left, stop.at(lasts)[0]) else stop
+
     def braking_at(self, time: float, rate: float, change: float) -> SpeedChange:
-        """Return the shortest stop that begins at this time of the path.
+        """Return the shortest stop whose braking begins at this time of the path.
 
         It looks at the place itself, then as far as the stop would go that this place allows, and so on until a stop ends within
         what was looked at. Then it tries whether a stronger one, or the end of the path, is sooner: see `rest_time`.
@@ -308,6 +332,15 @@ class _Room:
 def _gathers_speed(speed: Extremes, acceleration: Extremes) -> bool:
     """Return whether velocity and acceleration have one sign, all along."""
     return (speed.low >= 0.0 and acceleration.low >= 0.0) or (speed.high <= 0.0 and acceleration.high <= 0.0)
+
+
+def _end_of_gathering(needs: Sequence[Need], time: float) -> float:
+    """Return the time of the path at which a joint has stopped gathering speed, or this time if it does not."""
+    number = max(0, bisect_right(needs, time, key=_begin_of) - 1)
+    while number < len(needs) and needs[number][4] and needs[number][2] > 0.0:
+        time = math.inf if number + 1 == len(needs) else needs[number + 1][0]
+        number += 1
+    return time
 
 
 def _begin_of(need: Need) -> float:

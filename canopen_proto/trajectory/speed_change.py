@@ -1,6 +1,7 @@
 """`SpeedChange`: a speed goes to another one as soon as its limits of acceleration and jerk allow.
 
-Three phases: the acceleration grows at the full jerk, is held at its peak, and falls to 0. Any speed and acceleration may be its
+Three phases: the acceleration grows at the full jerk, is held at its peak, and falls to 0. Before them the speed may be held for
+some time. Any speed and acceleration may be its
 start, so a change under way is replaced by a new one from its present state, without a jump of speed or acceleration.
 """
 
@@ -23,12 +24,14 @@ class SpeedChange:
     """The change of a speed from `speed`, with the acceleration `acceleration`, to the constant speed `wanted`. It never changes.
 
     max_acceleration, max_jerk: magnitudes above 0; |acceleration| is at most max_acceleration. The speed overshoots `wanted` only
-    if the acceleration cannot end before.
+    if the acceleration cannot end before. hold: seconds of the present speed before; only without an acceleration.
     """
 
-    __slots__ = ("distance", "duration", "phases", "wanted")
+    __slots__ = ("distance", "duration", "max_acceleration", "max_jerk", "phases", "wanted")
 
-    def __init__(self, speed: float, acceleration: float, wanted: float, max_acceleration: float, max_jerk: float) -> None:
+    def __init__(
+        self, speed: float, acceleration: float, wanted: float, max_acceleration: float, max_jerk: float, hold: float = 0.0
+    ) -> None:
         if not (
             abs(acceleration) <= max_acceleration * _ROUNDING and 0.0 < max_jerk < math.inf and math.isfinite(speed + wanted)
         ):
@@ -37,6 +40,8 @@ class SpeedChange:
                 f"the limits {max_acceleration!r} and {max_jerk!r} of acceleration and jerk. Try: limits above 0, a start within."
             )
         self.wanted: Final = wanted
+        self.max_acceleration: Final = max_acceleration
+        self.max_jerk: Final = max_jerk
         without = speed + acceleration * abs(acceleration) / (2.0 * max_jerk)  # the speed if the acceleration just ends
         towards = 1.0 if wanted >= without else -1.0
         gain, given = towards * (wanted - speed), towards * acceleration
@@ -45,9 +50,9 @@ class SpeedChange:
         if peak > max_acceleration:
             peak = max_acceleration
             held = max(0.0, gain - (2.0 * peak * peak - given * given) / (2.0 * max_jerk)) / peak
-        time = distance = 0.0
-        self.phases: Final[list[Phase]] = []
-        """Three, the jerk of the middle one is 0; then what follows, for ever."""
+        time, distance = hold, hold * speed
+        self.phases: Final[list[Phase]] = [(0.0, 0.0, speed, 0.0, 0.0)] if hold else []
+        """That of `hold`, if there is one; three, the jerk of the middle one is 0; then what follows, for ever."""
         for lasts, jerk in (
             (max(0.0, peak - given) / max_jerk, towards * max_jerk),
             (held, 0.0),
@@ -66,7 +71,7 @@ class SpeedChange:
 
     def at(self, time: float) -> tuple[float, float, float]:
         """Return the distance, the speed and the acceleration `time` seconds (0 or more) after the start."""
-        number = 3
+        number = len(self.phases) - 1
         while number and self.phases[number][0] > time:
             number -= 1
         begin, distance, speed, acceleration, jerk = self.phases[number]

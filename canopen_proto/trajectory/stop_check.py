@@ -28,9 +28,9 @@ Stretch: TypeAlias = tuple[float, float, float, float, float, float, float, floa
 powers), the largest magnitudes of its third, fourth and fifth derivative; and whether velocity or acceleration jump at its begin.
 Plain tuples of numbers are no work for the garbage collector; long paths have many thousands."""
 
-StopPiece: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
-"""A piece of a stop. At its begin and its end: the path's time, the rate, the change of the rate; how long it takes, how its
-change changes; the highest rate in it."""
+StopPiece: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
+"""A piece of a stop. At its begin and its end: the path's time, the rate r, the change of the rate; how long it takes, how its
+change changes; the bounds of r³, the highest one first; the least and the greatest value of 3 r dr/dt."""
 
 
 def stretches_of(pieces: Sequence[Piece], first: int, count: int) -> list[Stretch]:
@@ -71,7 +71,13 @@ def pieces_of(stop: SpeedChange, time: float) -> list[StopPiece]:
             further = place + lasts * (rate + lasts * (change / 2.0 + lasts * onset / 6.0))
             last, slower = change + lasts * onset, max(0.0, rate + lasts * (change + lasts * onset / 2.0))
             highest = rate - change * change / (2.0 * onset) if last < 0.0 < change else max(rate, slower)
-            pieces.append((place, rate, change, further, slower, last, lasts, onset, highest))
+            lowest = min(rate, slower)
+            if change <= 0.0 and last <= 0.0:
+                steepest, mildest = 3.0 * highest * min(change, last), 3.0 * lowest * max(change, last)
+            else:
+                steepest, mildest = 3.0 * highest * min(change, last, 0.0), 3.0 * highest * max(change, last, 0.0)
+            cube, low_cube = highest * highest * highest, lowest * lowest * lowest
+            pieces.append((place, rate, change, further, slower, last, lasts, onset, cube, low_cube, steepest, mildest))
             place, rate, change = further, slower, last
     return pieces
 
@@ -94,47 +100,40 @@ def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limi
         before -= 1
     count = len(stretches)
     goal = stretches[-1][1]
-    for place, rate, change, further, slower, last, lasts, onset, highest in pieces:
+    for place, rate, change, further, slower, last, lasts, onset, cube, low_cube, steepest, mildest in pieces:
         if place >= goal:
             return True
-        lowest = min(rate, slower)
-        cube, low_cube = highest * highest * highest, lowest * lowest * lowest
-        # 3 r dr/dt
-        if change <= 0.0 and last <= 0.0:
-            steepest, mildest = 3.0 * highest * min(change, last), 3.0 * lowest * max(change, last)
-        else:
-            steepest, mildest = 3.0 * highest * min(change, last, 0.0), 3.0 * highest * max(change, last, 0.0)
         lowest_jerk, highest_jerk = math.inf, -math.inf
         first_acceleration = last_acceleration = 0.0
         is_first = True
         while True:
             begin, end, c1, c2, c3, c4, c5, third, fourth, fifth, _ = stretches[number]
             t, u = max(0.0, place - begin), min(further, end) - begin
-            v = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5))))
-            w = c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * (4.0 * c4 + u * (5.0 * c5))))
-            a = 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5)))
-            b = 2.0 * c2 + u * (6.0 * c3 + u * (12.0 * c4 + u * (20.0 * c5)))
-            j = 6.0 * c3 + t * (24.0 * c4 + t * (60.0 * c5))
-            k = 6.0 * c3 + u * (24.0 * c4 + u * (60.0 * c5))
+            bow = (u - t) * (u - t) / 8.0
+            if c4 == 0.0 == c5:  # of constant jerk, as nearly all are
+                v, w = c1 + t * (2.0 * c2 + t * 3.0 * c3), c1 + u * (2.0 * c2 + u * 3.0 * c3)
+                j = k = 6.0 * c3
+                a, b = 2.0 * c2 + t * j, 2.0 * c2 + u * j
+            else:
+                v = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5))))
+                w = c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * (4.0 * c4 + u * (5.0 * c5))))
+                a = 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5)))
+                b = 2.0 * c2 + u * (6.0 * c3 + u * (12.0 * c4 + u * (20.0 * c5)))
+                j = 6.0 * c3 + t * (24.0 * c4 + t * (60.0 * c5))
+                k = 6.0 * c3 + u * (24.0 * c4 + u * (60.0 * c5))
             if is_first:
                 first_acceleration = a * rate * rate + v * change
                 is_first = False
             last_acceleration = b * slower * slower + w * last
-            bow = (u - t) * (u - t) / 8.0
             if v > w:
                 v, w = w, v
             if a > b:
                 a, b = b, a
-            if j > k:
-                j, k = k, j
-            v, w, a, b, j, k = (
-                v - bow * third,
-                w + bow * third,
-                a - bow * fourth,
-                b + bow * fourth,
-                j - bow * fifth,
-                k + bow * fifth,
-            )
+            v, w = v - bow * third, w + bow * third
+            if fourth:
+                if j > k:
+                    j, k = k, j
+                a, b, j, k = a - bow * fourth, b + bow * fourth, j - bow * fifth, k + bow * fifth
             least = (j * (low_cube if j > 0.0 else cube)) + (v * onset if onset > 0.0 else w * onset)
             greatest = (k * (cube if k > 0.0 else low_cube)) + (w * onset if onset > 0.0 else v * onset)
             if mildest <= 0.0:

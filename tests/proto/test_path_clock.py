@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.trajectory import JointLimits, Path, PathClock, PathError, Segment, first_violation
+from canopen_proto.trajectory.reserve import rest_time
 from tests.examples import examples
 from tests.proto.paths import CYCLE, State, differences, limits_with_reserve, through
 
@@ -234,6 +235,34 @@ def test_a_stop_takes_little_longer_than_the_ramp_of_the_joint() -> None:
     assert not clock.is_finished
     clock.advance(stops[-1])  # near its end, the end of the path is the stop
     assert clock.is_finished
+
+
+@pytest.mark.parametrize("override", [1.0, 0.9])
+def test_a_stop_while_joints_gather_speed_is_over_sooner_if_it_begins_behind_that(override: float) -> None:
+    rows = []
+    for jerk in (720.0, 288.0, 20.0):
+        up = [(0.25, jerk), (0.125, 0.0), (0.25, -jerk)]
+        rows.append(stepwise([*up, (1.5, 0.0), *((lasts, -each) for lasts, each in up)], 3))
+    path = Path(rows)
+    limits = limits_with_reserve(path, 0.2)
+    sooner = 0
+    for cycles in range(5, 400, 6):
+        clock = PathClock(path, limits, CYCLE, override=override)
+        points = [path.start.positions] * 4 + [clock.advance(CYCLE).positions for _ in range(cycles)]
+        reserve, here = clock._reserve, clock.time
+        at_once = reserve.braking_at(here, override, 0.0)
+        lasts = rest_time(at_once, path.duration - here)
+        named = clock.stop()
+        assert named <= lasts
+        points += [clock.advance(CYCLE).positions for _ in range(math.ceil(named / CYCLE))]
+        assert clock.is_at_rest
+        assert clock.time <= here + at_once.at(lasts)[0] + 1e-9  # no further on the path, either
+        sooner += named < 0.8 * lasts
+        for joint, own in enumerate(limits):
+            for seen in differences([each[joint] for each in points]):
+                for each, limit in zip(seen, (own.speed, own.acceleration, own.jerk), strict=True):
+                    assert limit is None or each <= limit * (1 + ROUNDING) + 1e-6
+    assert sooner > 5
 
 
 def test_a_stop_at_a_constant_speed_may_use_all_of_the_acceleration() -> None:
