@@ -22,6 +22,7 @@ from canopen_master import (
     SetPointRefused,
     direct,
     powerballs,
+    read_record,
 )
 from canopen_master.direct import NotConnected, Session
 from canopen_master.simulation import DeviceMaker
@@ -104,14 +105,18 @@ def test_a_clients_loop_gets_the_cycles(session: Session) -> None:
     assert chain.halt(), session.last_error()
 
 
-def test_a_chain_moves_and_follows_a_path_from_a_clients_thread(session: Session) -> None:
+def test_a_chain_moves_and_follows_a_path_from_a_clients_thread(session: Session, tmp_path: Path) -> None:
     session.init_master_thread(INTERVAL)
     chain = session.chain_map["arm"]
     assert chain.init(), session.last_error()
     start = [float(position) for position in chain.get_current_pos()]
     chain.override = 0.5
     assert chain.override == 0.5
-    assert chain.move([position + 300 for position in start], speed=0.5), session.last_error()
+    with chain.record(tmp_path / "run.csv") as recorder:
+        assert chain.move([position + 300 for position in start], speed=0.5), session.last_error()
+    record = read_record(tmp_path / "run.csv")
+    assert len(record) == recorder.rows > 0
+    assert record["joint2.set_point"][-1] == start[1] + 300
     assert chain.get_desired_pos() == [position + 300 for position in start]
     back = [Segment(1.0, (position + 300, 0.0, 0.0, -3000.0, 4500.0, -1800.0)) for position in start]
     chain.override = 1.0
@@ -121,6 +126,19 @@ def test_a_chain_moves_and_follows_a_path_from_a_clients_thread(session: Session
     assert "does not begin where joint1 stands" in str(session.last_error())
     assert not chain.move([0.0])
     assert chain.halt(), session.last_error()
+
+
+def test_a_recording_is_whole_although_the_connection_ends(session: Session, tmp_path: Path) -> None:
+    session.init_master_thread(INTERVAL)
+    chain = session.chain_map["arm"]
+    assert chain.init(), session.last_error()
+    with pytest.raises(PermissionError), chain.record(tmp_path / "run.csv"):
+        raise PermissionError
+    with chain.record(tmp_path / "run.csv"):
+        assert chain.ip_mode(), session.last_error()
+        session.close_connection()
+    record = read_record(tmp_path / "run.csv")
+    assert record["joint1.mode"][-1] == 7
 
 
 def test_sync_is_the_masters(session: Session, arm: Devices) -> None:

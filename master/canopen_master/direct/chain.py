@@ -8,13 +8,17 @@ says why; `set_pos` raises.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path as FilePath
 from typing import TypeVar
 
-from canopen_master.direct.connection import Connection
+from canopen_master.direct.connection import Connection, NotConnected
+from canopen_master.errors import BusError, MasterClosed
 from canopen_master.master import Master
 from canopen_master.motion.chain import Chain, ChainState
 from canopen_master.motion.chain_file import ChainDescription
 from canopen_master.motion.cycles import Cycle, Cycles
+from canopen_master.motion.recording import Recorder
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.trajectory import Path
 
@@ -76,6 +80,23 @@ class ChainCalls:
             chain.override = override
 
         self._call(set_override)
+
+    @contextmanager
+    def record(self, path: str | FilePath) -> Iterator[Recorder]:
+        """Record what the chain does while a `with` block runs, a row for each SYNC: `with chain.record("run.csv"): chain.move(...)`.
+
+        path: Parquet if it ends in ".parquet", else CSV. Rows begin once the chain is ready to move. Raises OSError; PackageMissing
+        without pyarrow for Parquet; at the end RecordError if rows are missing. See `Chain.record`.
+        """
+        recorder = self._ask(lambda chain: chain.recorder(path))
+        try:
+            yield recorder
+        finally:
+            try:
+                self._ask(lambda chain: recorder.close())
+            except (NotConnected, MasterClosed, BusError):
+                recorder.close()  # the connection has ended, and nothing records any more
+        recorder.wait()
 
     def halt(self) -> bool:
         """Stop all joints, whatever the chain is doing in another thread, and wait until they stand. They stay enabled."""

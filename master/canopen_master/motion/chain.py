@@ -283,8 +283,12 @@ class Chain(ChainView, Moving):
         initialised. Raises OSError; PackageMissing without pyarrow for Parquet; at the end RecordError if rows are missing. A
         block that ends by an error or is cancelled waits for nothing: `Recorder.wait` does.
         """
+        return recording(lambda: self.recorder(path))
+
+    def recorder(self, path: str | Path) -> Recorder:
+        """Begin to record, until `Recorder.close`; `Recorder.wait` then waits for the file. Else as `record`."""
         followed = self._participant, self.name, self.devices, self._set_points
-        return recording(lambda: Recorder(*followed, lambda: self.state is not ChainState.OFF, lambda: self.motion, path))
+        return Recorder(*followed, lambda: self.state is not ChainState.OFF, lambda: self.motion, path)
 
     # ---- along a path: see path_motion.py and moving.py ----
 
