@@ -13,6 +13,8 @@ The PDOs are those that the file describes, if they carry controlword and set-po
 TPDO, or both get another mapping (`configure_pdo` writes it): controlword and set-point; statusword, position, and what else has
 room. The modes of operation (0x6060) stay out of it: a mode changes only between motions, by confirmed SDO.
 
+With `feed_forward` one more RPDO carries what is fed forward in csp: see feed_forward_pdo.py.
+
 A `lean` plan is for a bus without room: TPDOs that bring nothing of WATCHED at SYNCs, or only what others bring, are switched
 off. A TPDO that carries something else stays as it is.
 
@@ -40,6 +42,7 @@ from canopen_proto.cia402.modes import Mode, mode_name, short_name, supported, s
 from canopen_proto.datatypes import range_of
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
 from canopen_proto.drive.axis_node import AxisNode
+from canopen_proto.drive.feed_forward_pdo import FED, with_offsets
 from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import MILLISECOND, Time
@@ -190,8 +193,11 @@ class MotionPlan:
         for keys, name in ((self.commands_by_sdo, "written by SDO"), (self.watched_by_sdo, "read by SDO")):
             if keys:
                 facts.append((name, ", ".join(map(self._label, keys))))
-        if self.extras:
-            facts.append(("carried besides", f"{', '.join(map(self._label, self.extras))}: sent back as the drive shows it"))
+        fed = self._places(FED.get(self.mode, ()))
+        if fed_forward := [key for key in self.extras if key in fed]:
+            facts.append(("fed forward", ", ".join(map(self._label, fed_forward))))
+        if others := [key for key in self.extras if key not in fed]:
+            facts.append(("carried besides", f"{', '.join(map(self._label, others))}: sent back as the drive shows it"))
         return facts + [("note", note) for note in self.notes]
 
     def describe(self) -> str:
@@ -214,6 +220,7 @@ def plan_motion(
     wish: Mode | None = None,
     axis: int = 0,
     lean: bool = False,
+    feed_forward: bool = False,
 ) -> MotionPlan:
     """Return how a drive with this dictionary follows set-points; see this module's text.
 
@@ -234,8 +241,11 @@ def plan_motion(
             chosen = _pdos_for(dictionary, node_id, mode, slots, own)
             if isinstance(chosen, list):
                 reason = _reason(mode, wish, told)
+                notes: list[str] = []
+                if feed_forward:
+                    chosen, notes = with_offsets(dictionary, node_id, mode, slots, own, chosen)
                 spare = spare_tpdos(chosen, own, WELCOME) if lean else []
-                return _plan(whole, node_id, axis, mode, chosen, slots, spare, rejected, reason)
+                return _plan(whole, node_id, axis, mode, chosen, slots, spare, rejected, reason, notes)
             obstacle = chosen
         rejected.append(Obstacle(mode, obstacle))
     source = dictionary.source or "its dictionary"
@@ -445,6 +455,7 @@ def _plan(
     spare: Collection[Slot],
     rejected: Sequence[Obstacle],
     reason: str,
+    more_notes: Sequence[str],
 ) -> MotionPlan:
     leaves = {(slot.direction, slot.number) for slot in spare}
     pdos = [pdo for pdo in pdos if (pdo.direction, pdo.number) not in leaves]
@@ -464,7 +475,7 @@ def _plan(
         tuple(_of_device(destroying(slot), axis) for slot in unwanted if slot.can_move),
         tuple(_of_device(destroying(slot), axis) for slot in spare),
         tuple(rejected),
-        tuple(notes),
+        (*notes, *more_notes),
     )
 
 

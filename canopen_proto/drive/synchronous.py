@@ -168,6 +168,12 @@ def write_record(axis: Axis) -> Procedure[None]:
             yield from write(axis.node, mux, axis.node.values.store[mux])
 
 
+def _rpdos_of_offsets(axis: Axis, mode: Mode) -> list[int]:
+    """Return the RPDOs that carry offsets of the mode and nothing else."""
+    offsets = {axis.node.on_device(mux) for mux in OFFSETS_OF[mode]}
+    return [number for number, rpdo in axis.node.rpdos.items() if rpdo.mapping.muxes and offsets.issuperset(rpdo.mapping.muxes)]
+
+
 def clear_offsets(axis: Axis, mode: Mode) -> Procedure[None]:
     """Set the offsets of a mode to 0, as far as the drive has them: one that was left over would be a jump."""
     node = axis.node
@@ -222,7 +228,7 @@ def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Pr
         start = yield from align(axis)
         now = yield from current_time()
         carriers = axis.rpdos_with(carried)
-        for number in carriers:
+        for number in (*carriers, *_rpdos_of_offsets(axis, mode)):
             node.enable_rpdo(number, now)
         if carriers and not any(node.rpdos[number].is_live for number in carriers):
             state = node.nmt_state.name if node.nmt_state is not None else "in an unknown NMT state"

@@ -26,9 +26,10 @@ _SHORT: Final = {short_name(mode): mode for mode in MODES}
 @click.command()
 @click.option("--mode", "wish", type=click.Choice(list(_SHORT)), help="Only this mode.  [default: the first that works]")
 @click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
+@click.option("--feed-forward", is_flag=True, help="With an RPDO for what is fed forward in csp: 0x60B1 and 0x60B2.")
 @common
 @click.pass_obj
-def plan(settings: Settings, wish: str | None, cycle: Time | None) -> None:
+def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward: bool) -> None:
     """Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it. Nothing is written.
 
     The drive's file (-e, or that of the machine file) says which PDOs it has and what they may carry; 0x6502 of the drive says
@@ -53,7 +54,7 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None) -> None:
     def procedure(session: Session, node: Node) -> Procedure[tuple[MotionPlan, list[RemapStep]]]:
         modes = yield from read_modes(node_of_axis(node.remote, axis))
         mode = None if wish is None else _SHORT[wish]
-        made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=mode, axis=axis)
+        made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=mode, axis=axis, feed_forward=feed_forward)
         return made, (yield from pending_steps(node.remote, made))
 
     screen = settings.screen()

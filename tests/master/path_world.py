@@ -74,6 +74,7 @@ async def arms(
     counts: float = COUNTS,
     drive: DriveSettings = DRIVE,
     mode: Mode = Mode.INTERPOLATED_POSITION,
+    settings: ChainSettings | None = None,
     makers: Callable[..., list[DeviceMaker]] = standard_drives,
 ) -> AsyncIterator[tuple[Master, list[Chain], Record]]:
     """A chain of so many joints on each bus, initialised; and the record, which goes on as long as the block.
@@ -105,8 +106,8 @@ async def arms(
         chains = []
         for number, (count, bus) in enumerate(zip(joints, buses, strict=True)):
             text = f"arm{number} " + " ".join(f"j{number}{node} {bus} {node}" for node in range(1, count + 1))
-            settings = ChainSettings(cycle_time=CYCLE, own_pdos=True, mode=mode)
-            chains.append(master.load_chains(text=text, settings=settings, axes=axis)[f"arm{number}"])
+            chosen = settings or ChainSettings(cycle_time=CYCLE, own_pdos=True, mode=mode)
+            chains.append(master.load_chains(text=text, settings=chosen, axes=axis)[f"arm{number}"])
         for chain in chains:
             await chain.initialise()
         yield master, chains, record

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_master import Chain, ChainState, PathRefused
+from canopen_master import Chain, ChainSettings, ChainState, PathRefused
 from canopen_master.motion.path_motion import Torques
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
@@ -91,3 +91,30 @@ async def test_torques_that_are_none_end_the_motion_and_not_the_master(torques: 
             await arm.follow(swing(0.5), torques=feed)
         assert arm.state is ChainState.HALTED
         await arm.recover()
+
+
+@virtual_time
+async def test_a_plan_with_feed_forward_has_an_rpdo_for_it() -> None:
+    """By the drive's own file, and a setting of its chain: nothing else has to be done."""
+    settings = ChainSettings(CYCLE, own_pdos=True, mode=Mode.CYCLIC_SYNCHRONOUS_POSITION, feed_forward=True)
+    async with arms(1, settings=settings) as (_, [arm], record):
+        (node,) = drives(record.hosts[0])
+        plan = arm.devices[0].plan
+        assert plan is not None
+        assert "fed forward" in dict(plan.facts)
+        path = swing(0.5)
+        sent = await offsets_of(node, arm, path, lambda point: [0.1 for _ in point.positions])
+        expected = [path.at(time - LATE).velocities[0] for time, _, _ in sent]
+        assert [velocity for _, velocity, _ in sent] == pytest.approx(expected, abs=1e-5)
+        assert {torque for _, _, torque in sent[2:]} == {0.1}
+        await arm.halt()
+        await trio.sleep(3 * CYCLE)
+        assert value(node, objects.VELOCITY_OFFSET) == value(node, objects.TORQUE_OFFSET) == 0
+
+
+@virtual_time
+async def test_a_plan_in_a_mode_without_feed_forward_says_so() -> None:
+    settings = ChainSettings(CYCLE, own_pdos=True, feed_forward=True)
+    async with arms(1, settings=settings) as (_, [arm], _):
+        assert arm.devices[0].plan is not None
+        assert ("note", "ip takes no feed-forward") in arm.devices[0].plan.facts

@@ -83,10 +83,10 @@ class ChainCalls:
 
     @contextmanager
     def record(self, path: str | FilePath) -> Iterator[Recorder]:
-        """Record what the chain does while a `with` block runs, a row for each SYNC: `with chain.record("run.csv"): chain.move(...)`.
+        """Record what the chain does while a block runs, a row for each SYNC: `with chain.record("run.csv"): chain.move(...)`.
 
-        path: Parquet if it ends in ".parquet", else CSV. Rows begin once the chain is ready to move. Raises OSError; PackageMissing
-        without pyarrow for Parquet; at the end RecordError if rows are missing. See `Chain.record`.
+        path: Parquet if it ends in ".parquet", else CSV. Rows begin once the chain is ready to move. Raises OSError;
+        PackageMissing without pyarrow for Parquet; at the end RecordError if rows are missing. See `Chain.record`.
         """
         recorder = self._ask(lambda chain: chain.recorder(path))
         try:

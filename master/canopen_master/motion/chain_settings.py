@@ -30,6 +30,9 @@ class ChainSettings:
 
     mode: in which the joints follow set-points: ip, csp, or pp, which is slow (see canopen_proto.drive.slow_position). None: the
     best one for each joint, by its own dictionary; own_pdos is implied. Raises LocalProtocolError for any other mode.
+
+    feed_forward: with own_pdos, in csp: give joints one more RPDO for what is fed forward, the velocity of a path (0x60B1) and
+    torques (0x60B2). For drives that do not feed the velocity forward by themselves: they would do it twice.
     """
 
     cycle_time: float = 0.01
@@ -41,6 +44,7 @@ class ChainSettings:
     max_missed_cycles: int = MAX_MISSED_CYCLES
     max_silent_cycles: int = SILENT_SYNCS
     mode: Mode | None = Mode.INTERPOLATED_POSITION
+    feed_forward: bool = False
 
     def __post_init__(self) -> None:
         if self.mode is None:

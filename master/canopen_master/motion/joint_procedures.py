@@ -113,8 +113,16 @@ def plan_joint(device: Device, settings: ChainSettings, *, lean: bool = False) -
     """Plan by the joint's own dictionary how it follows set-points (`device.plan`). lean: see `plan_motion`. Raises
     NoMotionPlan."""
     node, cycle_time = device.node.remote, round(settings.cycle_time * SECOND)
-    wish, axis = settings.mode, device.axis.number
-    device.plan = plan_motion(node.dictionary, node.node_id, cycle_time, modes=device.modes, wish=wish, axis=axis, lean=lean)
+    device.plan = plan_motion(
+        node.dictionary,
+        node.node_id,
+        cycle_time,
+        modes=device.modes,
+        wish=settings.mode,
+        axis=device.axis.number,
+        lean=lean,
+        feed_forward=settings.feed_forward,
+    )
 
 
 def has_plan(device: Device, settings: ChainSettings) -> bool:
