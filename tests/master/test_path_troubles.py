@@ -10,7 +10,7 @@ import trio
 from trio.lowlevel import enable_ki_protection
 from trio.testing import MockClock
 
-from canopen_master import ChainError, ChainFault, ChainHalted, ChainState, MasterClosed, together
+from canopen_master import AxisSettings, ChainError, ChainFault, ChainHalted, ChainState, MasterClosed, open_master, together
 from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulated_drive.answers import Answer
@@ -18,7 +18,7 @@ from tests.master.direct_world import patient
 from tests.master.path_world import AXIS, Record, arms, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved
-from tests.master.world import drives, virtual_time
+from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
 PATH = swing(0.5, -0.25, duration=2.0)
 
@@ -195,3 +195,28 @@ async def test_a_shut_down_leaves_sync_to_a_chain_that_initialises() -> None:
         with trio.fail_after(10.0):
             await leg.move([0.1])
         assert record.rows[-1] == pytest.approx([0.0, 0.1], abs=3e-6)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.3])
+@virtual_time
+async def test_a_motion_does_not_wait_for_ever_for_a_sync_that_was_stopped(after: float) -> None:
+    """These drives do not notice: only the master can end it. `follow` sends SYNC again."""
+    axis = AxisSettings(counts_per_unit=1000, max_speed=20.0, max_acceleration=50.0, max_jerk=500.0)
+    async with simulated(3, 4), open_master(BUS) as master, trio.open_nursery() as nursery:
+        arm = arm_of(master, 3, 4, axes=axis)
+        await arm.initialise()
+        await arm.follow()
+        begun = trio.current_time()
+
+        async def stop() -> None:
+            await trio.sleep(after)
+            master.sync_stop()
+
+        nursery.start_soon(stop)
+        with pytest.raises(ChainHalted, match="no SYNC came for 0.5 s or more"):
+            await arm.move([5.0, 5.0])
+        assert trio.current_time() - begun < after + 1.2  # 0.5 s, and the halt
+        assert arm.state is ChainState.HALTED
+        await arm.follow()
+        await arm.move([5.0, 5.0])
+        assert arm.positions == pytest.approx([5.0, 5.0], abs=0.01)

@@ -180,6 +180,8 @@ class Chain(ChainView, Moving):
         self._end_following(ChainState.READY)
         self._require_reference(what)
         cycle_time = round(self.settings.cycle_time * SECOND)
+        if not self.has_sync:  # somebody has stopped it
+            self._participant.sync_start(self.settings.cycle_time)
         try:
             name = f"chain {self.name}"
             followed = await self._for_all(what, lambda device: follow(device, name, cycle_time, mode_of(device, self.settings)))
@@ -398,6 +400,11 @@ class Chain(ChainView, Moving):
         self._require(what, *_CAN_MOVE)
         await self._joints_halted(what)
         self._require(what, *_CAN_MOVE)  # another task may have been quicker
+
+    @property
+    def has_sync(self) -> bool:
+        """Whether SYNC is sent."""
+        return self._participant.sync_period > 0
 
     def _others(self) -> list[Chain]:
         """Return the other chains that run."""

@@ -10,8 +10,8 @@ from where the joints are.
 
 **The end of a motion** comes when its course is finished, or is at rest after `brake`, and the joints had the time to get there.
 The joints then stand at the last set-points, and their chains go on to follow these. A course that is not at rest LONGEST_STOP
-after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp. So does one that brakes and
-gets no SYNC for WITHOUT_SYNC.
+after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp. So does one that
+gets no SYNC for WITHOUT_SYNC while it brakes, or because SYNC was stopped; a process that is late still sends it.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ LONGEST_STOP: Final = 5.0
 """Seconds that joints may take to brake along their path. A path that needs longer is refused."""
 
 WITHOUT_SYNC: Final = 0.5
-"""Seconds without a SYNC after which a motion that brakes ends: its points reach no drive."""
+"""Seconds without a SYNC after which a motion ends that brakes, or that nobody sends SYNCs for: its points reach no drive."""
 
 SYNCS_LOST: Final = 10
 """... and so many periods of SYNC."""
 
-NO_SYNC: Final = f"because no SYNC came for {WITHOUT_SYNC:g} s or more, so it cannot brake along its path"
+NO_SYNC: Final = f"because no SYNC came for {WITHOUT_SYNC:g} s or more, so its points reached no drive"
 
 SHORT_GAP: Final = 2
 """Periods without a SYNC after which a motion goes on at its speed: drives have hardly slowed down, and would be thrown back.
@@ -78,6 +78,10 @@ class Follower(Protocol):
     @property
     def devices(self) -> tuple[Device, ...]:
         """Its joints."""
+
+    @property
+    def has_sync(self) -> bool:
+        """Whether SYNC is sent."""
 
     @property
     def is_on_path(self) -> bool:
@@ -263,9 +267,9 @@ class Motion:
         await trio.lowlevel.checkpoint()
         patience = max(WITHOUT_SYNC, SYNCS_LOST * self._period)
         while not self.is_over:
-            with trio.move_on_after(patience if self.is_braking else math.inf) as scope:
+            with trio.move_on_after(patience) as scope:
                 await self.news.park()
-            if scope.cancelled_caught:
+            if scope.cancelled_caught and (self.is_braking or not all(lane.follower.has_sync for lane in self.lanes)):
                 self.end(NO_SYNC)
 
     def _checked(self, torques: Sequence[float]) -> list[float]:
