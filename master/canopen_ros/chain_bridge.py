@@ -239,9 +239,10 @@ class ChainBridge:
     def command_positions(self, names: Sequence[str], positions: Sequence[float], velocities: Sequence[float] = ()) -> None:
         """Go to these positions (rad or m, by the names of the joints), as fast as the limits allow, and hold them.
 
-        names: in any order; joints that are not named stay at their last ones. velocities: of the controller, for information.
-        Never raises or waits: a refusal is reported. Refused are unknown names, arrays that are too short, and values that are
-        no finite numbers, as a whole.
+        names: in any order; joints that are not named stay at their last ones. velocities: with which the
+        controller goes through them; without, the joints lag behind it by their way of braking. Never raises or waits: a
+        refusal is reported. Unknown names, arrays that are too short, and values that are no finite numbers are refused, as a
+        whole.
         """
         what = "take positions"
         try:
@@ -249,15 +250,14 @@ class ChainBridge:
             if self._goals:
                 raise self._refused(what, "it follows a trajectory", "one source of commands at a time")
             targets = self._targets(names, positions)
-            if velocities:
-                self._targets(names, velocities)
+            speeds = self._targets(names, velocities) if velocities else {}
         except COMMAND_ERRORS as error:
             self._tell(error)
             return
         if self._streaming is not None and not self._streaming.is_over:
-            self._streaming.give(targets)
+            self._streaming.give(targets, speeds)
         else:
-            self._streaming = Streaming(self.chain, self._tell, partial(self._require_movable, what), targets)
+            self._streaming = Streaming(self.chain, self._tell, partial(self._require_movable, what), targets, speeds)
             self._nursery.start_soon(self._streaming.run)
 
     def _tell(self, error: Exception) -> None:

@@ -5,7 +5,8 @@ A first point at time 0 only says where the client thinks that they are; it is r
 there a polynomial of degree 5 leads from point to point, through every position exactly: through velocities and accelerations if
 the points have them, else those of the smoothest curve. The last point is at rest.
 
-**Joints** are found by their names, in any order. Joints of the chain that are not in the goal stay where they are.
+**Joints** are found by their names, in any order. Joints of the chain that are not in the goal stay where they are; a
+goal without a joint that moves at present is refused.
 
 **Times.** A start in the past: points that are past already are left out. A start less than LATE ago counts as now.
 """
@@ -176,6 +177,9 @@ def path_of(points: Sequence[JointPoint], start: PathPoint, names: Sequence[str]
                     f"{START:g} are allowed. Try: a trajectory from where the joints are, or a first point at a later time"
                 )
         points = points[1:]
+    for name, wanted, velocity in zip(names, first.positions, start.velocities, strict=True):
+        if wanted is None and velocity:
+            raise _invalid(f"{name} moves, and is not in the trajectory. Try: all joints, or an empty trajectory before")
     if not points:
         return Path(_resting(start))
     times = [0.0, *(point.time for point in points)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
@@ -10,10 +11,25 @@ import trio
 from canopen_master.errors import MotionReplaced
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.target_motion import Jog, Targets
+from canopen_master.trajectories.point_to_point import RESERVE
+from canopen_proto.trajectory import JointLimits
 from canopen_ros.reply import COMMAND_ERRORS
 
 QUIET: Final = 0.5
 """Seconds without a new position after which joints that stand are no longer led. The next position leads them again."""
+
+
+SILENT: Final = 0.1
+"""Seconds without a new position after which its velocity counts as 0: the joints then hold the position itself."""
+
+
+def braking_way(speed: float, limits: JointLimits) -> float:
+    """Return the way on which a joint brakes from a speed to rest, within the limits of a stream."""
+    acceleration = (limits.acceleration or math.inf) * (1 - RESERVE)
+    jerk = (limits.jerk or math.inf) * (1 - RESERVE)
+    if speed * jerk <= acceleration * acceleration:
+        return speed * math.sqrt(speed / jerk)
+    return 0.5 * speed * (speed / acceleration + acceleration / jerk)
 
 
 class _TopicMotion:
@@ -96,16 +112,19 @@ class Streaming(_TopicMotion):
         report: Callable[[Exception], object],
         check: Callable[[], object],
         targets: Mapping[int, float],
+        velocities: Mapping[int, float],
     ) -> None:
-        """targets: by the places of the joints; the others stay where they are."""
+        """targets: by the places of the joints; the others stay where they are. velocities: see `give`."""
         super().__init__(chain, report, check)
         self._given = dict(targets)
+        self._velocities = dict(velocities)
         self._positions: list[float] = []
         self._targets: Targets | None = None
 
-    def give(self, targets: Mapping[int, float]) -> None:
-        """Go to these positions from now on."""
+    def give(self, targets: Mapping[int, float], velocities: Mapping[int, float]) -> None:
+        """Go to these positions from now on. velocities: with which the controller goes through them, as far as it says so."""
         self._given.update(targets)
+        self._velocities = dict(velocities)
         self._given_at = trio.current_time()
         if self._targets is not None:
             try:
@@ -114,7 +133,11 @@ class Streaming(_TopicMotion):
                 self._report(error)
 
     def _aim(self, targets: Targets) -> None:
-        targets.aim_at([self._given.get(place, position) for place, position in enumerate(self._positions)])
+        """Aim at the positions; with velocities, at where joints that brake there come to rest, so that none lags behind."""
+        aims = [self._given.get(place, position) for place, position in enumerate(self._positions)]
+        for place, velocity in self._velocities.items():
+            aims[place] += math.copysign(braking_way(abs(velocity), self.chain.path_limits[place]), velocity)
+        targets.aim_at(aims)
 
     async def _move(self) -> None:
         async with self.chain.stream() as targets:
@@ -123,6 +146,9 @@ class Streaming(_TopicMotion):
             self._aim(targets)
             motion = self.chain.motion
             while motion is not None and not motion.is_over:
+                if self._velocities and trio.current_time() - self._given_at > SILENT:
+                    self._velocities = {}
+                    self._aim(targets)
                 if motion.course.is_at_rest and trio.current_time() - self._given_at > QUIET:
                     break
                 await motion.news.park()

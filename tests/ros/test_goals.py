@@ -94,6 +94,15 @@ async def test_a_subset_of_the_joints_moves_and_the_others_hold() -> None:
         assert world.bridge.sample().positions == pytest.approx((0.1, 0.0, 0.2), abs=EXACT)
 
 
+@virtual_time
+async def test_a_joint_that_moves_has_to_be_in_a_goal_that_takes_over() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        results = await two_goals(world, goal(P([0.1], time_from_start=2.0), names=["joint2"]))
+        assert [result.outcome for result in results] == [Outcome.REJECTED, Outcome.SUCCEEDED]
+        assert results[0].text.startswith("joint1 moves, and is not in the trajectory")
+
+
 @pytest.mark.parametrize("kinds", ["positions", "velocities", "accelerations"])
 @virtual_time
 async def test_a_trajectory_goes_through_its_points_at_their_times(kinds: str) -> None:

@@ -186,6 +186,26 @@ async def test_positions_are_held_in_silence_and_joints_that_are_not_named_stay(
         assert world.bridge.sample().positions == pytest.approx((0.1, 0.3), abs=EXACT)
 
 
+@pytest.mark.parametrize(("with_velocities", "lag"), [(True, 0.07), (False, 0.24)])
+@virtual_time
+async def test_a_controller_that_tells_its_velocities_is_followed_closely(with_velocities: bool, lag: float) -> None:
+    """lag: seconds, at most, at the peak of 0.24 rad/s. Behind the last message the joint rests at its position."""
+    async with cell(1, sync_interval=10) as world:
+        await world.ask("init")
+        await world.ask("home")
+        await world.ask("IPmode")
+        worst, turn = 0.0, 2 * math.pi / 4
+        for number in range(300):
+            time = number * 0.01
+            position, velocity = 0.15 * (1 - math.cos(turn * time)), 0.15 * turn * math.sin(turn * time)
+            world.arm.command_positions(["joint1"], [position], [velocity] if with_velocities else ())
+            await trio.sleep(0.01)
+            worst = max(worst, abs(position - world.bridge.sample().positions[0]))
+        assert worst < lag * 0.15 * turn
+        await trio.sleep(3.0)
+        assert world.bridge.sample().positions[0] == pytest.approx(position, abs=EXACT)
+
+
 @virtual_time
 async def test_positions_are_refused_while_a_trajectory_runs() -> None:
     async with cell() as world:
