@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import re
 import shutil
+import tempfile
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canopen_data import DataError
 from canopen_data.descriptions import load_description
@@ -21,6 +27,7 @@ from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_ros.configurations import Choices, Imported, Outcome, import_configuration
 from canopen_ros.configurations.yaml_text import Value, read_yaml
 from tests import vendor_files
+from tests.examples import examples
 from tests.ros_configurations import FOLDER, SETS, needs_configurations
 
 ROS1 = """
@@ -139,7 +146,8 @@ def test_ros_canopen(imported: Import, tmp_path: Path) -> None:
     assert {name: each.node_id for name, each in machine.nodes.items()} == {"shoulder": 3, "elbow": 4}
     assert machine.chains["arm"].joints == ("shoulder", "elbow")
     shoulder, elbow = (machine.joints[name].settings for name in ("shoulder", "elbow"))
-    assert (shoulder.unit, shoulder.counts_per_unit) == (Unit.RADIAN, pytest.approx(5729.577951308232))
+    assert shoulder.unit is Unit.RADIAN
+    assert shoulder.counts_per_unit == pytest.approx(5729.577951308232)
     assert "counts_per_turn = 36000\n" in made.text
     assert (elbow.counts_per_unit, elbow.direction, elbow.homing_timeout) == (1000, -1, 30 * SECOND)
     assert shoulder.mode_change_state is State.SWITCHED_ON
@@ -182,6 +190,16 @@ def test_several_files_are_one_configuration(imported: Import, tmp_path: Path) -
         imported(ROS1, "name: leg")
     alone = imported(bus)
     assert (alone.kind, "[nodes" in alone.text, "[chains" in alone.text) == ("ros_canopen", False, False)
+
+
+def test_a_device_without_a_controlword_is_no_joint(imported: Import, tmp_path: Path) -> None:
+    with resources.as_file(resources.files("canopen_data") / "samples" / "sample_io.eds") as sample:
+        shutil.copy(sample, tmp_path / "io.eds")
+    made = imported("defaults: {pos_to_device: pos*5, switching_state: 4}\nnodes: {lamp: {id: 9, eds_file: io.eds}}")
+    assert made.is_complete
+    assert_every_key_is_told(made, tmp_path / "0.yaml")
+    machine = machine_of(tmp_path)
+    assert (list(machine.nodes), list(machine.joints), list(machine.chains)) == (["lamp"], [], [])
 
 
 def test_nodes_as_a_list_and_at_the_top(imported: Import) -> None:
@@ -352,6 +370,15 @@ def test_configurations_of_others_are_read_and_every_key_is_told(names: tuple[st
 
 
 @needs_configurations
+def test_the_page_has_the_figures(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "ros-migration.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| .* \| (\d+) \| (\d+) \| (\d+) \| .* \|$", page, re.MULTILINE)
+    made = [import_configuration([FOLDER / name for name in names], tmp_path) for names in SETS]
+    counts = [[sum(each.outcome is outcome for each in one.report) for outcome in Outcome] for one in made]
+    assert [list(map(int, row)) for row in rows] == counts
+
+
+@needs_configurations
 @vendor_files.needs_vendor_files
 def test_with_the_devices_files_nearly_all_is_taken_over(tmp_path: Path) -> None:
     (tmp_path / "config").mkdir()
@@ -363,3 +390,48 @@ def test_with_the_devices_files_nearly_all_is_taken_over(tmp_path: Path) -> None
     assert [each.key for each in arm.report if each.outcome is Outcome.LEFT_OUT] == ["defaults.vel_to_device"]
     assert sorted(arm.files) == [f"arm_{number}_joint.dcf" for number in range(1, 7)]
     assert import_configuration([tmp_path / name for name in SETS[3]], tmp_path).is_complete
+
+
+# ---- whatever is in the file ----
+
+_SCALARS = st.one_of(
+    st.integers(),
+    st.integers(-3, 300),
+    st.floats(),
+    st.booleans(),
+    st.none(),
+    st.text(max_size=4),
+    st.sampled_from(["drive.eds", "pos*1000", "obj6064/1000", "77f#05", "auto", "0x7F0064", "1e999", "\0", "..", "/"]),
+)
+_KEYS = st.sampled_from([
+    "id", "node_id", "name", "eds_file", "eds_pkg", "dcf", "dcf_path", "driver", "index", "sub_index", "value", "enabled",
+    "cob_id", "mapping", "6081", "60C2sub1", "1", "2", "device", "interval_ms", "rate", "msg", "drive", "has_position_limits",
+    "min_position", "max_position", "sync_period", "baudrate", "heartbeat_producer", "offset_pos_to_dev", "scale_pos_to_dev",
+])  # fmt: skip
+_ANYTHING = st.recursive(
+    _SCALARS, lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(_KEYS, inner, max_size=4)), max_leaves=12
+)
+_OF_NODES = (
+    "name", "eds_file", "dcf", "dcf_overlay", "pos_to_device", "pos_from_device", "vel_to_device", "switching_state", "sdo",
+    "tpdo", "rpdo", "num_channels", "channel_names", "channels", "position_mode", "heartbeat_producer", "heartbeat_multiplier",
+    "scale_pos_to_dev", "scale_pos_from_dev", "scale_vel_to_dev", "homing_method", "homing_timeout_seconds", "publish",
+)  # fmt: skip
+_OF_FILES = ("bus", "sync", "heartbeat", "name", "defaults", "joint_limits", "options", "master", "other")
+
+
+@given(
+    ident=st.sampled_from([{"id": 3}, {"node_id": 3, "driver": "Cia402Driver"}]),
+    node=st.dictionaries(st.sampled_from(_OF_NODES), _ANYTHING, max_size=5),
+    file=st.dictionaries(st.sampled_from(_OF_FILES), _ANYTHING, max_size=3),
+)
+@examples(40)
+def test_any_values_give_a_machine_or_a_clear_error(ident: dict[str, Any], node: dict[str, Any], file: dict[str, Any]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "any.yaml"
+        path.write_text(json.dumps({**file, "nodes": {"drive": {**node, **ident}}}))
+        try:
+            made = import_configuration([path], Path(folder))
+        except DictionaryError as error:
+            assert error.findings
+        else:
+            assert_every_key_is_told(made, path)

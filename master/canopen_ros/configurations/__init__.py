@@ -91,7 +91,7 @@ def _device_files(draft: Draft, folder: Path) -> dict[str, bytes]:
                 draft.report.left_out(setting.whole, _NO_FILE)
             continue
         dcf = f"{name.replace('/', '_')}.dcf"
-        content = configured_file(device.file, device.entry["id"], device.settings, draft.report)
+        content = configured_file(draft.description_of(device.file), device.entry["id"], device.settings, draft.report)
         if content is None:
             device.entry["file"] = os.path.relpath(device.file, folder)
         else:

@@ -7,12 +7,10 @@ does not have yet, once, and can have it store them; a simulated device has them
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from canopen_data.configured import with_configured
-from canopen_data.description import Commissioning, FileKind
-from canopen_data.descriptions import load_description
+from canopen_data.description import Commissioning, DeviceDescription, FileKind
 from canopen_data.eds.numbers import read_value
 from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_proto.datatypes import Value, ValueRangeError
@@ -22,14 +20,13 @@ from canopen_ros.configurations.draft import Setting
 from canopen_ros.configurations.report import Report
 
 
-def configured_file(path: Path, node_id: int, settings: list[Setting], report: Report) -> bytes | None:
+def configured_file(description: DeviceDescription, node_id: int, settings: list[Setting], report: Report) -> bytes | None:
     """Return the DCF of a node with these settings; None if there are none, or none of them can be made.
 
-    Raises DataError, DictionaryError if the device's file cannot be used.
+    description: the device's own file.
     """
     if not settings:
         return None
-    description = load_description(path)
     values: dict[Mux, Value] = {}
     for setting in settings:
         value = _value(description.dictionary, setting, node_id)

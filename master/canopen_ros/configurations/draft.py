@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from canopen_data.description import DeviceDescription
+from canopen_data.descriptions import load_description
 from canopen_data.durations import duration_text
 from canopen_proto.cia402.axes import AXIS_STEP, MAX_AXES
 from canopen_proto.cia402.objects import INTERPOLATION_TIME_UNITS
@@ -76,6 +78,13 @@ class Draft:
     joints: dict[str, dict[str, Any]] = field(default_factory=dict)
     chain: str = CHAIN
     mode: str = ""
+    _descriptions: dict[Path, DeviceDescription] = field(default_factory=dict)
+
+    def description_of(self, path: Path) -> DeviceDescription:
+        """Return what a device's file says; it is read once. Raises DataError, DictionaryError if it cannot be used."""
+        if path not in self._descriptions:
+            self._descriptions[path] = load_description(path)
+        return self._descriptions[path]
 
     def name(self, value: Value, wanted: str) -> str:
         """Return a name of the machine file for a node or joint. Raises DictionaryError if it is taken."""

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from canopen_data.durations import duration_text
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
+from canopen_proto.cia402.objects import CONTROLWORD, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.multiplexer import index_of, mux
+from canopen_proto.multiplexer import index_of, mux, split_mux
 from canopen_ros.configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_ros.configurations.report import Section, section_of
 from canopen_ros.configurations.scale import Contradiction, position_keys, velocity_keys
@@ -31,6 +32,10 @@ _OBJECTS: Final = {"pos_from_device": index_of(POSITION_ACTUAL_VALUE), "vel_from
 _OBJECT: Final = re.compile(r"obj([0-9A-Fa-f]{4})(?:sub0*)?")
 _OVERLAY: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,4})(?:sub(?:0x)?([0-9A-Fa-f]{1,2}))?")
 _CANSEND: Final = re.compile(r"7([0-9A-Fa-f]{2})#(?:0?5)")
+_EFFORTS: Final = ("eff_to_device", "eff_from_device")
+_LOGS: Final = ("log", "log_warn", "log_error")
+_LOGGED: Final = "diagnostics show state, statusword, 0x603F and EMCY"
+_FILTERS: Final = ("position_filters", "velocity_filters", "effort_filters")
 MILLISECONDS: Final = (1, 60_000)
 """Of a cycle."""
 
@@ -164,31 +169,36 @@ def _take_node(key: str, value: Value, node: Section, draft: Draft) -> None:
     else:
         report.missing(f"nodes.{key}.eds_file", "the node has no file: objects are those of the data files")
     draft.add_device(value, name, DeviceDraft(entry, file, eds, _overlay(node, draft)))
+    _take_joint(name, value, node, draft, is_drive=file is None or _is_drive(draft, file))
+    node.not_needed({"motor_allocator": "every joint is a drive of CiA 402"} | dict.fromkeys(_LOGS, _LOGGED))
+    node.left_out(
+        {
+            "publish": "no topic for single objects: the service `get_object`, or `canopen read`",
+            "motor_layer": "settings of a plugin, which is not here",
+        }
+        | dict.fromkeys(_FILTERS, "positions, velocities and torques are published as the drive shows them")
+    )
+
+
+def _is_drive(draft: Draft, file: Path) -> bool:
+    """Return whether a device has the controlword of CiA 402, by its file."""
+    return draft.description_of(file).dictionary.get(*split_mux(CONTROLWORD)) is not None
+
+
+def _take_joint(name: str, value: Value, node: Section, draft: Draft, *, is_drive: bool) -> None:
+    """Take over what makes a node a joint. A device that is no drive is none."""
+    if not is_drive:
+        node.not_needed(
+            dict.fromkeys((*DEFAULTS, *_EFFORTS, "switching_state", "homing_timeout_seconds"), "the device is no drive")
+        )
+        draft.report.assumed(value.place, "a node, and no joint: its file has no controlword (0x6040)")
+        return
     joint: dict[str, Any] = {}
     _take_scale(node, joint, draft, is_linear=name in draft.choices.linear)
     draft.take_switching_state(node, joint)
     draft.take_homing_timeout(node, joint)
     draft.add_joint(value, name, joint)
-    node.not_needed(
-        {
-            "motor_allocator": "every joint is a drive of CiA 402",
-            "eff_to_device": TORQUE,
-            "eff_from_device": TORQUE,
-            "log": "diagnostics show state, statusword, 0x603F and EMCY",
-            "log_warn": "diagnostics show state, statusword, 0x603F and EMCY",
-            "log_error": "diagnostics show state, statusword, 0x603F and EMCY",
-        }
-    )
-    filters = "positions, velocities and torques are published as the drive shows them"
-    node.left_out(
-        {
-            "publish": "no topic for single objects: the service `get_object`, or `canopen read`",
-            "motor_layer": "settings of a plugin, which is not here",
-            "position_filters": filters,
-            "velocity_filters": filters,
-            "effort_filters": filters,
-        }
-    )
+    node.not_needed(dict.fromkeys(_EFFORTS, TORQUE))
 
 
 def _overlay(node: Section, draft: Draft) -> list[Setting]:
