@@ -1,9 +1,11 @@
-"""The RPDO for what is fed forward beside the set-points of csp: the offsets of velocity and torque (0x60B1, 0x60B2).
+"""The RPDO for what is fed forward beside the set-points.
 
-A set-point of csp and its controlword leave 16 bits of their PDO, and the velocity has 32: so it needs a PDO of its own. Its
-values are 0 until somebody feeds something forward.
+    csp    the offsets of velocity and torque (0x60B1, 0x60B2); they are 0 until somebody feeds something forward
+    ip     the velocity of a data record (0x60C1:02), for drives whose records have one (sub_modes.py)
 
-Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position mode.
+A set-point and its controlword leave 16 bits of their PDO, and a velocity has 32: so it needs a PDO of its own.
+
+Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position mode, interpolated position mode.
 """
 
 from __future__ import annotations
@@ -17,14 +19,17 @@ from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.described_pdos import muxes_of
 from canopen_proto.procedures.pdo_slots import Slot, as_fit, entry_of, remapped
 
-FED: Final = {Mode.CYCLIC_SYNCHRONOUS_POSITION: (objects.VELOCITY_OFFSET, objects.TORQUE_OFFSET)}
-"""Mode -> the offsets that are fed forward beside its set-points, as far as the drive has them."""
+FED: Final = {
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: (objects.VELOCITY_OFFSET, objects.TORQUE_OFFSET),
+    Mode.INTERPOLATED_POSITION: (objects.INTERPOLATION_VELOCITY,),
+}
+"""Mode -> the objects that are fed forward beside its set-points, as far as the drive has them."""
 
 
-def with_offsets(
+def with_feed_forward(
     dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot], own: list[Slot], pdos: list[PdoSettings]
 ) -> tuple[list[PdoSettings], list[str]]:
-    """Return the PDOs and one more for offsets that none of them carries, and notes about offsets that stay without."""
+    """Return the PDOs and one more for what none of them carries, and notes about what stays without."""
     if mode not in FED:
         return pdos, [f"{short_name(mode)} takes no feed-forward"]
     carried = {key for pdo in pdos if pdo.direction is Direction.RPDO for key in muxes_of(pdo.entries)}

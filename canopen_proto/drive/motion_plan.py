@@ -13,7 +13,7 @@ The PDOs are those that the file describes, if they carry controlword and set-po
 TPDO, or both get another mapping (`configure_pdo` writes it): controlword and set-point; statusword, position, and what else has
 room. The modes of operation (0x6060) stay out of it: a mode changes only between motions, by confirmed SDO.
 
-With `feed_forward` one more RPDO carries what is fed forward in csp: see feed_forward_pdo.py.
+With `feed_forward` one more RPDO carries what is fed forward: see feed_forward_pdo.py.
 
 A `lean` plan is for a bus without room: TPDOs that bring nothing of WATCHED at SYNCs, or only what others bring, are switched
 off. A TPDO that carries something else stays as it is.
@@ -42,7 +42,7 @@ from canopen_proto.cia402.modes import Mode, mode_name, short_name, supported, s
 from canopen_proto.datatypes import range_of
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
 from canopen_proto.drive.axis_node import AxisNode
-from canopen_proto.drive.feed_forward_pdo import FED, with_offsets
+from canopen_proto.drive.feed_forward_pdo import FED, with_feed_forward
 from canopen_proto.drive.set_points import SET_POINT_OF
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import MILLISECOND, Time
@@ -243,7 +243,7 @@ def plan_motion(
                 reason = _reason(mode, wish, told)
                 notes: list[str] = []
                 if feed_forward:
-                    chosen, notes = with_offsets(dictionary, node_id, mode, slots, own, chosen)
+                    chosen, notes = with_feed_forward(dictionary, node_id, mode, slots, own, chosen)
                 spare = spare_tpdos(chosen, own, WELCOME) if lean else []
                 return _plan(whole, node_id, axis, mode, chosen, slots, spare, rejected, reason, notes)
             obstacle = chosen

@@ -72,6 +72,9 @@ class AxisSettings:
     and loses its power on the way if need be. Most drives take one while they are enabled. changes_mode_halted: whether it does
     so while bit 8 of the controlword is set; Engel's drives do not. Such a drive is led down to Switched on.
 
+    record_velocity_unit: for ip, counts per second in one unit of 0x60C1:02, of drives whose records have a position and a
+    velocity (sub-mode -1, see sub_modes.py: Infranor, Parker); None: linear interpolation, a position alone.
+
     queues_set_points: whether the drive keeps a set-point of profile position until the one before is reached (bit 5 = 0).
     Synapticon's drives do not. Such a drive gets each one when it has reached the one before.
 
@@ -109,6 +112,7 @@ class AxisSettings:
     velocity_unit: float | None = None
     acceleration_unit: float | None = None
     counts_per_motor_turn: float | None = None
+    record_velocity_unit: float | None = None
     queues_set_points: bool = True
     obeys_within: Time = 250 * MILLISECOND
 
@@ -116,7 +120,7 @@ class AxisSettings:
         scale = self.counts_per_unit
         if scale is not None and not (math.isfinite(scale) and scale > 0):
             raise LocalProtocolError(f"counts_per_unit must be a finite number above 0, or None for no scale; it is {scale!r}")
-        for name in ("velocity_unit", "acceleration_unit", "counts_per_motor_turn"):
+        for name in ("velocity_unit", "acceleration_unit", "counts_per_motor_turn", "record_velocity_unit"):
             unit = getattr(self, name)
             if unit is not None and not (math.isfinite(unit) and unit > 0):
                 raise LocalProtocolError(f"{name} must be a finite number above 0, or None; it is {unit!r}")

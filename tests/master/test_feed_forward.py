@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -20,7 +21,7 @@ from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.configure_pdo import configure_pdo, use_device_pdo
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.trajectory import Path, PathPoint, Segment
-from tests.master.path_world import COUNTS, CYCLE, arms, swing
+from tests.master.path_world import AXIS, COUNTS, CYCLE, arms, swing
 from tests.master.world import drives, value, virtual_time
 
 
@@ -113,8 +114,24 @@ async def test_a_plan_with_feed_forward_has_an_rpdo_for_it() -> None:
 
 
 @virtual_time
-async def test_a_plan_in_a_mode_without_feed_forward_says_so() -> None:
+async def test_records_of_ip_have_the_velocity_of_the_path() -> None:
+    """By two settings. The drive passes each position at that velocity, so its speed has no steps."""
     settings = ChainSettings(CYCLE, own_pdos=True, feed_forward=True)
-    async with arms(1, settings=settings) as (_, [arm], _):
-        assert arm.devices[0].plan is not None
-        assert ("note", "ip takes no feed-forward") in arm.devices[0].plan.facts
+    async with arms(1, settings=settings, axis=replace(AXIS, record_velocity_unit=10.0)) as (_, [arm], record):
+        (node,) = drives(record.hosts[0])
+        assert "fed forward" in dict(arm.devices[0].plan.facts)  # type: ignore[union-attr]
+        path, sent = swing(0.5), []
+
+        async def watch() -> None:
+            async for progress in arm.progress():
+                velocity = value(node, objects.INTERPOLATION_VELOCITY) * 10 / COUNTS
+                sent.append((progress.time, velocity))
+
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(watch)
+            await arm.follow(path)
+        assert value(node, objects.INTERPOLATION_SUB_MODE_SELECT) == -1
+        assert [velocity for _, velocity in sent] == pytest.approx(
+            [path.at(time - LATE).velocities[0] for time, _ in sent], abs=2e-5
+        )
+        assert record.rows[-1] == pytest.approx([0.5], abs=3e-6)

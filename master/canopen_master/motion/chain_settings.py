@@ -31,8 +31,9 @@ class ChainSettings:
     mode: in which the joints follow set-points: ip, csp, or pp, which is slow (see canopen_proto.drive.slow_position). None: the
     best one for each joint, by its own dictionary; own_pdos is implied. Raises LocalProtocolError for any other mode.
 
-    feed_forward: with own_pdos, in csp: give joints one more RPDO for what is fed forward, the velocity of a path (0x60B1) and
-    torques (0x60B2). For drives that do not feed the velocity forward by themselves: they would do it twice.
+    feed_forward: with own_pdos: give joints one more RPDO for what is fed forward. In csp the velocity of a path (0x60B1) and
+    torques (0x60B2): for drives that do not feed the velocity forward by themselves, or they would do it twice. In ip the
+    velocity of the record (0x60C1:02), for joints with `record_velocity_unit` in their AxisSettings.
     """
 
     cycle_time: float = 0.01

@@ -30,6 +30,7 @@ from canopen_proto.drive.limits import Limit, read_limits
 from canopen_proto.drive.motion_plan import exchange_planned, plan_motion, read_modes
 from canopen_proto.drive.reasons import look_closer
 from canopen_proto.drive.slow_position import profile_lag, start_slow_position
+from canopen_proto.drive.sub_modes import LINEAR, PositionAndVelocity
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.mapping import Mapping
@@ -233,8 +234,12 @@ def follow(
         yield from start_slow_position(axis)
         device.occupy(name)
         return Followed(limit, mode, catches_up, math.inf, UNCERTAIN - (-lag // cycle_time))
-    start = start_cyclic_position if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION else start_interpolation
-    yield from start(axis, cycle_time, sends_itself=sends_itself)
+    if mode is Mode.CYCLIC_SYNCHRONOUS_POSITION:
+        yield from start_cyclic_position(axis, cycle_time, sends_itself=sends_itself)
+    else:
+        unit = axis.settings.record_velocity_unit
+        sub_mode = LINEAR if unit is None else PositionAndVelocity(unit)
+        yield from start_interpolation(axis, cycle_time, sends_itself=sends_itself, sub_mode=sub_mode)
     device.occupy(name)
     return Followed(limit, mode, catches_up, device.limits.speed.value)
 
