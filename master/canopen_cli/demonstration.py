@@ -302,6 +302,7 @@ class Demonstration:
             return
         step, began = view.begin("plan", "out and back, within the limits of all joints"), trio.current_time()
         self._stage = "the arm was moving by a plan"
+        self.recording.planned_from = self.recording.times[-1]
         start, way = arm.desired_positions, math.radians(self.plan.swing) * PLANNED_SHARE
         out = [at + way / _radians(device, 1.0) for at, device in zip(start, arm.devices, strict=True)]
         with trio.move_on_after(PLANNED_TIME) as scope:

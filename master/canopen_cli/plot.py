@@ -58,6 +58,11 @@ def write_plot(path: Path, recording: Recording, title: str, subtitle: str) -> N
     for axes, strip, joint in zip(cells, strips, recording.joints, strict=False):
         _draw(axes, recording.times, joint)
         _draw_errors(strip, recording.times, joint)
+        if recording.planned_from is not None:
+            for each in (axes, strip):
+                each.axvline(recording.planned_from, color=PALE, linewidth=0.9, linestyle=":")
+            place = axes.get_xaxis_transform()
+            axes.text(recording.planned_from, 0.93, " planned move", color=PALE, fontsize=8.5, transform=place)
         if recording.broken is not None:
             time, name = recording.broken
             axes.axvline(time, color=_FAULT, linewidth=1.2, linestyle="--" if name == joint.name else ":")

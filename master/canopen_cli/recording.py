@@ -25,9 +25,10 @@ class JointTrack:
 
 @dataclass
 class Recording:
-    """times: seconds since the first cycle, one for each value of the joints. broken: the time at which a fault stopped the
-    chain, and the name of the faulty joint."""
+    """times: seconds since the first cycle, one for each value of the joints. planned_from: the time at which a planned move
+    begins. broken: the time at which a fault stopped the chain, and the name of the faulty joint."""
 
     joints: list[JointTrack]
     times: list[float] = field(default_factory=list)
+    planned_from: float | None = None
     broken: tuple[float, str] | None = None

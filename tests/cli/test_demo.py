@@ -87,14 +87,18 @@ def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alar
 
 @pytest.mark.parametrize("has_ruckig", [True, False])
 def test_a_planned_motion_where_ruckig_is(
-    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch, has_ruckig: bool
+    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, has_ruckig: bool
 ) -> None:
+    """Its picture has both motions, and says where the planned one begins."""
+    drawn = recordings_drawn(monkeypatch)
     if has_ruckig:
         pytest.importorskip("ruckig", reason="a planned motion needs the extra `motion`")
     else:
         monkeypatch.setattr(demonstration, "find_spec", lambda name: None)
-    outcome = run("demo", "--seconds", "1", "--cycle", "20ms", *TWO_JOINTS)
+    outcome = run("demo", "--seconds", "1", "--cycle", "20ms", *TWO_JOINTS, "--plot", str(tmp_path / "arm.png"))
     assert outcome.status == 0
+    begins = drawn[0].planned_from
+    assert (begins is not None and 1.0 <= begins < drawn[0].times[-1] - 1.0) is has_ruckig
     assert ("all joints arrived together" in outcome.err) is has_ruckig
     assert_all_stand(fleets)
 
@@ -378,7 +382,8 @@ def test_the_plot(run: Run, tmp_path: Path) -> None:
     assert str(picture) in outcome.err.replace("\n", "")
 
 
-def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def recordings_drawn(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+    """What --plot draws from now on."""
     drawn: list[Recording] = []
 
     def draw(path: Path, recording: Recording, *titles: str) -> None:
@@ -387,6 +392,11 @@ def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path, monkeypatch: pytest.
 
     command = importlib.import_module("canopen_cli.demo")  # the package has a command of that name
     monkeypatch.setattr(command, "write_plot", draw)
+    return drawn
+
+
+def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = recordings_drawn(monkeypatch)
     picture = tmp_path / "arm.png"
     outcome = run("demo", "--seconds", "2", "--cycle", "20ms", *TWO_JOINTS, "--fault", "4@1.0", "--plot", str(picture))
     assert outcome.status == ExitCode.DRIVE_FAULT
