@@ -30,6 +30,7 @@ COMMANDS: Final = {
     "read": ("objects", "Read objects of a node."),
     "write": ("objects", "Write an object of a node, and show its value before and after."),
     "nmt": ("nmt", "Start, stop or reset a node, or all of them."),
+    "lss": ("lss", "Give devices their node-ID and bit rate over the bus itself (CiA 305)."),
     "drive": ("drive", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
     "move": ("move", "Move a chain to a target, or along a path."),
     "jog": ("jog", "Move joints of a chain by keys, as long as a key is held."),

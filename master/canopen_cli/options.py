@@ -20,7 +20,7 @@ import click
 from canopen_cli.chosen_machine import MACHINE_VARIABLE, NUMBER, ChosenMachine
 from canopen_cli.importing import importing
 from canopen_cli.problem import Problem, usage
-from canopen_proto.frame import MAX_NODE_ID, UNCONFIGURED
+from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 
 if TYPE_CHECKING:
@@ -193,18 +193,6 @@ class NodeIds(Kind):
                 raise usage("CO120", f"{part.strip()!r} runs backwards", tries=(f"{last.strip()}-{first.strip()}",))
             ids.update(dict.fromkeys(range(low, high + 1)))
         return tuple(ids)
-
-
-class SimulatedIds(NodeIds):
-    """Node-IDs of simulated devices: "1-32,40"; 255 for a device without one, as often as there are such devices."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        if isinstance(value, tuple):
-            return value
-        parts = str(value).split(",")
-        without = [part for part in parts if part.strip().lower() in ("255", "0xff")]
-        others = ",".join(part for part in parts if part not in without)
-        return (super().convert(others, param, ctx) if others else ()) + (UNCONFIGURED,) * len(without)
 
 
 class Duration(Kind):

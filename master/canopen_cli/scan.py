@@ -76,7 +76,7 @@ def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
     if passive:
         return f"{text}. Nodes without a heartbeat are silent: the same without --passive asks them."
     if network.last_heard is not None:
-        return f"{text}. Devices that have no node-ID yet are not found: they want LSS, which is not built yet."
+        return f"{text}. Devices that have no node-ID yet are not found: canopen lss scan."
     return (
         f"{text}. Is anybody there, with power and the same bit rate? One device alone needs a second to acknowledge its frames."
     )

@@ -13,10 +13,10 @@ import click
 import trio
 
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
-from canopen_cli.options import DEMO, FiniteRange, Settings, SimulatedIds, common
+from canopen_cli.options import DEMO, FiniteRange, Settings, common
 from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
-from canopen_cli.sim_devices import SHAPES, devices_of, machine_of, models, wanted
+from canopen_cli.sim_devices import SHAPES, SimulatedIds, devices_of, machine_of, models, wanted
 from canopen_master.machine_file import MachineFile
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import PROFILES, DeviceEntry

@@ -8,8 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+import click
+
 from canopen_cli.fleet import SERIAL, drive_maker, with_serial
-from canopen_cli.options import Settings, SimulatedIds
+from canopen_cli.options import NodeIds, Settings
 from canopen_cli.overlays import overlaid, read_text
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, escape, node_text
@@ -39,6 +41,18 @@ MAX_NOTICES: Final = 5
 """Notices about a device that are shown, line by line; the rest is counted, and shown with -v."""
 
 _WITH_IDS: Final = re.compile(r"([0-9][0-9A-Fa-fxX,-]*)=(.+)")
+
+
+class SimulatedIds(NodeIds):
+    """Node-IDs of simulated devices: "1-32,40"; 255 for a device without one, as often as there are such devices."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        parts = str(value).split(",")
+        without = [part for part in parts if part.strip().lower() in ("255", "0xff")]
+        others = ",".join(part for part in parts if part not in without)
+        return (super().convert(others, param, ctx) if others else ()) + (UNCONFIGURED,) * len(without)
 
 
 def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> Plant:

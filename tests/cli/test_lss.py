@@ -1,0 +1,115 @@
+"""`canopen lss`: what it finds, what it asks, what it writes, and what it says when it cannot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from canopen_cli import questions, session
+from canopen_cli.lss_set import read_table
+from canopen_cli.problem import ExitCode, Problem
+from tests.cli.cli_support import Run
+
+QUICK = ("--window", "10ms", "-b", "demo")
+DRIVE = ("--vendor", "0x332", "--product", "0x43", "--revision", "0x10000")
+
+
+@pytest.fixture
+def without_ids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The demo's drives are two, and have no node-ID."""
+    monkeypatch.setattr(session, "DEMO_NODES", (255, 255))
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_scan_shows_the_devices_without_a_node_id(run: Run) -> None:
+    outcome = run("lss", "scan", *DRIVE, *QUICK, "--json")
+    assert [each["serial_number"] for each in outcome.json] == [1, 2]
+    outcome = run("lss", "scan", *DRIVE, *QUICK)
+    assert "0x332:0x43:0x10000:0x2" in outcome.out
+    assert "2 devices without a node-ID" in outcome.err
+    assert "0.2 to 0.4 s for each device" in outcome.err
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_assign_gives_them_ids_in_order(run: Run) -> None:
+    outcome = run("lss", "assign", "--ids", "10-20", "--yes", *DRIVE, *QUICK, "--json")
+    assert [(each["node"], each["stored"], each["booted"]) for each in outcome.json] == [(10, True, True), (11, True, True)]
+    assert outcome.status == ExitCode.OK
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_assign_by_a_table_leaves_strangers_alone(run: Run, tmp_path: Path) -> None:
+    table = tmp_path / "nodes.csv"
+    table.write_text("node_id, vendor, serial\n12, 0x332, 2\n")
+    outcome = run("lss", "assign", "--table", str(table), "--yes", *DRIVE, *QUICK)
+    assert "  12  0x332:0x43:0x10000:0x2  yes" in outcome.out
+    assert "0x332:0x43:0x10000:0x1 is left alone" in outcome.err
+    assert "1 device ready" in outcome.err
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_assign_writes_nothing_without_a_yes(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def answer() -> bytes:
+        return b"n\n"
+
+    monkeypatch.setattr(questions, "read_input", answer)
+    outcome = run("lss", "assign", "--ids", "10-20", *DRIVE, *QUICK)
+    assert "Write 2 node-IDs?" in outcome.err
+    assert outcome.err.count("is left alone: nobody agreed") == 2
+
+
+def test_inquire_identify_store_and_set_id_of_a_node(run: Run) -> None:
+    assert run("lss", "inquire", "5", *QUICK).out == "0x332:0x43:0x10000:0x3  node-ID 5\n"
+    found = run("lss", "identify", *DRIVE[:4], "--serial", "2-3", *QUICK, "--json").json
+    assert [each["serial_number"] for each in found] == [2, 3]
+    assert "stored, node-ID 4" in run("lss", "store", "0x332:0x43:0x10000:2", *QUICK).err
+    outcome = run("lss", "set-id", "5", "20", "--yes", *QUICK)
+    assert "  20  0x332:0x43:0x10000:0x3  yes      yes     yes" in outcome.out
+
+
+def test_a_node_id_that_somebody_has_is_not_given(run: Run) -> None:
+    outcome = run("lss", "set-id", "5", "6", "--yes", *QUICK)
+    assert "CO123" in outcome.err
+    assert "another node has the node-ID 6" in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (("inquire", "only"), "CO211", "several devices answer"),
+        (("inquire", "0x332:0x43:0x10000:0x99"), "CO211", "no device with the address"),
+        (("inquire", "1:2"), "CO120", "not an LSS address"),
+        (("inquire", "1:2:3:x"), "CO120", "'x' is not a number"),
+        (("assign",), "CO123", "one of the two"),
+        (("set-bitrate", "250k"), "CO123", "which bit rate does the bus have now"),
+    ],
+)
+def test_mistakes(run: Run, arguments: tuple[str, ...], code: str, text: str) -> None:
+    outcome = run("lss", *arguments, *QUICK)
+    assert code in outcome.err
+    assert text in outcome.err
+
+
+def test_a_bit_rate_that_is_none(run: Run) -> None:
+    assert "300k is not in CiA's table" in run("lss", "set-bitrate", "300k", *QUICK).err
+    outcome = run("lss", "set-bitrate", "250k", "--from", "500k", "-b", "socketcan:can7")
+    assert "ip link set can7 type can bitrate {bitrate}" in outcome.err
+
+
+def test_set_bitrate_shows_the_order_and_switches(run: Run) -> None:
+    dry = run("lss", "set-bitrate", "250k", "--from", "500k", "--dry-run", *QUICK)
+    assert dry.err.count("250 kbit/s in place of 500") == 6
+    assert "nothing was written" in dry.err
+    outcome = run("lss", "set-bitrate", "250k", "--from", "500k", "--yes", "--delay", "100ms", *QUICK)
+    assert "6 devices at 250 kbit/s" in outcome.err
+
+
+@pytest.mark.parametrize(
+    "text", ["", "vendor,serial\n1,2\n", "node_id,colour\n1,2\n", "node_id,serial\n200,1\n", "node_id,serial\n1,x\n"]
+)
+def test_tables_that_are_none(tmp_path: Path, text: str) -> None:
+    table = tmp_path / "nodes.csv"
+    table.write_text(text)
+    with pytest.raises(Problem):
+        read_table(table)
