@@ -16,8 +16,8 @@ def assemble(master: Master, machine: MachineFile, dictionaries: Dictionaries | 
     """
     files = Dictionaries(machine, master.dictionary) if dictionaries is None else dictionaries
     for bus in machine.buses.values():
-        if bus.bitrate is not None:
-            master.bus(bus.name).bitrate = bus.bitrate
+        if (opened := master.bus(bus.name)).bitrate is None:  # else its transport knows better
+            opened.bitrate = bus.bitrate
     drives = {joint.node for joint in machine.joints.values()}
     for entry in machine.nodes.values():
         pdos = bool(entry.device.file) and entry.name not in drives

@@ -50,6 +50,7 @@ from canopen_transports.errors import (
 from canopen_transports.locator import Locator, Option
 from canopen_transports.socketcan import kernel
 from canopen_transports.socketcan.batch import BATCH, Batch
+from canopen_transports.socketcan.bit_rate import bitrate_of
 from canopen_transports.socketcan.broadcast import Broadcast, check_cyclic
 from canopen_transports.socketcan.error_frames import ErrorReport
 from canopen_transports.transport import MAX_LENGTH, MAX_STANDARD_ID, Received, check_frame
@@ -128,6 +129,11 @@ class SocketCanTransport(trio.abc.AsyncResource):
         return kernel.is_up(self._socket, self._locator.channel)
 
     # ---- sending ----
+
+    @property
+    def bitrate(self) -> int | None:
+        """The interface's, as the kernel tells it now."""
+        return bitrate_of(self._locator.channel)
 
     async def send(self, frame: Frame) -> None:
         """Hand the frame to the kernel. Waits up to ROOM_TIME for room, then raises TransportError (CO110) with the likely
