@@ -3,6 +3,7 @@
     ["call", "/arm/init"]           [true, "chain arm is ready"]
     ["state", "/arm"]               "moving"
     ["positions"]                   {"joint1": 0.2, ...}, of a message that comes from now on
+    ["begin", {"points": [[60.0, {"joint1": 2.0}]]}]            [1, ""]: it is active, and moves
     ["goals", [{"points": [[2.0, {"joint1": 0.3}]]}, ...]]      what the action client was told of each; positions meanwhile
 
 Each goal is sent when the one before moves. With "cancel": true it is cancelled when it moves.
@@ -38,6 +39,7 @@ class Goal:
     """A goal that was sent, and all that its client is told."""
 
     def __init__(self, client: Any, wanted: dict[str, Any]) -> None:
+        """wanted: its points, and path tolerances."""
         self.seen: list[dict[str, dict[str, float]]] = []
         self.is_over = threading.Event()
         self.moves = threading.Event()
@@ -66,7 +68,7 @@ class Goal:
         return {
             "outcome": FINAL.get(self._handle.get_goal_status(), self._handle.get_goal_status()),
             "text": self._handle.get_goal_status_text(),
-            "code": result.error_code,
+            "code": None if result is None else result.error_code,
             "seen": self.seen,
         }
 
@@ -119,15 +121,24 @@ class Client:
             assert self._news.wait_for(lambda: len(self._seen) > before, LIMIT)
             return self._seen[-1]
 
-    def goals(self, all_wanted: list[dict[str, Any]]) -> dict[str, Any]:
+    def _action_client(self) -> Any:
         if self._action is None:
             self._action = actionlib.ActionClient("/arm/follow_joint_trajectory", FollowJointTrajectoryAction)
             assert self._action.wait_for_server(rospy.Duration.from_sec(LIMIT))
+        return self._action
+
+    def begin(self, wanted: dict[str, Any]) -> list[Any]:
+        """Send a goal; answer with its status, and the text of that, when the joints move, or when it has ended."""
+        goal = Goal(self._action_client(), wanted)
+        assert goal.moves.wait(LIMIT)
+        return [goal.report()["outcome"], goal.report()["text"]]
+
+    def goals(self, all_wanted: list[dict[str, Any]]) -> dict[str, Any]:
         self.positions()
         first = len(self._seen)
         goals = []
         for wanted in all_wanted:
-            goal = Goal(self._action, wanted)
+            goal = Goal(self._action_client(), wanted)
             goals.append(goal)
             assert goal.moves.wait(LIMIT)
             if wanted.get("cancel"):

@@ -31,7 +31,9 @@ import canopen_proto
 import canopen_ros
 import canopen_transports
 from canopen_cli.fleet import DEMO_NODES, Fleet, drive_maker, simulated_devices
+from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
+from canopen_proto.simulated_drive.settings import Shape
 from canopen_transports.tcp import BusServer, serve_bus
 
 T = TypeVar("T")
@@ -75,7 +77,7 @@ class Drives:
         self._token, self._end = trio.lowlevel.current_trio_token(), trio.Event()
         async with trio.open_nursery() as nursery:
             (self.locator,) = await nursery.start(serve_bus, "127.0.0.1", 0, BusServer())
-            makers = [drive_maker(number, node_id) for number, node_id in enumerate(DEMO_NODES)]
+            makers = [drive_maker(number, node_id, Shape.STANDARD) for number, node_id in enumerate(DEMO_NODES)]
             async with simulated_devices({self.locator: makers}) as self._fleet:
                 self._ready.set()
                 await self._end.wait()
@@ -102,6 +104,13 @@ class Drives:
     def states(self) -> dict[int, State]:
         return self._ask(lambda fleet: {node_id: node.drive.state for node_id, node in fleet.drives.items()})
 
+    @property
+    def positions(self) -> dict[int, int]:
+        """The positions that the drives report, in counts."""
+        return self._ask(
+            lambda fleet: {node_id: int(node.values[POSITION_ACTUAL_VALUE]) for node_id, node in fleet.drives.items()}
+        )
+
     def all_move(self) -> bool:
         """Whether all six move."""
         return len(self.moving) == len(DEMO_NODES)
@@ -112,9 +121,10 @@ class Drives:
 
 
 class Process:
-    """A process with what it has printed, in a session of its own, so that all of its children can be ended."""
+    """A process in a session of its own, and what it has printed."""
 
     def __init__(self, arguments: Sequence[str] | str, environment: Mapping[str, str], output: Path) -> None:
+        """It runs in the folder of `output`."""
         self._output = output
         with output.open("wb") as file:
             self.process = subprocess.Popen(
@@ -122,6 +132,7 @@ class Process:
                 shell=isinstance(arguments, str),
                 executable="/bin/bash" if isinstance(arguments, str) else None,
                 env=dict(environment),
+                cwd=output.parent,
                 stdin=subprocess.PIPE,
                 stdout=file,
                 stderr=subprocess.STDOUT,
@@ -142,8 +153,8 @@ class Process:
         until(lambda: text in self.text, f"it prints {text!r}; it printed:\n{self.text}")
 
     def interrupt(self) -> None:
-        """Press Ctrl-C: SIGINT to it alone, as roslaunch passes it on."""
-        self.process.send_signal(signal.SIGINT)
+        """Press Ctrl-C."""
+        os.killpg(self.process.pid, signal.SIGINT)
 
     def wait(self) -> int:
         """Wait for its end, and return its exit status."""
@@ -153,9 +164,8 @@ class Process:
             raise AssertionError(f"still there after {PATIENCE:g} s; it printed:\n{self.text}") from None
 
     def kill(self) -> None:
-        """End it and its children at once."""
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
+        """End it at once."""
+        self.process.kill()
         self.process.communicate()
 
 
@@ -239,6 +249,18 @@ class Ros:
             if error is not None:
                 print(f"--- {process.process.args}\n{process.text}")
             process.kill()
+        for process_id in self._left_over():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process_id, signal.SIGKILL)
+
+    def _left_over(self) -> list[int]:
+        """The processes of this environment: roslaunch puts each of its nodes into a session of its own, and may die before."""
+        found = []
+        for environ in Path("/proc").glob("[0-9]*/environ"):
+            with contextlib.suppress(OSError):
+                if f"ROS_HOME={self._folder}".encode() in environ.read_bytes().split(b"\0"):
+                    found.append(int(environ.parent.name))
+        return found
 
     def start(self, command: str | Sequence[str], **environment: str) -> Process:
         """Start a command (a text: of the shell) and return at once."""
@@ -257,17 +279,36 @@ class Ros:
         """Start a client."""
         return Client(self.start([sys.executable, str(Path(__file__).with_name("ros_client.py"))]))
 
-    def launch(self, arguments: str, **environment: str) -> Process:
-        """`roslaunch ros_canopen ARGUMENTS`, with a master at our port; returns when the node offers its services."""
-        process = self.start(f"exec roslaunch -p {self.port} ros_canopen {arguments}", **environment)
+    def launch(self, command: str, **environment: str) -> Process:
+        """Run a roslaunch, which starts the ROS master, too; return when the node offers its services."""
+        process = self.start(command, **environment)
         until(self.has_services, "the node offers its services", process.must_live)
         return process
 
     def has_services(self) -> bool:
         """Whether the last service of the node is registered at the master."""
+        return self._ask("lookupService", "/set_object") is not None
+
+    def has_master(self) -> bool:
+        """Whether the ROS master answers."""
+        return self._ask("getPid") is not None
+
+    def master_process(self) -> int:
+        """The process-ID of the ROS master."""
+        return int(str(self._ask("getPid")))
+
+    def node_process(self) -> int:
+        """The process-ID of the node, as it tells by itself."""
+        with xmlrpc.client.ServerProxy(str(self._ask("lookupNode", "/ros_canopen"))) as node:
+            answer = node.getPid("/test")
+        assert isinstance(answer, list)
+        return int(str(answer[2]))
+
+    def _ask(self, question: str, *arguments: str) -> object:
+        """Ask the ROS master; None if it does not answer, or does not know."""
         try:
             with xmlrpc.client.ServerProxy(self.environment["ROS_MASTER_URI"]) as master:
-                answer = master.lookupService("/test", "/set_object")
+                answer = getattr(master, question)("/test", *arguments)
         except OSError:
-            return False
-        return isinstance(answer, list) and answer[0] == 1
+            return None
+        return answer[2] if isinstance(answer, list) and answer[0] == 1 else None

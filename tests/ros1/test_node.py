@@ -34,7 +34,7 @@ def commands_of(heading: str) -> list[str]:
 def ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros]:
     """A node with six simulated joints, for all tests of this file."""
     with Ros(tmp_path_factory.mktemp("ros")) as ros:
-        ros.launch("canopen.launch simulate:=true")
+        ros.launch(commands_of("in three commands")[-1])
         yield ros
 
 
@@ -63,7 +63,7 @@ def arm(client: Client) -> Client:
 
 
 def test_the_commands_of_the_page_as_printed(ros: Ros, client: Client) -> None:
-    commands = commands_of("In a second\nterminal:")
+    commands = commands_of("In a second terminal:")
     assert [line.split()[-1] for line in commands if line.startswith("rosservice")] == [
         f"/arm/{service}" for service in ("init", "home", "halt", "recover", "shutdown")
     ]

@@ -61,7 +61,7 @@ class Node:
 
     def advertise(self) -> None:
         """Register all topics, services and actions at the ROS master; `set_object` is the last one."""
-        self._joint_states = self._publisher(JOINT_STATES)
+        self._joint_states = self._publisher(JOINT_STATES._replace(name=self._bridge.parameters.joint_states))
         self._diagnostics = self._publisher(DIAGNOSTICS)
         for chain in self._bridge.chains.values():
             self._advertise_chain(chain)
