@@ -76,7 +76,7 @@ def test_one_joint_takes_the_least_time_there_is(distance: float) -> None:
 def test_any_motion_keeps_its_limits_and_takes_no_longer_than_ruckig_says(seed: int) -> None:
     rng = random.Random(seed)
     is_usual = seed % 4 < 2  # else micrometres to encoder counts, some of which ruckig itself refuses in these units
-    limits = [random_limits(rng, *((0, 2.5) if is_usual else (-4, 6))) for _ in range(rng.choice((1, 2, 6)))]
+    limits = [random_limits(rng, *((0, 2.5) if is_usual else (-4, 6))) for _ in range(rng.choice((1, 2, 6, 12)))]
     start = at_rest(*[rng.uniform(-10, 10) * each.speed for each in limits])  # type: ignore[operator]
     if seed % 2:  # from a state of motion within the limits, whose speed also stays within them
         accelerations = [rng.uniform(-0.7, 0.7) * each.acceleration for each in limits]  # type: ignore[operator]
@@ -97,6 +97,21 @@ def test_any_motion_keeps_its_limits_and_takes_no_longer_than_ruckig_says(seed: 
     assert path.start.accelerations == pytest.approx(start.accelerations)
     if is_usual and (any(distances) or seed % 2):
         assert path.duration == pytest.approx(duration_by_ruckig(start, targets, limits, RESERVE), rel=0.01)
+
+
+@pytest.mark.parametrize("joints", range(1, 13))
+def test_from_rest_to_rest_the_slowest_joint_takes_its_least_time(joints: int) -> None:
+    """Theory knows the time of each joint alone; ruckig is not asked."""
+    rng = random.Random(joints)
+    limits = [random_limits(rng, 0, 2.5) for _ in range(joints)]
+    distances = [rng.choice((-1, 1)) * each.speed * 10.0 ** rng.uniform(-2, 1) for each in limits]  # type: ignore[operator]
+    path = plan(at_rest(*[0.0] * joints), distances, limits, reserve=0.0)
+    least = [
+        seven_phases(abs(distance), each.speed, each.acceleration, each.jerk)  # type: ignore[arg-type]
+        for distance, each in zip(distances, limits, strict=True)
+    ]
+    assert path.duration == pytest.approx(max(least), rel=1e-6)
+    assert_keeps(path, limits, 0.0)
 
 
 def test_the_samples_of_a_plan_show_the_same_limits() -> None:
