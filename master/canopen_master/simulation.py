@@ -178,10 +178,11 @@ class Host:
             self._store_lss()
         elif isinstance(event, BusChanged):
             self._tell_bus_off(event.state)
-        node = self._node(event.node_id)
-        hooks = None if node is None else self._hooks.get(node)
-        if hooks is not None:
-            hooks.on_event(event)
+        if self._hooks:
+            node = self._node(event.node_id)
+            hooks = None if node is None else self._hooks.get(node)
+            if hooks is not None:
+                hooks.on_event(event)
         if self._on_event is not None:
             self._on_event(event)
 

@@ -1,15 +1,22 @@
 """Simulated devices as a participant of a bus."""
 
+from functools import partial
+
 import pytest
 import trio
 
 from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
+from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import NodeBooted
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import Event
+from canopen_proto.lss.messages import UNCONFIGURED
+from canopen_proto.machine import Event, Outbox
 from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.lss_assign import Assignment, assign_all, in_order
+from canopen_proto.procedures.lss_scan import LssTool
 from canopen_proto.sdo.server import ObjectWritten
+from canopen_proto.simulated_drive.node import powerball
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_transports import BusState, BusStateChanged, Report, open_transport
 from tests.master.test_pump_abilities import Able
@@ -87,3 +94,29 @@ async def test_event_driven_tpdos_go_once_on_entering_operational() -> None:
         await trio.sleep(0.1)
         assert [frame for frame in bus.sent if frame.startswith("185#")] == ["185#0000"]
         nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_a_node_id_that_lss_stored_is_there_when_the_power_comes_back() -> None:
+    keeper = ParameterKeeper()
+    for expected in ([UNCONFIGURED, UNCONFIGURED], [10, 11]):
+        transport = await open_transport(BUS)
+        host = Host(transport, [partial(powerball_of, serial=2), partial(powerball_of, serial=7)], keeper=keeper)
+        async with trio.open_nursery() as nursery:
+            await nursery.start(host.serve)
+            assert [node.node_id for node in host.nodes] == expected
+            async with open_master(BUS) as master:
+                tool = LssTool(master.bus().network.out)
+                master.bus().network.attach(tool)
+                known = (*host.nodes[0].lss.address[:3], None)
+                result = await master.run(assign_all(Assignment(tool, in_order([10, 11]), known=known)))
+                assert [given.is_complete for given in result.done] == ([True, True] if expected[0] == UNCONFIGURED else [])
+                assert await master.node(11).read("device_type") == 0x20192
+            nursery.cancel_scope.cancel()
+        await transport.aclose()
+
+
+def powerball_of(out: Outbox, serial: int) -> LocalNode:
+    node = powerball(out, UNCONFIGURED)
+    node.lss.address = node.lss.address._replace(serial=serial)
+    return node
