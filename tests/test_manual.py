@@ -14,8 +14,18 @@ REQUIREMENTS = {*range(1, 23), *range(30, 42), *range(50, 60), *range(70, 79)}
 
 
 def test_every_requirement_has_its_row() -> None:
-    rows = [int(number) for number in re.findall(r"^\| R(\d+) \|", PAGE, re.MULTILINE)]
+    rows = [int(number) for number in re.findall(r"^\| R(\d+) \|", PAGE.partition("## Each line and its test")[0], re.MULTILINE)]
     assert rows == sorted(REQUIREMENTS)
+
+
+def test_every_requirement_is_built_and_has_its_test() -> None:
+    rows = re.findall(r"^\| R(\d+) \| (\w+) \| `(tests/[\w/]+\.py)::(test_\w+)` \|$", PAGE, re.MULTILINE)
+    assert [int(number) for number, *_ in rows] == sorted(REQUIREMENTS)
+    assert {built for _, built, *_ in rows} == {"yes"}
+    for _, _, file, name in rows:
+        path = Path(__file__).parents[1] / file
+        assert path.is_file(), file
+        assert re.search(rf"^(?:async )?def {name}\(", path.read_text(encoding="utf-8"), re.MULTILINE), f"{file}: {name}"
 
 
 def test_every_name_exists() -> None:
