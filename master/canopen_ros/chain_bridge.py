@@ -153,6 +153,9 @@ class ChainBridge:
         return f"chain {self.name} is {self.chain.state.value}"
 
     async def _halt(self) -> str:
+        is_down = [device.nmt_state is NmtState.STOPPED and not device.may_move for device in self.chain.devices]
+        if self.chain.state is ChainState.OFF and all(is_down):  # nobody would answer a halt
+            return f"chain {self.name} is off: its joints have no power"
         await self.chain.halt()
         return f"chain {self.name} stands"
 

@@ -33,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
-from typing import Final, TypeVar, cast
+from typing import Final, NamedTuple, TypeVar, cast
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -86,14 +86,11 @@ _CAN_MOVE: Final = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
 """The states from which a chain can home, or follow set-points."""
 
 
-class _Operation:
+class _Operation(NamedTuple):
     """The command that a chain executes. name: for messages; request_id: of its procedure."""
 
-    __slots__ = ("name", "request_id")
-
-    def __init__(self, name: str, request_id: RequestId) -> None:
-        self.name = name
-        self.request_id = request_id
+    name: str
+    request_id: RequestId
 
 
 class Chain(ChainView, Moving):
@@ -122,6 +119,7 @@ class Chain(ChainView, Moving):
         self._culprit: tuple[Device, str, Reason | None] | None = None  # the joint that stopped it, why, and the likely cause
         self._why_halted = ""
         self._stops = 0  # how often `halt` or `shut_down` was called: each of them ends every command before it
+        self._shut_downs = 0  # that run: no other command begins beside them
         buses = tuple(dict.fromkeys(participant.bus(device.node.bus) for device in devices))
         self._nodes = tuple(dict.fromkeys(device.node for device in devices))
         participant.watch((SyncSent,), self._on_sync, buses[0])
@@ -234,6 +232,13 @@ class Chain(ChainView, Moving):
         """
         self._participant.check_open()
         self._stops += 1
+        self._shut_downs += 1
+        try:
+            await self._shut_down()
+        finally:
+            self._shut_downs -= 1
+
+    async def _shut_down(self) -> None:
         self._supervision.is_on = self._followed = False
         if self._running is not None or self.motion is not None:
             self._stop("by shut_down()")
@@ -369,8 +374,9 @@ class Chain(ChainView, Moving):
 
     def _require_idle(self, what: str) -> None:
         self._participant.check_open()
-        if self._running is not None:
-            failed, seen = f"chain {self.name} cannot {what} now", f"it is busy: {self._running.name}"
+        if self._running is not None or self._shut_downs:
+            failed = f"chain {self.name} cannot {what} now"
+            seen = f"it is busy: {'shut down' if self._shut_downs or self._running is None else self._running.name}"
             raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or halt() it",))
 
     def _require(self, what: str, *states: ChainState) -> None:
