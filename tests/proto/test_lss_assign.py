@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.frame import Frame
-from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssConfiguration, LssService
+from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssConfiguration, LssService, LssState
 from canopen_proto.lss.slave import LssResetNeeded, LssSlave
 from canopen_proto.machine import MILLISECOND, Outbox, Time
 from canopen_proto.procedures.lss_assign import Assignment, Given, LssGiven, assign_all, by_table, give, in_order
@@ -145,6 +145,23 @@ def test_refusals_are_told(answers: dict[int, str | None], remark: str) -> None:
     assert remark in given.remark
     assert not given.is_complete
     assert slave.state == 0
+
+
+class Deaf(LssSlave):
+    """A slave that does not hear "waiting"."""
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        if frame.data[0] != LssService.SWITCH_GLOBAL:
+            super().receive(frame, now)
+
+
+def test_nothing_is_written_while_another_device_is_selected_too() -> None:
+    bench = LssBench(some(1))
+    deaf = bench.bus.attach(Deaf(Outbox(), LssAddress(*TYPE, 7)))
+    deaf.state = LssState.CONFIGURATION
+    given = bench.run(give(bench.tool, bench.pace, some(1)[0], 10))
+    assert "another device is selected beside" in given.remark
+    assert (bench.sent(LssService.CONFIGURE_NODE_ID), deaf.pending.node_id, bench.ids) == (0, UNCONFIGURED, [UNCONFIGURED])
 
 
 def test_a_node_changes_its_id_and_no_other_does() -> None:

@@ -180,3 +180,28 @@ def test_the_pace_knows_the_slowest_answer_and_loses_its_patience_never() -> Non
     for _ in range(10):
         pace.slow_down()
     assert pace.after_answer == pace.window == 2_000 * MILLISECOND
+
+
+class LateOnce(LssSlave):
+    """A slave whose answer about the last bit comes late once: while the master asks "is it this one?"."""
+
+    held: Frame | None = None
+    was_late = False
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        super().receive(frame, now)
+        is_last_bit = frame.data[0] == LssService.FASTSCAN and frame.data[5:] == bytes((0, 3, 3))
+        if self.held is not None:
+            self.out.frames.append(self.held)
+            self.held = None
+        elif is_last_bit and self.out.frames and not self.was_late:
+            self.was_late = True
+            self.held = self.out.frames.pop()
+
+
+def test_a_late_answer_to_the_last_question_is_not_believed() -> None:
+    bench = scene([])
+    address = LssAddress(*TYPE, 0x1234_5670)
+    slave = bench.bus.attach(LateOnce(Outbox(), address))
+    assert bench.run(survey(bench.tool, bench.pace, (*TYPE, None))).found == [address]
+    assert slave.was_late
