@@ -81,7 +81,7 @@ class Interface:
         self._subscriptions: list[object] = []
         self._services: list[object] = []
         try:
-            self._joint_states = self._publisher(JointStateType, names.JOINT_STATES.name, QUEUE)
+            self._joint_states = self._publisher(JointStateType, bridge.parameters.joint_states, QUEUE)
             self._diagnostics = self._publisher(DiagnosticArray, names.DIAGNOSTICS.name, QUEUE)
             self._states = {
                 chain.name: self._publisher(String, names.STATE.of(chain.name), LATCHED) for chain in bridge.chains.values()
