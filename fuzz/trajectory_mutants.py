@@ -30,8 +30,8 @@ TRAJECTORY_MUTANTS: Final = tuple(
         (
             "corner_unseen",
             _CHECK,
-            "_NO_JUMP: Final = (1e-12, 1e-9)",
-            "_NO_JUMP: Final = (1.0, 1e-9)",
+            "_SAME_SPEED: Final = 1e-12",
+            "_SAME_SPEED: Final = 1.0",
             "a velocity that jumps at a waypoint",
             LIMITS,
         ),

@@ -23,8 +23,10 @@ from canopen_proto.trajectory.steps import PART, finished
 
 EXACT: Final = 1 + 1e-6
 """A path at the limit itself is not refused for a rounding error of floating point."""
-_NO_JUMP: Final = (1e-12, 1e-9)
-"""A velocity, or an acceleration, that changes by no more than this at a knot does not jump (above 1: this part of itself)."""
+_SAME_SPEED: Final = 1e-12
+"""A velocity that changes by no more than this at a knot does not jump (above 1: this part of itself)."""
+_SAME_ACCELERATION: Final = 1e-9
+"""The same of an acceleration."""
 _KINDS: Final = ("speed", "acceleration", "jerk")
 
 
@@ -162,9 +164,9 @@ def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count:
 
 def jumps(velocity: float, acceleration: float, next_velocity: float, next_acceleration: float) -> bool:
     """Return whether velocity or acceleration jump at a knot, by more than a rounding error."""
-    return abs(next_velocity - velocity) > _NO_JUMP[0] * max(1.0, abs(next_velocity)) or abs(
-        next_acceleration - acceleration
-    ) > _NO_JUMP[1] * max(1.0, abs(next_acceleration))
+    if abs(next_velocity - velocity) > _SAME_SPEED * max(1.0, abs(next_velocity)):
+        return True
+    return abs(next_acceleration - acceleration) > _SAME_ACCELERATION * max(1.0, abs(next_acceleration))
 
 
 def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float, first: int) -> Iterator[Violation]:
