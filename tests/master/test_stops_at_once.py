@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
 
 import pytest
 import trio
 
-from canopen_master import Chain, ChainError, ChainHalted, ChainState
-from canopen_proto.cia402.states import POWERED
+from canopen_master import Chain, ChainHalted, ChainState
 from tests.master.path_world import arms, swing
-from tests.master.world import drives, virtual_time
+from tests.master.world import virtual_time
 
 
 @pytest.mark.parametrize("name", ["home", "initialise", "recover"])
@@ -63,24 +61,3 @@ async def test_two_shut_downs_at_once() -> None:
             nursery.start_soon(shut_down)
         assert None in results
         assert arm.state is ChainState.OFF
-
-
-@pytest.mark.parametrize("name", ["home", "follow", "recover"])
-@virtual_time
-async def test_no_command_begins_beside_a_shut_down(name: str) -> None:
-    commands: dict[str, Callable[[Chain], Awaitable[None]]] = {
-        "home": Chain.home, "follow": Chain.follow, "recover": Chain.recover,
-    }  # fmt: skip
-    async with arms(2) as (_, [arm], record):
-
-        async def command() -> None:
-            with suppress(ChainError):
-                await commands[name](arm)
-
-        for _ in range(6):  # trio wakes tasks in any order
-            await arm.initialise()
-            async with trio.open_nursery() as nursery:
-                nursery.start_soon(arm.shut_down)
-                nursery.start_soon(command)
-            assert arm.state is ChainState.OFF
-            assert not any(node.drive.state in POWERED for host in record.hosts for node in drives(host))

@@ -83,6 +83,21 @@ async def test_leaving_takes_the_power_away() -> None:
 
 
 @virtual_time
+async def test_nothing_that_comes_with_a_shutdown_gives_power_back() -> None:
+    for _ in range(8):  # trio wakes tasks in any order
+        async with cell(sync_interval=40) as world:
+            await world.ask("init")
+            world.nursery.start_soon(world.arm.call, "shutdown")
+            world.arm.command_velocities([-0.3, 0.3])
+            world.nursery.start_soon(world.arm.call, "home")
+            world.arm.command_positions(["joint1"], [0.3])
+            world.nursery.start_soon(world.arm.follow, TrajectoryGoal(["joint1"], [TrajectoryPoint([0.2], time_from_start=2.0)]))
+            await trio.sleep(3.0)
+            assert world.arm.state == "off"
+            assert not any(node.drive.state in POWERED for node in world.drives)
+
+
+@virtual_time
 async def test_halt_twice_at_once() -> None:
     async with cell() as world:
         await world.ask("init")
