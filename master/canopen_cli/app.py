@@ -32,7 +32,7 @@ COMMANDS: Final = {
     "nmt": ("nmt", "Start, stop or reset a node, or all of them."),
     "lss": ("lss", "Give devices their node-ID and bit rate over the bus itself (CiA 305)."),
     "drive": ("drive", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
-    "move": ("move", "Move a chain to a target, or along a path."),
+    "move": ("move", "Move chains to a target, or along a path."),
     "jog": ("jog", "Move joints of a chain by keys, as long as a key is held."),
     "home": ("home", "Home drives (CiA 402), all at the same time."),
     "backup": ("backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),

@@ -45,7 +45,9 @@ def test_version_and_help_import_click_and_next_to_nothing_of_ours(option: str) 
     ended = python(WHAT_IS_IMPORTED, option)
     assert ended.returncode == 0, ended.stderr
     ours, _, others = ended.stdout.splitlines()[-1].partition(" | ")
-    command = {f"canopen_cli.{name}" for name in ("app", "chosen_machine", "entry", "importing", "lazy", "options", "problem")}
+    command = {
+        f"canopen_cli.{name}" for name in ("app", "chosen_machine", "entry", "importing", "lazy", "options", "problem", "streams")
+    }
     assert set(ours.split()) == command | {
         f"canopen_proto.{name}" for name in ("compiling", "explained", "frame", "lazy_names", "machine")
     }
