@@ -31,7 +31,7 @@ from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Outc
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure, all_of
+from canopen_proto.procedures.steps import Procedure, all_of, current_time
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sync import SyncConsumer, SyncProducer
 from canopen_transports import Transport, TransportError
@@ -51,6 +51,9 @@ class SyncGuard(Protocol):
 
     def look_before_sync(self, late: Time) -> Procedure[object] | None:
         """Return what has to be done before SYNC is sent; None: nothing. late: ns. The procedure must not fail."""
+
+    def look_again(self, took: Time) -> Procedure[object] | None:
+        """Return what has to be done once more; None: nothing. took: ns, of all that the guards did, side by side."""
 
     def before_late_sync(self, late: Time) -> None:
         """SYNC is sent now. late: ns."""
@@ -208,9 +211,16 @@ class Participant:
             return
         for sync in self._sync.values():
             sync.put_off()
-        request_id = self.runner.start(all_of(*looks), now)
+        request_id = self.runner.start(self._look(looks), now)
         self._procedures.add(request_id)
         self._looking = request_id, due
+
+    def _look(self, looks: list[Procedure[object]]) -> Procedure[None]:
+        while looks:
+            began = yield from current_time()
+            yield from all_of(*looks)
+            took = (yield from current_time()) - began
+            looks = [look for guard in self._guards if (look := guard.look_again(took)) is not None]
 
     def _before_late_sync(self, late: Time) -> None:
         for guard in self._guards:

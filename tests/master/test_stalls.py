@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from dataclasses import replace
 
 import pytest
 import trio
@@ -12,13 +13,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from canopen_master import Chain, ChainHalted
+from canopen_master import Chain, ChainFault, ChainHalted
 from canopen_master.motion.late_sync import WithinReach
 from canopen_proto.abort import AbortCode
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.simulated_drive.answers import Answer
 from tests.examples import examples
-from tests.master.path_world import COUNTS, CYCLE, Record, arms, swing
+from tests.master.path_world import AXIS, COUNTS, CYCLE, Record, arms, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved
 from tests.master.world import drives, virtual_time
@@ -28,6 +29,8 @@ SPEED = 1.0
 WAYS = 0.6, -0.3
 PATH = swing(*WAYS, duration=1.2)
 """Its first joint goes at 0.938 in the middle: a SYNC that is late and counts as on time (ON_TIME) may add 5 %."""
+
+PATH_OF_ONE = swing(0.6, duration=1.2)
 
 Turn = tuple[bool, float, float]
 """Whether the whole process stalls, with the master in it, or only the task; for how long; and the time until the next turn."""
@@ -217,3 +220,79 @@ def test_a_joint_without_a_limit_is_left_alone() -> None:
         assert within.next([number * 100.0], share=0.1) == [number * 100.0]
         within.on_sent()
     assert not within.must_look(1000.0)
+
+
+def brake_slowly(record: Record) -> None:
+    """Let the drives brake by 2 units per second² without SYNC, and follow again behind up to three seconds."""
+    for host in record.hosts:
+        for node in drives(host):
+            node.values.store.update({0x1006_00: 1_000_000, 0x6085_00: 2_000_000, 0x6084_00: 2_000_000})
+
+
+@pytest.mark.parametrize("delay", [0.03, 0.1, 10.0])
+@pytest.mark.parametrize("joints", [(2,), (1, 1)])
+def test_a_slow_answer_of_one_joint_makes_no_other_one_jump(joints: tuple[int, ...], delay: float) -> None:
+    """The others go on while it is waited for: where they were when they were asked is far behind them."""
+
+    @virtual_time
+    async def run() -> None:
+        async with arms(*joints) as (_, chains, record), watched(record) as largest:
+            brake_slowly(record)
+
+            async def follow(chain: Chain) -> None:
+                with suppress(ChainHalted, ChainFault):
+                    await chain.follow(swing(*WAYS[: len(chain.devices)], duration=1.2))
+
+            async with trio.open_nursery() as nursery:
+                for chain in chains:
+                    nursery.start_soon(follow, chain)
+                await moved(chains[0], 0.5)
+                drives(record.hosts[-1])[-1].answer(0x6064, 0, Answer(delay=round(delay * 1e9)))
+                stall(0.035)
+            assert largest[0] <= SPEED
+
+    run()
+
+
+@virtual_time
+async def test_transfers_with_a_joint_do_not_keep_sync_away() -> None:
+    """A halted chain is better than drives without SYNC."""
+    async with arms(1, 1) as (_, chains, record):
+        brake_slowly(record)
+        drives(record.hosts[1])[0].answer(0x1018, 1, Answer(delay=round(0.4e9)))
+
+        async def follow() -> None:
+            with pytest.raises(ChainHalted, match="j11 did not tell where it is: no answer within 200 ms"):
+                await chains[1].follow(PATH_OF_ONE)
+
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(follow)
+            await moved(chains[1], 0.5)
+            for _ in range(5):
+                nursery.start_soon(chains[1].devices[0].node.read, (0x1018, 1))
+            await trio.sleep(0.001)
+            stall(0.045)
+        assert max(after - before for before, after in itertools.pairwise(record.times)) < 0.3
+
+
+@virtual_time
+async def test_on_the_way_back_no_joint_is_sent_beyond_its_position_limit() -> None:
+    axis = replace(AXIS, min_position=-1.0, max_position=1.0)
+    async with arms(1, axis=axis) as (_, [arm], record):
+        await arm.follow()
+        async for cycle in arm.cycles():
+            arm.set_positions([min(1.0, 0.9 * cycle.time)])
+            if cycle.number == 104:
+                stall(0.15)
+            if cycle.number == 150:
+                break
+        assert max(row[0] for row in record.rows) <= 1.0 + 2 / COUNTS
+        assert record.rows[-1] == pytest.approx([1.0], abs=3e-6)
+
+
+def test_a_joint_beyond_its_limit_is_not_sent_further() -> None:
+    within = WithinReach([0.0], [1.0], [(None, 1.0)])
+    within.stand_at([1.5], [0.5])
+    assert within.next([0.9]) == [1.5]
+    within.on_sent()
+    assert within.next([0.9]) == pytest.approx([1.3])

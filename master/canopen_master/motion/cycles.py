@@ -129,7 +129,9 @@ class SetPoints:
         self.is_followed = True
         self._feeds = [FeedForward(axis) for axis in self._axes]
         self._next = self.sent = [device.desired_position for device in self.devices]
-        self._within = WithinReach(self.sent, [speed * self.cycle_time for speed in speeds])
+        limits = [device.limits.of_paths for device in self.devices]
+        ranges = [(each.lowest, each.highest) for each in limits]
+        self._within = WithinReach(self.sent, [speed * self.cycle_time for speed in speeds], ranges)
 
     def end(self) -> None:
         """End: no set-points are followed from now on."""
@@ -222,6 +224,16 @@ class SetPoints:
         """The joints whose speed their set-points limit: all but those without a limit, and those that keep one by themselves."""
         ways = () if self._within is None else self._within.ways
         return [device for device, way in zip(self.devices, ways, strict=False) if math.isfinite(way)]
+
+    @property
+    def limited_ways(self) -> list[float]:
+        """The ways that these joints make in one period at their speed limits."""
+        return [] if self._within is None else [way for way in self._within.ways if math.isfinite(way)]
+
+    @property
+    def period(self) -> Time:
+        """ns from SYNC to SYNC."""
+        return self._period
 
     def rest(self) -> None:
         """Take the velocities out of the images: the joints are about to be told to stay where they are."""

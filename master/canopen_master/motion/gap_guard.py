@@ -1,19 +1,31 @@
 """`GapGuard`: what a chain does before a late SYNC: it asks joints that may be out of reach (late_sync.py).
 
 Each joint is asked by SDO, all at once, and its position becomes the set-point that waits in it: so it stays there at the SYNC,
-and comes back to its path from there. Meanwhile SYNC waits, on all buses. If a joint does not tell its position, its chain is
-halted.
+and comes back to its path from there. Meanwhile SYNC waits, on all buses, so nothing may take long. A joint that does not tell
+its position within LONGEST halts its chain.
+
+A joint that brakes has gone on since it was asked. So if the answers of all joints of all chains took more than a period, those
+that told it are asked again, until the answers were quick, or no joint moved from one to the next. One that still moves at the
+last of MOST_LOOKS halts its chain, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 from canopen_master.motion.cycles import SetPoints
-from canopen_master.motion.joint_procedures import JointFailed, quietly
+from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import quietly
 from canopen_proto.drive.synchronous import align_position
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.procedures.steps import Procedure, all_of
+from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of, sleep
+
+LONGEST: Final = 200 * MILLISECOND
+"""A drive answers within some ms. Another transfer with it may be under way, but joints must not wait long for it."""
+
+MOST_LOOKS: Final = 10
+"""Drives that brake have come to rest by then."""
 
 
 class GapGuard:
@@ -23,27 +35,75 @@ class GapGuard:
         """stop: halts the chain; it is told why."""
         self._set_points = set_points
         self._stop = stop
-        self._looked: list[JointFailed | None] | None = None  # the failures, joint by joint; None: nobody was asked
+        self._looks = 0  # how often the joints were asked
+        self._problem = ""  # why one of them is not known to be where its set-point is
+        self._seen: list[float] = []
+        self._moves: Device | None = None  # a joint that was elsewhere when it was asked before
 
     def look_before_sync(self, late: Time) -> Procedure[object] | None:
         """See `SyncGuard`."""
-        return self._look() if self._set_points.must_look(late) else None
+        if not self._set_points.must_look(late):
+            return None
+        self._looks, self._seen = 0, []
+        return self._look()
+
+    def look_again(self, took: Time) -> Procedure[object] | None:
+        """See `SyncGuard`."""
+        if not self._looks or self._problem or not self._set_points.is_followed or took <= self._set_points.period:
+            return None
+        if self._looks > 1 and self._moves is None:
+            return None
+        if self._looks == MOST_LOOKS:
+            assert self._moves is not None
+            self._problem = f"{self._moves.name} still moved"
+            return None
+        return self._look()
 
     def before_late_sync(self, late: Time) -> None:
         """See `SyncGuard`."""
-        looked, self._looked = self._looked, None
+        looks, problem = self._looks, self._problem
+        self._looks, self._problem = 0, ""
         if not self._set_points.is_followed:
             return
-        failed = next((each for each in looked or () if each is not None), None)
-        if failed is not None:
-            joint = failed.device.name
-            self._stop(f"because SYNC was {late / MILLISECOND:.0f} ms late, and {joint} did not tell where it is: {failed}")
+        if problem:
+            self._stop(f"because SYNC was {late / MILLISECOND:.0f} ms late, and {problem}")
             return
-        if looked is not None:
+        if looks:
             self._set_points.stand_at_images()
         self._set_points.before_late_sync(late)
 
     def _look(self) -> Procedure[None]:
-        self._set_points.rest()
-        joints = self._set_points.limited
-        self._looked = yield from all_of(*(quietly(device, align_position(device.axis)) for device in joints))
+        self._looks += 1
+        self._problem = "its joints could not be asked where they are"  # until they were
+        set_points = self._set_points
+        set_points.rest()
+        joints = set_points.limited
+        asked = yield from all_of(*(quietly(device, _in_time(align_position(device.axis))) for device in joints))
+        failed = next((each for each in asked if each is not None), None)
+        self._problem = "" if failed is None else f"{failed.device.name} did not tell where it is: {failed}"
+        before, self._seen = self._seen, [device.desired_position for device in joints]
+        self._moves = None
+        for device, way, at, was in zip(joints, set_points.limited_ways, self._seen, before, strict=False):
+            if abs(at - was) > way:
+                self._moves = device
+
+
+class _Done(Exception):
+    """The procedure is at its end: what waits beside it has to end, too."""
+
+
+def _in_time(procedure: Procedure[object]) -> Procedure[None]:
+    """Run a procedure for LONGEST at most. Raises ProcedureError."""
+
+    def run() -> Procedure[None]:
+        yield from procedure
+        raise _Done
+
+    def limit() -> Procedure[None]:
+        yield from sleep(LONGEST)
+        raise ProcedureError(f"no answer within {LONGEST / MILLISECOND:g} ms")
+
+    try:
+        yield from all_of(run(), limit())
+    except _Done:
+        return

@@ -13,17 +13,21 @@ A drive that was told to go at the speed v is somewhere on the way that it makes
 that waits is within one period's way at the joint's speed limit from all of it, SYNC may be sent. Else the master has to ask the
 drive where it is, and make that its set-point, before (`must_look`, `stand_at`).
 
-What a joint is off its set-points then, it comes back by RETURN of its speed, while they go on.
+What a joint is off its set-points then, it comes back by RETURN of its speed, while they go on. On its way it is not sent beyond
+its position limits; a joint that has left them is not sent any further.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, TypeAlias
 
 RETURN: Final = 0.2
 """The share of a joint's speed limit at which it comes back to its path: slow enough to begin and end it at once."""
+
+Range: TypeAlias = tuple[float | None, float | None]
+"""The lowest and the highest position of a joint; None: no limit."""
 
 _EXACT: Final = 1 + 1e-6
 """No drive is asked because of a rounding error."""
@@ -32,11 +36,13 @@ _EXACT: Final = 1 + 1e-6
 class WithinReach:
     """The set-points of several joints, as they go out; see this module's text. sent: the last ones. ways: see `__init__`."""
 
-    __slots__ = ("_acted_on", "_before", "_next", "_next_off", "_off", "sent", "ways")
+    __slots__ = ("_acted_on", "_before", "_next", "_next_off", "_off", "_ranges", "sent", "ways")
 
-    def __init__(self, start: Sequence[float], ways: Sequence[float]) -> None:
-        """start: where the joints stand. ways: of each joint in one period, at its speed limit; inf: it has none."""
+    def __init__(self, start: Sequence[float], ways: Sequence[float], ranges: Sequence[Range] = ()) -> None:
+        """start: where the joints stand. ways: of each joint in one period, at its speed limit; inf: it has none. ranges: of
+        their positions; none: they have no limits."""
         self.ways = ways
+        self._ranges = [_within(each) for each in ranges] or [(-math.inf, math.inf)] * len(start)
         self.stand_at(start, start)
 
     @property
@@ -63,11 +69,13 @@ class WithinReach:
             self._next, self._next_off = wanted, self._off
             return wanted
         self._next, self._next_off = [], []
-        for position, off, sent, way in zip(wanted, self._off, self.sent, self.ways, strict=True):
+        each = zip(wanted, self._off, self.sent, self.ways, self._ranges, strict=True)
+        for position, off, sent, way, (lowest, highest) in each:
             way *= share
             back = min(abs(off), RETURN * way)
             step = position + off - math.copysign(back, off) - sent if back < abs(off) else position - sent
             to = position if back == abs(off) and abs(step) <= way else sent + math.copysign(min(abs(step), way), step)
+            to = min(max(to, min(lowest, sent)), max(highest, sent))
             self._next.append(to)
             self._next_off.append(to - position)
         return self._next
@@ -76,3 +84,8 @@ class WithinReach:
         """Note that the next ones were sent, and that the drives act on those before."""
         self._before, self._acted_on, self.sent = self._acted_on, self.sent, self._next
         self._off = self._next_off
+
+
+def _within(limits: Range) -> tuple[float, float]:
+    lowest, highest = limits
+    return -math.inf if lowest is None else lowest, math.inf if highest is None else highest
