@@ -94,6 +94,7 @@ def evil_files() -> dict[str, str]:
         "units.toml": '[objects.2003]\nunit = "\\u001b[2J"\naliases = ["\\u001b[2J"]\ndescription = "\\u009b"\n',
         "odd.toml": '[objects."\\u001b[2J"]\nunit = "\\u001b"\n[objects.2003]\n"\\u001b" = 1\n',
         "odd_cell.toml": '[buses."\\u001b[2J"]\nlocator = "\\u009b"\n[nodes.a]\nid = 5\nfile = "\\u001b.eds"\n"\\u001b" = 1\n',
+        "odd.yaml": 'name: "\\e[2J"\nnodes: {"\\e[1m": {id: 5, "\\e]0": 1, pos_to_device: "\\e[2J", eds_file: "\\e.eds"}}\n',
         "odd.py": f"raise ValueError({EVIL!r})\n",
     }
 
@@ -176,6 +177,8 @@ COMMANDS = [
     ("machine", "from-chains", "odd.csv", "-o", "new_cell.toml"),
     ("machine", "from-chains", "good.csv", "-o", f"{EVIL[:-3]}.toml"),
     ("machine", "import", EVIL),
+    ("machine", "import", "odd.yaml", "-o", "odd_import.toml"),
+    ("ros", "init", EVIL),
     ("scan", "-m", "odd_cell.toml"),
     ("eds", "show", "device.eds"),
     ("eds", "show", "odd.eds", "2300"),

@@ -3,8 +3,8 @@
     ros2 launch DIR/launch/canopen.launch.py simulate:=true
     ros2 launch DIR/launch/canopen.launch.py machine:=cell.toml python:=ENVIRONMENT/bin/python control:=true
 
-DIR: where this folder was copied to (`canopen ros init DIR`). python: of the environment that has canopen-proto and sees rclpy
-(made with --system-site-packages).
+DIR: the package that `canopen ros init` wrote, such as ros/ros_canopen. python: of the environment that has canopen-proto and
+sees rclpy (made with --system-site-packages).
 """
 
 from pathlib import Path
