@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,13 +54,17 @@ def import_(
     canopen machine import can0.yaml driver.yaml -o arm.toml --package schunk_lwa4p=src/schunk_lwa4p
     """
     from canopen_ros.configurations import Choices, import_configuration
+    from canopen_transports.locator import parse_locator
 
     screen = settings.screen()
     folder = Path() if output is None else Path(output).parent
     choices = Choices(locator, chain, dict(map(_package, packages)), frozenset(linear))
     if output is not None:
         check_new_file(settings, screen, output, *files)
+    if locator:
+        parse_locator(locator)
     made = import_configuration(files, folder, choices)
+    _check_slides(made, linear)
     for name in made.files if output is not None else ():
         check_new_file(settings, screen, folder / name, *files)
     if output is not None:
@@ -79,6 +84,16 @@ def _package(text: str) -> tuple[str, Path]:
     return name, Path(folder)
 
 
+def _check_slides(made: Imported, linear: tuple[str, ...]) -> None:
+    """Raise a Problem if --linear names no joint: a slide would be in radians."""
+    joints = tomllib.loads(made.text).get("joints", {})
+    for name in linear:
+        if name not in joints:
+            raise usage(
+                "CO120", f"--linear {name}: the files have no joint of this name", seen=f"joints: {', '.join(joints) or 'none'}"
+            )
+
+
 def _show(settings: Settings, screen: Screen, made: Imported, output: str | None) -> None:
     from canopen_ros.configurations import Outcome
 
@@ -92,7 +107,7 @@ def _show(settings: Settings, screen: Screen, made: Imported, output: str | None
         screen.json(document | ({"text": made.text} if output is None else {}))
         return
     if output is None:
-        screen.data(escape(made.text))
+        screen.text(made.text)
         for each in left_out:
             screen.say(f"left out: {escape(_place(each))}{escape(each.key)}: {escape(each.text)}")
         return

@@ -84,6 +84,10 @@ class Screen:
         """Print a result to stdout as one JSON document."""
         self.out.out(json_text(value, None if isinstance(value, str) else 2))
 
+    def text(self, text: str) -> None:
+        """Print a whole file to stdout, its lines as they are."""
+        self.out.out(clean_lines(text).rstrip("\n"), highlight=False)
+
     def table(self, columns: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, right: Iterable[str] = ()) -> None:
         """Print a table to stdout; if it is too wide, one block for each row. right: the columns to align at the right."""
         rows = [tuple(row) for row in rows]

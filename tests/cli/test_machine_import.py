@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import tomllib
 from importlib import resources
 from pathlib import Path
 
@@ -115,3 +116,21 @@ def test_machines_of_others_are_checked(run: Run, folder: Path, names: tuple[str
     if moves and "multichannel" not in names[0]:  # its second axis needs the device's file
         done = run("move", "cell.toml", "-b", "demo", "--to", f"{moves[0]}=0.1")
         assert done.status == ExitCode.OK, done.err
+
+
+def test_what_goes_to_stdout_is_the_machine_file(run: Run, folder: Path) -> None:
+    done = run(
+        "machine", "import", "ros1.yaml", "--locator", "virtual:x?bitrate=1M&loss=0.001&seed=7&a_long_name_for=a_narrow_terminal"
+    )
+    joints = tomllib.loads(done.out)["joints"]
+    assert set(joints) == {"shoulder", "elbow"}
+    assert len(done.out.splitlines()) > 10
+
+
+def test_what_is_wrong_with_an_option_is_not_the_files_fault(run: Run, folder: Path) -> None:
+    done = run("machine", "import", "bus.yml", "-o", "cell.toml", "--locator", "zork:foo")
+    assert (done.status, "CO100" in done.err, "correct the file" in done.err) == (ExitCode.CANNOT_OPEN, True, False), done.err
+    done = run("machine", "import", "bus.yml", "-o", "cell.toml", "--linear", "left")
+    assert (done.status, "--linear left: the files have no joint of this name" in done.err) == (ExitCode.USAGE, True), done.err
+    assert "joints: lift" in done.err
+    assert not (folder / "cell.toml").exists()
