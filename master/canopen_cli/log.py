@@ -16,7 +16,7 @@ from canopen_cli.node_files import NodeFiles
 from canopen_cli.options import NodeIds, Settings, common
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.running import run, same_file
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import Screen, counted, escape
 from canopen_cli.session import read_dictionary
 from canopen_master.plain_text import clean, json_text
 from canopen_proto.frame_bits import frame_bits
@@ -231,8 +231,15 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
 
 @log.command()
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
-@click.option("--bitrate", default="", help="Look at the load of the bus, too: 1M, 250k.")
-@click.option("--limit", default=LOAD_LIMIT * 100, show_default=True, type=click.FloatRange(1, 100), help="Of the load, in %.")
+@click.option("--bitrate", metavar="RATE", default="", help="Look at the load of the bus, too: 1M, 250k.")
+@click.option(
+    "--limit",
+    default=LOAD_LIMIT * 100,
+    metavar="PERCENT",
+    show_default=True,
+    type=click.FloatRange(1, 100),
+    help="Of the load, in %.",
+)
 @common
 @click.pass_obj
 def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
@@ -264,7 +271,8 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
                 screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {_finding_text(finding)}", highlight=False)
     for rule, count in sorted(counts.items()):
         screen.say(f"{count:>7} x [bold]{rule}[/]: {RULES[rule]}")
-    screen.say(f"{number} frames, {sum(counts.values()) or 'no'} findings")
+    total = sum(counts.values())
+    screen.say(f"{counted(number, 'frame')}, {counted(total, 'finding') if total else 'no findings'}")
     _tell_skipped(screen, reader)
     return ExitCode.DIFFERENT if counts else ExitCode.OK
 

@@ -318,6 +318,8 @@ def test_check(run: Run, tmp_path: Path, log: Path) -> None:
     ]
     assert "1 x double id: two nodes have one ID" in outcome.err
     assert "6 frames, 2 findings" in outcome.err
+    (tmp_path / "one.log").write_text("(1.0) can0 000#01\n")
+    assert "1 frame, 1 finding\n" in run("log", "check", "one.log").err
     found = [json.loads(line) for line in run("log", "check", "a.log", "--json").out.splitlines()]
     assert [(each["rule"], each["channel"]) for each in found] == [("double id", "can0"), ("length", "can1")]
 
