@@ -173,13 +173,24 @@ def read_table(path: Path | None) -> Sequence[tuple[Known, int]]:
     rows: list[tuple[Known, int]] = []
     reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
     if reader.fieldnames is None or set(reader.fieldnames) - set(TABLE_COLUMNS) or "node_id" not in reader.fieldnames:
-        raise usage(
-            "CO123", f"{path} has not the columns {', '.join(TABLE_COLUMNS)}", seen=f"{', '.join(reader.fieldnames or ())}"
-        )
+        seen = f"line 1: {', '.join(reader.fieldnames)}" if reader.fieldnames else "the file is empty"
+        raise _bad_table(f"{path}: its columns are not node_id and some of {', '.join(TABLE_COLUMNS[1:])}", seen)
+    lines: dict[int, int] = {}
     for row in reader:
-        numbers = [number_of(text) if (text := (row.get(name) or "").strip()) else None for name in TABLE_COLUMNS[1:]]
-        rows.append(((numbers[0], numbers[1], numbers[2], numbers[3]), node_id_of(row["node_id"])))
+        try:
+            numbers = [number_of(text) if (text := (row.get(name) or "").strip()) else None for name in TABLE_COLUMNS[1:]]
+            node_id = node_id_of(row["node_id"] or "")
+        except Problem as wrong:
+            raise _bad_table(f"{path}:{reader.line_num}: {wrong.failed}") from None
+        if node_id in lines:
+            raise _bad_table(f"{path}:{reader.line_num}: node-ID {node_id} is in line {lines[node_id]}, too")
+        lines[node_id] = reader.line_num
+        rows.append(((numbers[0], numbers[1], numbers[2], numbers[3]), node_id))
     return rows
+
+
+def _bad_table(failed: str, seen: str = "") -> Problem:
+    return Problem(ExitCode.BAD_FILE, "CO301", failed, seen=seen, tries=("correct the file",))
 
 
 def _line(given: Given) -> str:

@@ -11,6 +11,7 @@ import click
 import trio
 from rich.progress import BarColumn, Progress, TextColumn
 
+from canopen_cli.chosen_machine import NUMBER
 from canopen_cli.options import Duration, Kind, Settings, node_id_of
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, escape
@@ -129,6 +130,11 @@ class TargetKind(Kind):
         if len(parts) > 1:
             raise usage("CO120", f"{text!r} is not an LSS address, which has {NUMBERS} numbers", tries=("0x360:0x2:0x10000:7",))
         settings = None if ctx is None else ctx.find_object(Settings)
+        if not NUMBER.fullmatch(text) and (settings is None or settings.machine_file() is None):
+            raise usage(
+                "CO120", f"{text!r} is no device: neither an LSS address, nor a node-ID, nor `{ONLY}`",
+                tries=("0x360:0x2:0x10000:7", "5", f"{ONLY}    (it is the only device on the bus)"),
+            )  # fmt: skip
         return Target(node_id=node_id_of(text) if settings is None else settings.node_id(text))
 
 

@@ -103,7 +103,9 @@ def usage(code: str, failed: str, **more: Any) -> Problem:
     return Problem(ExitCode.USAGE, code, failed, **more)
 
 
-_ON_A_BUS = re.compile(r"canopen (?:scan|info|read|write|nmt|home|drive|sim|backup|restore|dump|(?:check|compare) [0-9])\b")
+_ON_A_BUS = re.compile(
+    r"canopen (?:lss [a-z-]+|scan|info|read|write|nmt|home|drive|sim|backup|restore|dump|(?:check|compare) [0-9])\b"
+)
 _BEFORE_BUS = re.compile(r"(?=    | -- |$)")  # before a remark, or before arguments that must stand last
 
 

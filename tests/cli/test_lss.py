@@ -113,3 +113,32 @@ def test_tables_that_are_none(tmp_path: Path, text: str) -> None:
     table.write_text(text)
     with pytest.raises(Problem):
         read_table(table)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "the file is empty"),
+        ("vendor;serial\n1;2\n", "line 1: vendor;serial"),
+        ("node_id,serial\n4,1\n200,1\n", "nodes.csv:3: node-ID 200 is outside 1..127"),
+        ("node_id,serial\n4,x\n", "nodes.csv:2: 'x' is not a number of an LSS address"),
+        ("serial,node_id\n4\n", "nodes.csv:2: '' is not a node-ID"),
+        ("node_id,serial\n4,1\n5,2\n4,3\n", "nodes.csv:4: node-ID 4 is in line 2, too"),
+    ],
+)
+def test_a_wrong_table_is_told_with_its_line(run: Run, tmp_path: Path, text: str, told: str) -> None:
+    table = tmp_path / "nodes.csv"
+    table.write_text(text)
+    outcome = run("lss", "assign", "--table", str(table), *QUICK)
+    assert (outcome.status, told in outcome.err, "CO301" in outcome.err) == (ExitCode.BAD_FILE, True, True), outcome.err
+
+
+def test_what_is_no_device_is_told_what_would_be_one(run: Run) -> None:
+    outcome = run("lss", "inquire", "banana", *QUICK)
+    assert (outcome.status, "'banana' is no device" in outcome.err, "0x360:0x2:0x10000:7" in outcome.err) == (2, True, True)
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_the_next_step_names_the_bus(run: Run) -> None:
+    outcome = run("lss", "inquire", "0x332:0x43:0x10000:0x9", *QUICK)
+    assert (outcome.status, "canopen lss scan -b demo" in outcome.err) == (ExitCode.NO_ANSWER, True), outcome.err
