@@ -5,15 +5,20 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+import trio
+from trio.testing import MockClock
 
-from canopen_master import standard_drives
+from canopen_master import ChainSettings, open_master, standard_drives
 from canopen_master.direct import Session, hold_to_run
+from canopen_master.direct.drive import COUNTS, DirectDrive
+from canopen_master.direct.hold_to_run import move_while_held
 from canopen_proto.cia402.objects import HOMING_METHOD, POSITION_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
 from canopen_proto.drive import DriveFault
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.simulated_drive.node import DriveNode
 from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices
+from tests.master.world import BUS, drives, simulated, virtual_time
 
 pytest.importorskip("ruckig", reason="hold to run needs the extra `motion`")
 
@@ -149,3 +154,50 @@ def test_the_place_to_which_it_was_led_becomes_its_home(session: Session, arm: D
 def test_a_joint_without_methods_homes_in_its_own_way(session: Session, arm: Devices) -> None:
     assert session.interactive_homing(12, SPEED, lambda: False), session.last_error()
     assert abs(session.get_pos(12)) <= 5
+
+
+@pytest.mark.parametrize("gap", [0.045, 0.15, 0.19])
+@pytest.mark.parametrize("brake", [10_000, 100_000])
+def test_behind_a_gap_of_sync_a_drive_goes_on_from_where_it_is(gap: float, brake: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has braked by itself, and lies far beyond its last set-point. brake: its own, in millidegrees per second²."""
+    speed, speeds = 10_000.0, [0.0]
+
+    async def asked(held: Callable[[], bool]) -> bool:
+        await trio.sleep(0.02)
+        return held()
+
+    monkeypatch.setattr(hold_to_run, "_asked", asked)
+
+    @virtual_time
+    async def run() -> None:
+        async with simulated(12) as host, open_master(BUS) as master:
+            (node,) = drives(host)
+            node.values.store.update({0x1006_00: 1_000_000, 0x6085_00: brake, 0x6084_00: brake})
+            names = ChainSettings()
+            drive = DirectDrive(master, master.device(master.node(12), settings=COUNTS), names.rpdo, names.tpdo)
+            await master.nmt_start(12)
+            await trio.sleep(0.1)
+            await drive.change_state(State.OPERATION_ENABLED)
+            await drive.set_interval(10)
+            begin = trio.current_time()
+
+            async def measure() -> None:
+                while True:
+                    node.drive.refresh(host.now())
+                    speeds.append(abs(node.drive._servo.demand_velocity))
+                    await trio.sleep(0.0019)
+
+            async def stall() -> None:
+                await trio.sleep(0.8)
+                clock = trio.lowlevel.current_clock()
+                assert isinstance(clock, MockClock)
+                clock.jump(gap)
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(measure)
+                nursery.start_soon(stall)
+                await move_while_held(drive, speed, lambda: trio.current_time() < begin + 1.5)
+                nursery.cancel_scope.cancel()
+
+    run()
+    assert 0.99 * speed < max(speeds) <= 1.01 * speed

@@ -48,7 +48,7 @@ from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
-from canopen_proto.procedures.objects import ABSENT, write
+from canopen_proto.procedures.objects import ABSENT, read_int, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 from canopen_proto.sync import SyncReceived, SyncSent
 from canopen_proto.trajectory import JointLimits
@@ -245,6 +245,14 @@ class DirectDrive:
         producer = self._producer
         assert producer is not None  # a drive that follows has one
         await self.master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
+
+    async def stand_at_actual(self) -> float:
+        """Return where the drive is, in the unit of its axis; its next set-point is checked as from there."""
+        position = await self.master.run(read_int(self.axis.node, objects.POSITION_ACTUAL_VALUE))
+        self.axis.set_position_counts(position)
+        self._taken.clear()
+        self._on_sync()
+        return self.axis.from_counts(position)
 
     def _checked(self, position: float) -> int:
         """Return the counts of a set-point.

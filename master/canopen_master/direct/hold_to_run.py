@@ -10,6 +10,7 @@ import trio
 
 from canopen_master.direct.drive import DirectDrive
 from canopen_master.errors import MasterError
+from canopen_master.motion.gap_guard import MOST_LOOKS
 from canopen_master.motion.target_motion import DEAD_MAN
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.machine import LocalProtocolError
@@ -89,11 +90,28 @@ class _Motion:
                 await self._drive.send_position(round(position) if self._drive.in_counts else position)
                 await self._drive.master.send_sync()
                 due += self._period
+                await trio.sleep_until(due)
                 late = trio.current_time() - due
                 if late > 0:  # the path waits; the dead man's switch does not
                     lost = int(late / self._period)
                     self._stream.after_gap(lost, from_rest=False)
                     due += lost * self._period
-                await trio.sleep_until(due)
+                    await self._look(late)
         except Exception as error:  # noqa: BLE001 - a nursery would wrap it in a group
             self.failure = error
+
+    async def _look(self, late: float) -> None:
+        """Go on from where the drive is, if it may have gone too far without SYNC to come back in one interval: late_sync.py."""
+        drive, (speed,) = self._drive, self._stream.point.velocities
+        highest = drive.limits.speed
+        if highest is None or abs(speed) * (late / self._period - 1) <= highest:
+            return
+        seen = math.inf
+        for _ in range(MOST_LOOKS):  # a drive that brakes has gone on since it was asked
+            asked = trio.current_time()
+            position = await drive.stand_at_actual()
+            if trio.current_time() - asked <= self._period or abs(position - seen) <= highest * self._period:
+                self._stream.stand_at(0, [position])
+                return
+            seen = position
+        raise ProcedureError(f"SYNC was {late:.3g} s late, and the drive still moved")
