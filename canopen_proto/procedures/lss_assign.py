@@ -38,6 +38,9 @@ from canopen_proto.procedures.lss_scan import (
 from canopen_proto.procedures.scan import NodeFound, scan
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Wait, act
 
+NOBODY_AGREED: Final = "nobody agreed"
+"""Why a device is left alone whose node-ID somebody did not want to be written."""
+
 TRIES: Final = 3
 """How often an unanswered step is sent."""
 BOOT_WINDOW: Final = 1 * SECOND
@@ -172,7 +175,7 @@ class Assignment:
     def leave(self, plan: Iterable[Planned]) -> None:
         """Leave the devices of a plan alone: nobody agreed to it."""
         for planned in plan:
-            self.left[planned.address] = "nobody agreed"
+            self.left[planned.address] = NOBODY_AGREED
             self.taken.discard(planned.node_id)
 
 

@@ -31,7 +31,17 @@ from canopen_cli.questions import Questions
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted, escape
 from canopen_proto.machine import Time
-from canopen_proto.procedures.lss_assign import Assignment, Choice, Given, Planned, by_table, give, in_order, nodes_there
+from canopen_proto.procedures.lss_assign import (
+    NOBODY_AGREED,
+    Assignment,
+    Choice,
+    Given,
+    Planned,
+    by_table,
+    give,
+    in_order,
+    nodes_there,
+)
 from canopen_proto.procedures.lss_bit_rate import store_all
 from canopen_proto.procedures.lss_scan import Known, all_waiting
 
@@ -148,6 +158,8 @@ def assign(
     if result.remark:
         screen.say(f"[yellow]{escape(result.remark)}[/]")
     _show(settings, screen, result.done)
+    if NOBODY_AGREED in result.left.values():
+        raise Problem(ExitCode.INTERRUPTED, "CO132", f"by you: {counted(len(result.done), 'node-ID')} written")
 
 
 async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice, known: Known, *, store: bool) -> Assignment:

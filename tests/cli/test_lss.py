@@ -57,6 +57,7 @@ def test_assign_writes_nothing_without_a_yes(run: Run, monkeypatch: pytest.Monke
     outcome = run("lss", "assign", "--ids", "10-20", *DRIVE, *QUICK)
     assert "Write 2 node-IDs?" in outcome.err
     assert outcome.err.count("is left alone: nobody agreed") == 2
+    assert (outcome.status, "interrupted by you: 0 node-IDs written" in outcome.err) == (ExitCode.INTERRUPTED, True), outcome.err
 
 
 def test_inquire_identify_store_and_set_id_of_a_node(run: Run) -> None:
