@@ -58,6 +58,9 @@ class SyncGuard(Protocol):
     def before_late_sync(self, late: Time) -> None:
         """SYNC is sent now. late: ns."""
 
+    def before_ordered_sync(self, late: Time) -> None:
+        """SYNC is sent now by a command, and was not sent before. late: ns since then."""
+
 
 class Participant:
     """See this module's text. buses: the Bus objects by their names. failure: why it went down, or None.
@@ -83,6 +86,7 @@ class Participant:
         self._procedure_ended = trio.lowlevel.ParkingLot()
         self._guards: list[SyncGuard] = []
         self._looking: tuple[RequestId, Time] | None = None  # and when the SYNC was due that waits for it
+        self._without_sync: Time | None = None  # since when SYNC is stopped
         self._subscriptions: dict[Subscription[Any], Watcher] = {}
         self.failure: Exception | None = None
         self.is_closed = False
@@ -176,13 +180,17 @@ class Participant:
         """Send SYNC on all buses, now and then once per period (seconds). A SYNC that runs starts again. Events: SyncSent"""
         self.check_open()
         now, period_ns = self.now(), nanoseconds(period)
+        self._before_ordered_sync(now)
         for bus in self._own_buses:
             bus.start_sync(period_ns, now)
+        self._without_sync = None
         self._pump.pump()
 
     @enable_ki_protection
     def sync_stop(self) -> None:
         """Stop sending SYNC periodically."""
+        if self.sync_period:
+            self._without_sync = self.now() if self._looking is None else self._looking[1]
         for bus in self._own_buses:
             bus.stop_sync()
         self._pump.pump()
@@ -192,6 +200,7 @@ class Participant:
         """Send one SYNC on all buses; return when it is on its way. A running period keeps its phase."""
         self.check_open()
         now = self.now()
+        self._before_ordered_sync(now)
         for sync in self._sync.values():
             sync.send(now)
         await self._sent(self._own_buses)
@@ -199,6 +208,15 @@ class Participant:
     def guard_sync(self, guard: SyncGuard) -> None:
         """Ask before a SYNC is sent that is late. Not for a SYNC that the transport sends."""
         self._guards.append(guard)
+
+    def _before_ordered_sync(self, now: Time) -> None:
+        """Let guards stop what would jump at a SYNC that comes without the look at the drives."""
+        since = self._without_sync if self._looking is None else self._looking[1]
+        if since is not None:
+            for guard in self._guards:
+                guard.before_ordered_sync(now - since)
+            if self._without_sync is not None:
+                self._without_sync = now
 
     def _before_timeouts(self, now: Time) -> None:
         """See whether a due SYNC is late; if a guard has something to do first, put it off on all buses."""

@@ -296,3 +296,33 @@ def test_a_joint_beyond_its_limit_is_not_sent_further() -> None:
     assert within.next([0.9]) == [1.5]
     within.on_sent()
     assert within.next([0.9]) == pytest.approx([1.3])
+
+
+@pytest.mark.parametrize("gap", [0.06, 0.2, 0.4])
+@pytest.mark.parametrize("looks", [False, True])
+def test_sync_that_is_started_again_lets_no_joint_jump(gap: float, looks: bool) -> None:
+    """looks: the joints are being asked where they are, behind a stall."""
+
+    @virtual_time
+    async def run() -> None:
+        async with arms(2) as (master, [arm], record), watched(record) as largest:
+            brake_slowly(record)
+
+            async def follow() -> None:
+                with pytest.raises(ChainHalted if not looks else (ChainHalted, ChainFault)):
+                    await arm.follow(PATH)
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(follow)
+                await moved(arm, 0.5)
+                if looks:
+                    drives(record.hosts[0])[1].answer(0x6064, 0, Answer(delay=round(0.1e9)))
+                    stall(gap)
+                    await trio.sleep(0.05)
+                else:
+                    master.sync_stop()
+                    await trio.sleep(gap)
+                master.sync_start(CYCLE)
+            assert largest[0] <= SPEED
+
+    run()

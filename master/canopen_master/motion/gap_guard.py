@@ -72,6 +72,11 @@ class GapGuard:
             self._set_points.stand_at_images()
         self._set_points.before_late_sync(late)
 
+    def before_ordered_sync(self, late: Time) -> None:
+        """See `SyncGuard`."""
+        if self._set_points.must_look(late):
+            self._stop(f"because no SYNC was sent for {late / MILLISECOND:.0f} ms while it moved")
+
     def _look(self) -> Procedure[None]:
         self._looks += 1
         self._problem = "its joints could not be asked where they are"  # until they were
