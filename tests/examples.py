@@ -24,3 +24,8 @@ def examples(count: int, *, steps: int = 50, least: int = PART) -> settings:
     if profile in (SAME, FULL):
         return settings(max_examples=count, stateful_step_count=steps)
     return settings(stateful_step_count=steps)
+
+
+def takes_all() -> bool:
+    """Whether all examples are wanted: what takes minutes runs whole then, and in part every day."""
+    return settings.get_current_profile_name() == FULL

@@ -30,6 +30,7 @@ from collections.abc import Collection, Iterable
 from typing import Final
 
 from canopen_proto import indices
+from canopen_proto.compiling import mypyc_attr
 from canopen_proto.dictionary.values import Values
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.lss.messages import (
@@ -131,6 +132,7 @@ def address_of(values: Values) -> LssAddress:
     return LssAddress(*(number & 0xFFFF_FFFF if isinstance(number, int) else 0 for number in numbers))
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class LssSlave(Machine):
     """The device's side of LSS; see this module's text. Read-only outside: state, persistent, pending, active, is_silent.
 

@@ -9,7 +9,6 @@ import math
 
 import pytest
 import trio
-from hypothesis import settings
 
 from canopen_master import ChainSettings, open_master, standard_drives
 from canopen_master.exchanges import exchange_of_plans
@@ -20,7 +19,7 @@ from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
 from canopen_proto.trajectory import from_function
 from canopen_transports import WireTransport
-from tests.examples import FULL
+from tests.examples import takes_all
 from tests.master.path_world import AXIS, COUNTS, RAMPS
 from tests.master.world import drives, simulated, virtual_time
 
@@ -47,7 +46,7 @@ def test_twelve_joints_follow_a_path_within_the_bound_and_the_bus_has_the_planne
     SYNC n - 1, where the demand was at the set-point sent behind SYNC n - 3) are four cycles apart, so |s - y| <= v (4 CYCLE +
     LAG).
     """
-    duration = 60.0 if settings.get_current_profile_name() == FULL else 3.0
+    duration = 60.0 if takes_all() else 3.0
 
     def positions(time: float) -> list[float]:
         swell = 0.5 * (1 - math.cos(2 * math.pi * time / duration))  # from rest to rest
