@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final
 
+from rich.cells import cell_len
 from rich.console import Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -17,7 +18,10 @@ from rich.text import Text
 from canopen_cli.screen import Screen, escape, node_text
 
 TRACK_WIDTH: Final = 41
-"""Characters of the line that shows a joint's position; odd, so that it has a middle."""
+"""Characters of the line that shows a joint's position, where there is room; odd, so that it has a middle."""
+LEAST_TRACK_WIDTH: Final = 9
+STATE_WIDTH: Final = 22
+POSITION_WIDTH: Final = 9
 
 
 class Mark(enum.Enum):
@@ -110,26 +114,30 @@ class DemoView:
         for step in running:
             bar = ProgressBar(total=1.0, completed=step.progress, width=30) if step.progress is not None else ""
             lines.add_row(self._spinner, f"{step.name:<6}", bar, Text(step.text))
+        names = max((cell_len(joint.name) for joint in self.joints), default=0)
+        nodes = max((len(node_text(joint.node_id)) for joint in self.joints), default=0)
+        width = self.screen.err.width - names - nodes - STATE_WIDTH - POSITION_WIDTH - 8  # 2 between the columns
+        width = min(TRACK_WIDTH, max(LEAST_TRACK_WIDTH, (width - 1) | 1))
         joints = Table.grid(padding=(0, 2))
         joints.add_column(style="bold", no_wrap=True)
         joints.add_column(style="dim", no_wrap=True)
-        joints.add_column(no_wrap=True, min_width=18)
+        joints.add_column(no_wrap=True, min_width=STATE_WIDTH)
         joints.add_column(no_wrap=True)
-        joints.add_column(justify="right", no_wrap=True, min_width=9)
+        joints.add_column(justify="right", no_wrap=True, min_width=POSITION_WIDTH)
         for joint in self.joints:
             position = "" if joint.position is None else f"{joint.position:+.2f}°"
-            joints.add_row(escape(joint.name), node_text(joint.node_id), _state(joint.state), self._track(joint), position)
+            joints.add_row(escape(joint.name), node_text(joint.node_id), _state(joint.state), self._track(joint, width), position)
         return Group(lines, Text(""), joints) if self.joints else Group(lines)
 
-    def _track(self, joint: JointView) -> Text:
+    def _track(self, joint: JointView, width: int) -> Text:
         """Draw the position on a line, with 0 in its middle."""
-        track = Text("─" * TRACK_WIDTH, style="grey37")
-        middle = TRACK_WIDTH // 2
+        track = Text("─" * width, style="grey37")
+        middle = width // 2
         track.stylize("grey62", middle, middle + 1)
         if joint.position is None:
             return track
         place = middle + round(joint.position / self.range * middle)
-        place = min(max(place, 0), TRACK_WIDTH - 1)
+        place = min(max(place, 0), width - 1)
         low, high = min(place, middle), max(place, middle)
         track.stylize("cyan", low, high + 1)
         return Text.assemble(track[:place], ("●", "bold cyan"), track[place + 1 :])
