@@ -1,0 +1,138 @@
+"""The files of the ROS package agree with each other and with the node. They are read without ROS; nothing is launched."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import pytest
+
+from canopen_cli.problem import ExitCode
+from canopen_ros import names
+from canopen_ros.configurations.yaml_text import Value, read_yaml
+from canopen_ros.parameters import NodeParameters
+from tests.cli.cli_support import runner
+
+PACKAGE = Path(str(resources.files("canopen_ros"))) / "package"
+FILES = {
+    each.relative_to(PACKAGE).as_posix()
+    for each in PACKAGE.rglob("*")
+    if each.is_file() and each.suffix != ".pyc" and each.name != "__init__.py"
+}
+
+
+def text_of(name: str) -> str:
+    return (PACKAGE / name).read_text(encoding="utf-8")
+
+
+def plain(value: Value) -> object:
+    """A value as ROS reads it, as far as these files need it."""
+    if value.kind == "map":
+        return {key: plain(each) for key, each in value.entries.items()}
+    if value.kind == "list":
+        return [plain(each) for each in value.items]
+    return int(value.text) if value.kind == "int" else value.text
+
+
+def ros2_parameters(name: str, node: str) -> Value:
+    return read_yaml(text_of(name).encode(), name).entries[node].entries["ros__parameters"]
+
+
+def parameters(name: str) -> NodeParameters:
+    whole = read_yaml(text_of(name).encode(), name)
+    if "ros_canopen" in whole.entries:
+        whole = ros2_parameters(name, "ros_canopen")
+    given = plain(whole)
+    assert isinstance(given, dict)
+    return NodeParameters.from_mapping(given)
+
+
+def texts(value: Value) -> list[str]:
+    return [each.text for each in value.items]
+
+
+def interfaces(joint: Element, kind: str) -> list[str | None]:
+    return [each.get("name") for each in joint.findall(f"{kind}_interface")]
+
+
+@pytest.fixture
+def robot() -> Element:
+    return xml.etree.ElementTree.fromstring(text_of("urdf/six_joints.urdf"))
+
+
+@pytest.fixture
+def control(robot: Element) -> Element:
+    (found,) = robot.findall("ros2_control")
+    return found
+
+
+@pytest.mark.parametrize("config", ["config/six_joints.yaml", "config/six_joints.ros2.yaml"])
+def test_the_robots_joints_are_those_of_the_parameters(robot: Element, control: Element, config: str) -> None:
+    joints = [f"joint{number}" for number in range(1, 7)]
+    assert list(parameters(config).machine.chains["arm"].joints) == joints
+    assert [joint.get("name") for joint in robot.findall("joint")] == joints
+    assert [joint.get("name") for joint in control.findall("joint")] == joints
+
+
+def test_the_parameters_of_ros_1_and_ros_2_are_the_same() -> None:
+    assert parameters("config/six_joints.yaml") == parameters("config/six_joints.ros2.yaml")
+
+
+def test_the_robot_is_one_row_of_links(robot: Element) -> None:
+    row = [link.get("name") for link in robot.findall("link")]
+    ways = [(joint.find("parent"), joint.find("child")) for joint in robot.findall("joint")]
+    found = [(None if a is None else a.get("link"), None if b is None else b.get("link")) for a, b in ways]
+    assert found == list(pairwise(row))
+
+
+def test_both_topics_are_those_of_the_node(control: Element) -> None:
+    """The names of the node are relative, and it has no namespace in the launch file."""
+    given = {each.get("name"): each.text for each in control.findall("hardware/param")}
+    assert given == {
+        "joint_commands_topic": "/" + names.JOINT_COMMANDS.of("arm"),
+        "joint_states_topic": "/" + parameters("config/six_joints.ros2.yaml").joint_states,
+    }
+    assert parameters("config/six_joints.ros2.yaml").joint_states == names.JOINT_STATES.name
+
+
+def test_the_controller_has_the_joints_and_interfaces_of_the_robot(control: Element) -> None:
+    manager = ros2_parameters("config/controllers.yaml", "controller_manager").entries
+    (controller,) = [name for name, each in manager.items() if each.kind == "map"]
+    entries = ros2_parameters("config/controllers.yaml", controller).entries
+    joints = control.findall("joint")
+    assert texts(entries["joints"]) == [joint.get("name") for joint in joints]
+    for joint in joints:
+        assert texts(entries["command_interfaces"]) == interfaces(joint, "command")
+        assert texts(entries["state_interfaces"]) == interfaces(joint, "state")
+    assert f'"{controller}"' in text_of("launch/canopen.launch.py")  # the one that is spawned
+
+
+@pytest.mark.parametrize("name", sorted(name for name in FILES if name.endswith(".py") or name.startswith("scripts/")))
+def test_programs_compile(name: str) -> None:
+    compile(text_of(name), name, "exec")
+
+
+@pytest.mark.parametrize("name", sorted(name for name in FILES if name.endswith((".launch", ".xml", ".urdf"))))
+def test_xml_is_well_formed(name: str) -> None:
+    xml.etree.ElementTree.fromstring(text_of(name))
+
+
+@pytest.mark.parametrize("name", sorted(name for name in FILES if name.endswith(".launch")))
+def test_the_files_that_a_launch_file_names_are_there(name: str) -> None:
+    launch = xml.etree.ElementTree.fromstring(text_of(name))
+    named = [value for each in launch.iter() for value in each.attrib.values() if value.startswith("$(find ros_canopen)/")]
+    assert named
+    assert {value.removeprefix("$(find ros_canopen)/") for value in named} <= FILES
+
+
+def test_init_writes_every_file(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    done = runner(capsys, monkeypatch, tmp_path)("ros", "init", str(tmp_path / "ros"))
+    assert done.status == ExitCode.OK, done.err
+    written = tmp_path / "ros" / "ros_canopen"
+    assert {each.relative_to(written).as_posix() for each in written.rglob("*") if each.is_file()} == FILES
+    assert {
+        name for name in FILES if not name.startswith("scripts/") and (written / name).read_text("utf-8") != text_of(name)
+    } == set()
