@@ -73,18 +73,23 @@ def stands_at(client: Client, positions: list[float]) -> bool:
 
 
 def test_the_graph_has_the_names_of_the_table(client: Client, node: NodeProcess) -> None:
-    client.until(lambda: client.node.get_publishers_info_by_topic("/joint_states"), "the node")
-    topics = dict(client.node.get_topic_names_and_types())
-    expected = [name for name in (*names.OF_NODE, *names.OF_CHAIN) if name.in_ros2]
-    for name in expected:
-        if name.kind is not names.Kind.SERVICE:
-            topic = name.of("arm") if name.name.startswith("/") else f"/{name.of('arm')}"
-            assert topics[topic] == [name.type.replace("/", "/msg/")]
-    services = dict(client.node.get_service_names_and_types())
-    for command in names.COMMANDS:
-        assert services[f"/arm/{command}"] == ["std_srvs/srv/Trigger"]
-    assert services["/get_object"] == ["rcl_interfaces/srv/GetParameters"]
-    assert services["/set_object"] == ["rcl_interfaces/srv/SetParameters"]
+    topics = {
+        name.of("arm") if name.name.startswith("/") else f"/{name.of('arm')}": [name.type.replace("/", "/msg/")]
+        for name in (*names.OF_NODE, *names.OF_CHAIN)
+        if name.in_ros2 and name.kind is not names.Kind.SERVICE
+    }
+    services = {f"/arm/{command}": ["std_srvs/srv/Trigger"] for command in names.COMMANDS}
+    services |= {
+        "/get_object": ["rcl_interfaces/srv/GetParameters"],
+        "/set_object": ["rcl_interfaces/srv/SetParameters"],
+    }
+    # A graph is discovered name by name
+    client.until(lambda: topics.keys() <= dict(client.node.get_topic_names_and_types()).keys(), f"all of {list(topics)}")
+    client.until(lambda: services.keys() <= dict(client.node.get_service_names_and_types()).keys(), f"all of {list(services)}")
+    found = dict(client.node.get_topic_names_and_types())
+    assert {topic: found[topic] for topic in topics} == topics
+    found = dict(client.node.get_service_names_and_types())
+    assert {service: found[service] for service in services} == services
 
 
 def test_a_service_that_is_refused_says_why(client: Client) -> None:
