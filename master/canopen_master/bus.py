@@ -28,6 +28,7 @@ from typing import Final
 import trio
 
 from canopen_proto.frame import Frame, frame_for_key
+from canopen_proto.frame_bits import least_bits, worst_bits
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
 from canopen_proto.network import Network
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived, SyncSent
@@ -60,6 +61,11 @@ SDO_GUARD: Final = 300 * MICROSECOND
 
 SAME_SYNC: Final = 10
 """SYNCs that come within this part of their period were waiting for this process, which was stalled."""
+
+MAX_DATA: Final = 64
+"""Bytes: a transport of somebody else's may hand over CAN FD, which we cannot use; it must not end the master."""
+FRAME_BITS: Final = tuple((least_bits(length) + worst_bits(length)) // 2 for length in range(MAX_DATA + 1))
+"""By the bytes of a frame: its bits, between the least and the most stuffing. Exact counting would cost more than receiving."""
 
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
 _BUS_OFF: Final = BusState.BUS_OFF
@@ -115,7 +121,8 @@ class Bus:
     """One bus of a participant: its Network, its transport, and the frames that wait to be sent.
 
     name: the participant's name for it. sync, consumer: our SYNC producer, if there is one, and the consumer of the SYNC of
-    others. state: the last one that the transport reported. bitrate: bit/s, None if nobody tells it.
+    others. state: the last one that the transport reported. bitrate: bit/s, None if nobody tells it. bits: of all frames that
+    were sent and heard so far, about (FRAME_BITS); with `bitrate` they tell the load.
     """
 
     def __init__(
@@ -132,6 +139,7 @@ class Bus:
         self.sync = sync
         self.consumer = consumer
         self.bitrate = transport.bitrate if isinstance(transport, RatedTransport) else None
+        self.bits = 0
         self.failed = False
         self.state = BusState.ACTIVE
         self._not_sent = 0  # beside the first, which was reported
@@ -187,6 +195,7 @@ class Bus:
         except FrameNotSent as refusal:
             self.drop(refusal.seen)
         else:
+            self.bits += FRAME_BITS[len(frame.data)]
             if self._reason:
                 self.settle_not_sent()
         return True
@@ -219,6 +228,7 @@ class Bus:
             if isinstance(item, tuple):
                 if self.state is _BUS_OFF:
                     self.change(BusState.ACTIVE, "a frame was received")
+                self.bits += FRAME_BITS[len(item[0].data)]
                 network.receive(item[0], now, item[1])
             elif isinstance(item, ReceiveOverrun):
                 network.out.events.append(FramesLost(0, item.lost, item.seen))

@@ -38,7 +38,7 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.alarm import Alarm, best_alarm
-from canopen_master.bus import MAX_BATCH, Bus
+from canopen_master.bus import FRAME_BITS, MAX_BATCH, Bus
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_transports import FrameNotSent, Received, Report, TransportError
@@ -200,6 +200,7 @@ class Pump:
         if bus.failed:
             return
         self._received += 1
+        bus.bits += FRAME_BITS[len(frame.data)]
         try:
             bus.network.receive(frame, now, now)
             self.pump(now)
@@ -231,6 +232,7 @@ class Pump:
             except Exception as error:  # noqa: BLE001 - as above
                 self._fail(bus, error, f"send {frame}")
             else:
+                bus.bits += FRAME_BITS[len(frame.data)]
                 if bus.is_dropping:
                     self._turn(bus.settle_not_sent)
 

@@ -69,6 +69,7 @@ class Bridge:
         self.parameters = parameters
         self.failure: Exception | None = None
         self._wall = wall
+        self._loads = diagnostics.Loads()
         self._reports: deque[Report] = deque(maxlen=MOST_SAMPLES)
         self._reported: dict[tuple[str, str], float] = {}
         self._has_report = trio.lowlevel.ParkingLot()
@@ -105,7 +106,8 @@ class Bridge:
     def diagnostics(self) -> list[Diagnostic]:
         """What is known of each bus, chain and joint. Never raises; also for a master that has failed."""
         failure = self.failure
-        found = [diagnostics.of_bus(bus, failure) for bus in dict.fromkeys(self.master.buses.values())]
+        now = self.master.now()
+        found = [diagnostics.of_bus(bus, self._loads.of(bus, now), failure) for bus in dict.fromkeys(self.master.buses.values())]
         for chain in self.chains.values():
             found.append(diagnostics.of_chain(chain.chain, chain.state, failure))
             found += [diagnostics.of_joint(device, chain.name, failure) for device in chain.chain.devices]

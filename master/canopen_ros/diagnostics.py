@@ -12,9 +12,11 @@ from canopen_master.motion.chain_view import ChainState
 from canopen_master.motion.device import Device
 from canopen_proto.cia402.states import State, StatusBit
 from canopen_proto.error_codes import error_text
-from canopen_proto.machine import SECOND
+from canopen_proto.machine import SECOND, Time
 from canopen_transports import BusState
 
+LOAD_TIME: Final = SECOND
+"""A load over less says little: a cycle is one burst."""
 _BITS: Final = {
     "voltage enabled": StatusBit.VOLTAGE_ENABLED,
     "warning": StatusBit.WARNING,
@@ -43,9 +45,34 @@ class Diagnostic(NamedTuple):
     values: Mapping[str, str]
 
 
-def of_bus(bus: Bus, failure: Exception | None) -> Diagnostic:
-    """Return what is known of a bus. failure: that of the master, None while it works."""
-    values = {"state": bus.state.value, "frames waiting": str(bus.pending), "SYNC period [ms]": f"{bus.sync_period / 1e6:g}"}
+class Loads:
+    """The load of each bus: its share of bits since the last look, which is at least LOAD_TIME ago."""
+
+    def __init__(self) -> None:
+        self._looks: dict[str, tuple[Time, int]] = {}  # by the name of a bus: when, and the bits until then
+        self._texts: dict[str, str] = {}
+
+    def of(self, bus: Bus, now: Time) -> str:
+        """Return the load of a bus in words."""
+        if bus.bitrate is None:
+            return "unknown: nobody tells the bit rate"
+        begin, bits = self._looks.setdefault(bus.name, (now, bus.bits))
+        if now - begin >= LOAD_TIME:
+            share = (bus.bits - bits) * SECOND / ((now - begin) * bus.bitrate)
+            least = "" if bus.network.hears_all else "at least "  # its transport filters
+            self._texts[bus.name] = f"{least}{share * 100:.0f} %"
+            self._looks[bus.name] = (now, bus.bits)
+        return self._texts.get(bus.name, "not known yet")
+
+
+def of_bus(bus: Bus, load: str, failure: Exception | None) -> Diagnostic:
+    """Return what is known of a bus. load: see Loads. failure: that of the master, None while it works."""
+    values = {
+        "state": bus.state.value,
+        "load": load,
+        "frames waiting": str(bus.pending),
+        "SYNC period [ms]": f"{bus.sync_period / 1e6:g}",
+    }
     if failure is not None:
         return Diagnostic(f"bus: {bus.name}", bus.name, Level.ERROR, _first_line(failure), {**values, "error": str(failure)})
     if bus.network.outage:

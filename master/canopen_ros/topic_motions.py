@@ -99,8 +99,8 @@ class Jogging(_TopicMotion):
             self._jog = jog
             jog.velocity(self._velocities)
             motion = self.chain.motion
-            while motion is not None and not motion.is_over:
-                await motion.news.park()
+            if motion is not None:
+                await motion.over()
 
 
 class Streaming(_TopicMotion):
@@ -151,4 +151,8 @@ class Streaming(_TopicMotion):
                     self._aim(targets)
                 if motion.course.is_at_rest and trio.current_time() - self._given_at > QUIET:
                     break
-                await motion.news.park()
+                with trio.move_on_after(QUIET) as silence:
+                    await motion.news.park()
+                if silence.cancelled_caught and not self.chain.has_sync:
+                    break
+            self.is_over = True  # a position that comes from now on begins another one

@@ -9,6 +9,7 @@ import pytest
 import trio
 
 from canopen_ros.goals import Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.topic_motions import QUIET
 from tests.master.world import virtual_time
 from tests.ros.ros_world import Cell, cell
 
@@ -233,3 +234,45 @@ async def test_a_position_beyond_a_limit_counts_as_the_limit() -> None:
         world.arm.command_positions(["joint1"], [0.5])
         await trio.sleep(5.0)
         assert world.bridge.sample().positions[0] == pytest.approx(0.3, abs=EXACT)
+
+
+@virtual_time
+async def test_velocities_end_when_sync_does() -> None:
+    """The watchdog counts SYNCs: without one it would wait for ever, and the joints would be said to move."""
+    async with cell(sync_interval=10) as world:
+        await world.ask("init")
+        await feed(world, [0.2, -0.1], 0.5)
+        world.bridge.master.sync_stop()
+        await trio.sleep(3.0)
+        assert world.arm.state == "halted"
+        await world.assert_all_stand()
+        await world.ask("recover")
+        await feed(world, [0.2, -0.1], 0.5)
+        assert world.is_moving
+
+
+@virtual_time
+async def test_positions_end_when_sync_does() -> None:
+    async with cell(sync_interval=10) as world:
+        await world.ask("init")
+        world.arm.command_positions(["joint1"], [0.3])
+        await trio.sleep(0.3)
+        assert world.arm.state == "moving"
+        world.bridge.master.sync_stop()
+        await trio.sleep(5.0)
+        assert world.arm.state == "halted"
+        await world.assert_all_stand()
+
+
+@virtual_time
+async def test_a_position_counts_at_any_moment_about_the_end_of_the_one_before() -> None:
+    """Joints that stand are no longer led a while behind their last position; one that comes just then is not lost."""
+    async with cell(sync_interval=10) as world:
+        await world.ask("init")
+        for number in range(12):
+            world.arm.command_positions(["joint1"], [0.0001 * (number % 2)])
+            await trio.sleep(QUIET + 0.005 * number)
+            world.arm.command_positions(["joint1"], [0.01])
+            await trio.sleep(2.0)
+            assert world.bridge.sample().positions[0] == pytest.approx(0.01, abs=EXACT), number
+        assert await reports(world) == []

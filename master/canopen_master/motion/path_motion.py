@@ -250,7 +250,7 @@ class Motion:
     async def wait(self) -> None:
         """Wait until it is over. If the task is cancelled, or a Ctrl-C comes, brake along the path first."""
         try:
-            await self._over()
+            await self.over()
         except BaseException:
             self.brake()
             with trio.CancelScope(shield=True):
@@ -260,10 +260,11 @@ class Motion:
     async def braked(self) -> None:
         """Wait until it is over, after `brake`. It ends in any case, with the chains halted if the joints may still move."""
         with trio.move_on_after(LONGEST_STOP + self._period):
-            await self._over()
+            await self.over()
         self.end(TOO_LONG)
 
-    async def _over(self) -> None:
+    async def over(self) -> None:
+        """Wait until it is over. It ends if no SYNC comes: a motion counts its time in SYNCs."""
         await trio.lowlevel.checkpoint()
         patience = max(WITHOUT_SYNC, SYNCS_LOST * self._period)
         while not self.is_over:
