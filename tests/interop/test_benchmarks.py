@@ -39,6 +39,7 @@ def test_each_goal_names_cases_that_there_are(monkeypatch: pytest.MonkeyPatch) -
     goals, measure, run = (importlib.import_module(name) for name in ("goals", "measure", "run"))
     monkeypatch.setattr(goals.imports, "over_bare", lambda program: 42.0)
     monkeypatch.setattr(goals.chain_cycle, "cycle", lambda joints, cycle_time: 250_000.0)
+    monkeypatch.setattr(run.motions, "tables", lambda rounds: "| what motions cost |")
     results = [measure.Result(case.title, [2.0], [4.6]) for module in run.MODULES for case in module.cases()]
     text = run.report(results, 1, 0.1, with_goals=True)
     rows = [line for line in text.splitlines() if any(goal.work in line for goal in goals.GOALS)]
