@@ -21,8 +21,9 @@ from typing import Final
 
 import trio
 
-from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
+from canopen_master.errors import ChainError, SetPointRefused
 from canopen_master.motion.chain import Chain
+from canopen_master.motion.chain_errors import not_now
 from canopen_master.motion.chain_view import ChainState
 from canopen_proto.cia402.modes import short_name
 from canopen_proto.nmt import NmtState
@@ -197,8 +198,7 @@ class ChainBridge:
         return f'chain {self.name} has no {service}: its mode is {self._mode_word()}. Try: mode = "{mode}" in the machine file'
 
     def _refused(self, what: str, seen: str, step: str) -> ChainError:
-        failed = f"chain {self.name} cannot {what} now"
-        return ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step.format(chain=self.name),))
+        return not_now(self.name, what, seen, step.format(chain=self.name))
 
     def _check_open(self) -> None:
         if self.failure is not None:

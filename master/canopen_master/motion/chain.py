@@ -45,6 +45,7 @@ from canopen_master.motion.chain_errors import (
     chain_halted,
     joint_failed,
     joint_fault,
+    not_now,
     other_cycle,
     raise_first,
     reference_lost,
@@ -311,8 +312,8 @@ class Chain(ChainView, Moving):
         """Raise unless it follows set-points that no motion gives."""
         self.require_following(what)
         if self.motion is not None:
-            failed, seen = f"chain {self.name} cannot {what} now", "it moves along a path, or by a stream of targets"
-            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or cancel it",))
+            seen = "it moves along a path, or by a stream of targets"
+            raise not_now(self.name, what, seen, "wait for its end, or cancel it")
 
     def begin_source(self, source: Source, motion: Motion) -> None:
         """Take the set-points of a motion from now on."""
@@ -375,9 +376,8 @@ class Chain(ChainView, Moving):
     def _require_idle(self, what: str) -> None:
         self._participant.check_open()
         if self._running is not None or self._shut_downs:
-            failed = f"chain {self.name} cannot {what} now"
             seen = f"it is busy: {'shut down' if self._shut_downs or self._running is None else self._running.name}"
-            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=("wait for its end, or halt() it",))
+            raise not_now(self.name, what, seen, "wait for its end, or halt() it")
 
     def _require(self, what: str, *states: ChainState) -> None:
         state = self.state
@@ -393,8 +393,7 @@ class Chain(ChainView, Moving):
             if state is ChainState.READY:
                 self._require_reference(what)
             step = "await chain.initialise()" if state is ChainState.OFF else "await chain.follow()"
-            failed, seen = f"chain {self.name} cannot {what} now", f"it is {state.value}"
-            raise ChainError(CHAIN_NOT_READY, self.name, failed, seen=seen, tries=(step,))
+            raise not_now(self.name, what, f"it is {state.value}", step)
 
     def _require_reference(self, what: str) -> None:
         lost = [device for device in self.devices if device.axis.has_lost_reference]

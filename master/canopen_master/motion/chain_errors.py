@@ -64,6 +64,11 @@ def raise_first(chain: str, operation: str, failures: Sequence[JointFailed | Non
         raise errors[0]
 
 
+def not_now(chain: str, what: str, seen: str, step: str) -> ChainError:
+    """The error for a command that the chain cannot take in its present state. step: the next one."""
+    return ChainError(CHAIN_NOT_READY, chain, f"chain {chain} cannot {what} now", seen=seen, tries=(step,))
+
+
 def other_cycle(chain: str, cycle_time: float, period: Time, others: Sequence[str]) -> ChainError:
     """Return the error for a chain whose cycle is not that of the others: SYNC is one for all. period: of SYNC, in ns."""
     failed = f"chain {chain} cannot run with a cycle of {cycle_time:g} s"
