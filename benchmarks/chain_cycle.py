@@ -36,7 +36,7 @@ WARM_UP = 0.2  # seconds of the path before the recording takes over: each joint
 
 
 class Task(enum.Enum):
-    """What gives the set-points: the user's loop; a path, whose clock runs in the pump; the same while the chain is recorded."""
+    """Source of the set-points: the user's loop; a path, whose clock runs in the pump; the same while the chain is recorded."""
 
     LOOP = enum.auto()
     PATH = enum.auto()

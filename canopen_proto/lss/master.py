@@ -122,7 +122,7 @@ class LssMaster(Machine):
     # ---- commands without an answer ----
 
     def switch_global(self, state: LssState, now: Time) -> None:
-        """Send all slaves into a state. What waits for answers keeps waiting."""
+        """Send all slaves into a state. A command that waits for answers keeps waiting."""
         self._send(message(LssService.SWITCH_GLOBAL, bytes((state,))))
 
     def activate_bit_timing(self, delay: Time, now: Time) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Finding(NamedTuple):
-    """What is wrong. rule: one of RULES (observer.py). node_id: of the device that it concerns; 0 for none. text: for people."""
+    """A fault. rule: one of RULES (observer.py). node_id: of the device that it concerns; 0 for none. text: for people."""
 
     rule: str
     node_id: int

@@ -35,7 +35,7 @@ _TURNS: Final = 3
 
 
 class _View:
-    """What is known of one node. state: None if it is not known. since: when it got there at the latest."""
+    """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
     __slots__ = ("deadline", "is_told", "limit", "since", "state", "turns")
 

@@ -52,7 +52,7 @@ _BLOCK_SIZE_BIT: Final = 0x02
 
 
 class _Phase(enum.Enum):
-    """What the channel waits for."""
+    """The step of a transfer for which the channel waits."""
 
     UNKNOWN = enum.auto()  # nothing was heard yet that begins a transfer
     IDLE = enum.auto()

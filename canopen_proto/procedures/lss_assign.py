@@ -8,7 +8,7 @@
 
 `give` never writes to a device that it is not sure of. All slaves are sent to "waiting", one is selected by its address, and the
 selected one is asked for its identity and node-ID: there has to be exactly one, with that address, and without a node-ID. Each
-step that is not answered is repeated: all of them may be done twice. What remains unanswered stands in `Given`.
+step that is not answered is repeated: all of them may be done twice. `Given` names a step that remains unanswered.
 
 An interrupted assignment is simply begun again. A device that has its node-ID no longer takes part; one that has got it, and has
 not left "configuration", boots at the first "waiting".

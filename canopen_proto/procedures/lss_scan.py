@@ -195,7 +195,7 @@ class Survey:
 
 
 class _Unclear(Exception):
-    """What was found is not what is selected: begin the survey again."""
+    """Another device is selected than the one that was found: begin the survey again."""
 
 
 def survey(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, limit: int = MAX_NODE_ID) -> Procedure[Survey]:
@@ -243,9 +243,9 @@ def _survey_once(tool: LssTool, pace: Pace, known: Known, limit: int) -> Procedu
 def fastscan(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, *, first: bool = True) -> Procedure[LssAddress | None]:
     """Find the lowest address among the devices without a node-ID, and select that device; None if there is none.
 
-    known: numbers that the address has. first: no slave is selected yet; slaves in "configuration" do not take part. What it
-    returns has to be checked (`identity_of_selected`): a late answer may have been the last one. Raises LssError if nothing
-    sensible comes.
+    known: numbers that the address has. first: no slave is selected yet; slaves in "configuration" do not take part. The
+    caller has to check the result (`identity_of_selected`): a late answer may have been the last one. Raises LssError if
+    nothing sensible comes.
     """
     last = absent = 0
     for _ in range(ATTEMPTS):

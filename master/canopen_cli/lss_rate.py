@@ -53,7 +53,7 @@ class Rate(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 @dataclass
 class Change:
-    """What is to be done. rates: kbit/s. locators: of our bus before and after. command: switches our interface, "" for none."""
+    """The order. rates: kbit/s. locators: of our bus before and after. command: switches our interface, "" for none."""
 
     old: int
     new: int

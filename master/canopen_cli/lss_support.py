@@ -1,4 +1,4 @@
-"""What the commands of `canopen lss` share: the tool on the bus, addresses as they are typed, progress."""
+"""Shared by the commands of `canopen lss`: the tool on the bus, addresses as they are typed, progress."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What limits the joints of a machine file, and where each limit comes from, as far as the file tells."""
+"""The limits of the joints of a machine file, and where each of them comes from, as far as the file tells."""
 
 from __future__ import annotations
 

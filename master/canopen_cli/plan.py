@@ -188,8 +188,8 @@ def _of_plans(
     *,
     lean: bool,
 ) -> tuple[Counted, list[str]]:
-    """Return what a node exchanges by the plans of its axes, and the TPDOs that they switch off. What its file has, if no mode
-    fits: its chain says so."""
+    """Return what a node exchanges by the plans of its axes, and the TPDOs that they switch off. If no mode fits,
+    these are the PDOs of its file, and its chain says so."""
     try:
         plans = [
             plan_motion(dictionary, node_id, cycle, wish=chain.settings.mode, axis=joint.axis, lean=lean) for chain, joint in axes

@@ -38,7 +38,7 @@ BESIDE: Final = Background(emcy=0)
 
 
 class Counted(NamedTuple):
-    """What a device exchanges. left_out: its PDOs that are not counted, and why, for people."""
+    """The PDOs of a device, as a plan counts them. left_out: its PDOs that are not counted, and why, for people."""
 
     exchange: Exchange
     left_out: tuple[str, ...] = ()

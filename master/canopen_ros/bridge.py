@@ -104,7 +104,7 @@ class Bridge:
         return Samples(self)
 
     def diagnostics(self) -> list[Diagnostic]:
-        """What is known of each bus, chain and joint. Never raises; also for a master that has failed."""
+        """Each bus, chain and joint, as far as it is known. Never raises; also for a master that has failed."""
         failure = self.failure
         now = self.master.now()
         found = [diagnostics.of_bus(bus, self._loads.of(bus, now), failure) for bus in dict.fromkeys(self.master.buses.values())]

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 
 class Kind(Enum):
-    """What a name stands for."""
+    """The kind of thing that has a name."""
 
     SERVICE = "service"
     SUBSCRIBED = "subscribed topic"

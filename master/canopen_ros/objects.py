@@ -22,7 +22,7 @@ _SUB: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{4})(?:sub|:)([0-9A-Fa-f]{1,2})!?"
 _COMMANDING: Final = (
     objects.CONTROLWORD, objects.MODES_OF_OPERATION, *SET_POINT_OF.values(),
 )  # fmt: skip
-"""What moves a drive, or changes how it moves."""
+"""Objects that move a drive, or change how it moves."""
 
 
 async def get_object(master: Master, node: str, key: str, cached: bool) -> Reply:

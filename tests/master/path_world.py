@@ -32,7 +32,7 @@ OPTIONS = {0x605D_00: 1}
 
 
 class Record:
-    """What the drives did: their positions (demanded) at each SYNC, in units of so many counts; a column for each joint.
+    """The motion of the drives: their positions (demanded) at each SYNC, in units of so many counts; a column for each joint.
 
     times: of the SYNCs.
     """

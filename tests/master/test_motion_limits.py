@@ -30,7 +30,7 @@ COUNTS = 1e7
 FARTHEST = 0.8
 """The position limits, on both sides."""
 ROUNDING = (2e-7, 1e-7 / CYCLE, 4e-7 / CYCLE**2, 8e-7 / CYCLE**3)
-"""What positions in whole counts add to a position and its differences, at most."""
+"""The most that positions in whole counts add to a position and its differences."""
 
 Command: TypeAlias = tuple[str, list[float], float]
 """The command; a value for each joint, -1 to 1, from which its numbers are made; the seconds until the next command."""

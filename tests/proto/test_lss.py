@@ -52,7 +52,7 @@ def ask(device: LssSlave, *requests: str) -> str:
 SELECTION = ("4060030000", "4102000000", "4203000000", "4304000000")
 RANGE = ("4660030000", "4702000000", "4800000000", "49FFFFFFFF", "4A00000000", "4BFFFFFFFF")
 
-# What an unconfigured slave answers to a request in a state that takes it; None: nothing.
+# The answer of an unconfigured slave to a request in a state that takes it; None: nothing.
 TAKEN = {
     LssService.SWITCH_GLOBAL: ("0401", None),
     LssService.SELECT_VENDOR: (SELECTION[0], None),

@@ -1,4 +1,4 @@
-"""What is wrong on a bus: each rule of the observer, on a session in which it is planted, and on one like it that is right."""
+"""Faults on a bus: each rule of the observer, on a session in which it is planted, and on one like it that is right."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ async def feed(world: Cell, velocities: list[float], seconds: float, period: flo
 
 
 async def reports(world: Cell) -> list[str]:
-    """What was reported so far."""
+    """The reports so far."""
     found: list[str] = []
     with trio.move_on_after(0.001):
         async for report in world.bridge.reports():

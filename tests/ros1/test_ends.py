@@ -1,4 +1,4 @@
-"""What the drives do when the node, its master, or its computer ends: seen by the drives themselves, which the test serves."""
+"""The drives when the node, its master, or its computer ends: seen by the drives themselves, which the test serves."""
 
 from __future__ import annotations
 

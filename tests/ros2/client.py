@@ -153,7 +153,7 @@ class NodeProcess:
             )
 
     def output(self) -> str:
-        """What it printed so far."""
+        """Its output so far."""
         return self._output.read_text(encoding="utf-8", errors="replace")
 
     def interrupt(self) -> None:

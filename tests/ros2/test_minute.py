@@ -47,7 +47,7 @@ class State(NamedTuple):
 
 
 class Count(NamedTuple):
-    """What the diagnostics tell of the chain, and when they were published, in ns."""
+    """The counts of the chain in the diagnostics, and when they were published, in ns."""
 
     published: int
     state: str

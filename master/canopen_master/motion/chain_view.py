@@ -51,7 +51,7 @@ class ChainView:
 
     @property
     def state(self) -> ChainState:
-        """Which commands it takes."""
+        """The state of a chain decides which commands it takes."""
         return self._state
 
     @state.setter

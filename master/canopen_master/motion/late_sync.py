@@ -13,8 +13,8 @@ A drive that was told to go at the speed v is somewhere on the way that it makes
 that waits is within one period's way at the joint's speed limit from all of it, SYNC may be sent. Else the master has to ask the
 drive where it is, and make that its set-point, before (`must_look`, `stand_at`).
 
-What a joint is off its set-points then, it comes back by RETURN of its speed, while they go on. On its way it is not sent beyond
-its position limits; a joint that has left them is not sent any further.
+A joint that is off its set-points then comes back to them by RETURN of its speed, while they go on. On its way it is not sent
+beyond its position limits; a joint that has left them is not sent any further.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ _STATE_NAMES: Final = {0: "unknown", 1: "not ready to switch on", 6: "quick stop
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """What the user adds to the files. locator: of the bus, "" for that of the files. chain: its name, "" likewise.
+    """The user's additions to the files. locator: of the bus, "" for that of the files. chain: its name, "" likewise.
 
     packages: folders of ROS packages by name. linear: joints that are slides: their positions are in metres there.
     """

@@ -1,4 +1,4 @@
-"""What became of each key of a configuration."""
+"""The report of a configuration: the fate of each of its keys."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from canopen_ros.configurations.yaml_text import Value
 
 
 class Outcome(StrEnum):
-    """What became of a key."""
+    """The fate of a key."""
 
     TAKEN = "taken"
     """It is in the machine file, or in a file beside it."""
@@ -47,7 +47,7 @@ class Report:
         self._tell(Outcome.NOT_NEEDED, value, text)
 
     def left_out(self, value: Value, text: str) -> None:
-        """What the key did is lost, for this reason."""
+        """The effect of the key is lost, for this reason."""
         self._tell(Outcome.LEFT_OUT, value, text)
 
     def assumed(self, key: str, text: str) -> None:

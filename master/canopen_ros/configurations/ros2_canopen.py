@@ -26,7 +26,7 @@ SCALES: Final = {
     "scale_pos_to_dev": "1000", "scale_pos_from_dev": "0.001", "scale_vel_to_dev": "1000", "scale_vel_from_dev": "0.001",
     "offset_pos_to_dev": "0", "offset_pos_from_dev": "0",
 }  # fmt: skip
-"""What counts where a drive has no scale."""
+"""The scale of a drive that names none."""
 BUS_CONFIG_PATH: Final = "@BUS_CONFIG_PATH@"
 _TOP: Final = ("options", "master", "defaults", "nodes", "joint_limits")
 _BOOT: Final = "the master starts each node that it uses, and drives only when a chain is initialised"

@@ -26,7 +26,7 @@ DEFAULTS: Final = {
     "vel_to_device": "rint(rad2deg(vel)*1000)",
     "vel_from_device": "deg2rad(obj606C)/1000",
 }
-"""What counts where a configuration has no conversion: millidegrees, as Schunk's arms have them."""
+"""The unit of a configuration without a conversion: millidegrees, as Schunk's arms have them."""
 _VARIABLES: Final = {"pos_to_device": "pos", "vel_to_device": "vel"}
 _OBJECTS: Final = {"pos_from_device": index_of(POSITION_ACTUAL_VALUE), "vel_from_device": index_of(VELOCITY_ACTUAL_VALUE)}
 _OBJECT: Final = re.compile(r"obj([0-9A-Fa-f]{4})(?:sub0*)?")

@@ -33,7 +33,7 @@ class Keys(NamedTuple):
 
 
 class Contradiction(ValueError):
-    """What goes to the drive and what comes from it cannot both be right. The text is the reason."""
+    """The scale to the drive and the scale from it contradict each other. The text is the reason."""
 
 
 def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> Keys:

@@ -1,4 +1,4 @@
-"""What the node uses of rospy and actionlib, which have no types of their own, as Protocols.
+"""The parts of rospy and actionlib that the node uses, as Protocols: they have no types of their own.
 
 Nothing here imports ROS, so that the types are checked on every machine.
 """
