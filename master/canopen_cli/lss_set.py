@@ -143,16 +143,21 @@ def assign(
     screen = settings.screen()
     if (node_ids is None) == (table is None):
         raise usage("CO123", "node-IDs in order, or by a table: one of the two", tries=("--ids 10-20", "--table nodes.csv"))
-    choose = in_order(node_ids) if node_ids is not None else by_table(read_table(table))
+    rows = read_table(table) if table is not None else ()
+    choose = by_table(rows) if node_ids is None else in_order(node_ids)
     known = (vendor, product, revision, serial)
     questions = Questions(screen, agrees=yes)
 
-    async def give_all() -> Assignment:
+    async def give_all() -> tuple[Assignment, list[int]]:
         async with open_lss(settings, screen, window) as lss:
             screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
-            return await _assign(lss, screen, questions, choose, known, store=not no_store)
+            assignment = await _assign(lss, screen, questions, choose, known, store=not no_store)
+            given = {each.node_id for each in assignment.done}
+            wanted = [node_id for _, node_id in rows if node_id not in given]
+            there = await lss.run(nodes_there(lss.tool, wanted)) if wanted else set()
+            return assignment, [node_id for node_id in wanted if node_id not in there]
 
-    result = run(settings, screen, give_all)
+    result, absent = run(settings, screen, give_all)
     for address, why in result.left.items():
         screen.say(f"[yellow]{escape(address_text(address))} is left alone: {escape(why)}[/]")
     if result.remark:
@@ -160,6 +165,17 @@ def assign(
     _show(settings, screen, result.done)
     if NOBODY_AGREED in result.left.values():
         raise Problem(ExitCode.INTERRUPTED, "CO132", f"by you: {counted(len(result.done), 'node-ID')} written")
+    if absent:
+        failed = f"no device has node-ID {', '.join(map(str, absent))} of {table}"
+        step = "look whether these devices are on, and whether their rows have the right numbers"
+        raise Problem(ExitCode.PARTIAL, "CO212", failed, tries=(step, "canopen lss scan"))
+    if result.left:
+        raise Problem(
+            ExitCode.PARTIAL,
+            "CO212",
+            f"{counted(len(result.left), 'device')} left without a node-ID",
+            tries=("more --ids, or rows",),
+        )
 
 
 async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice, known: Known, *, store: bool) -> Assignment:

@@ -46,6 +46,16 @@ def test_assign_by_a_table_leaves_strangers_alone(run: Run, tmp_path: Path) -> N
     assert "  12  0x332:0x43:0x10000:0x2  yes" in outcome.out
     assert "0x332:0x43:0x10000:0x1 is left alone" in outcome.err
     assert "1 device ready" in outcome.err
+    assert (outcome.status, "1 device left without a node-ID" in outcome.err) == (ExitCode.PARTIAL, True)
+
+
+def test_assign_says_which_rows_of_a_table_nobody_has(run: Run, tmp_path: Path) -> None:
+    """Node 3 is one of the demo's; it was given its node-ID before."""
+    table = tmp_path / "nodes.csv"
+    table.write_text("node_id, vendor, serial\n3, 0x332, 1\n12, 0x332, 77\n13, 0x332, 78\n")
+    outcome = run("lss", "assign", "--table", str(table), "--yes", *DRIVE, *QUICK)
+    assert outcome.status == ExitCode.PARTIAL
+    assert "no device has node-ID 12, 13 of" in outcome.err
 
 
 @pytest.mark.usefixtures("without_ids")
