@@ -11,10 +11,10 @@ standards but LSS.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final
 
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.error_codes import error_text, register_names
 from canopen_proto.frame import (
     EMCY,
@@ -36,8 +36,9 @@ from canopen_proto.frame import (
 )
 from canopen_proto.lss import messages as lss
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.observer.meaning import Meaning, Shown, bytes_text, shown_value
 from canopen_proto.observer.pdo import OverheardPdo, OverheardPdos
-from canopen_proto.observer.sdo import OverheardChannel, Settled, bytes_text, shown_value
+from canopen_proto.observer.sdo import OverheardChannel, Settled
 from canopen_proto.pdo.mapping import MappedEntry
 from canopen_proto.time_stamp import time_of
 
@@ -52,14 +53,6 @@ _NMT_WORDS: Final = {
 }
 _BOOT_UP: Final = b"\0"
 _TOGGLE: Final = 0x80
-
-
-class Meaning(NamedTuple):
-    """A frame in words. service: "NMT", "SDO" and the like. node_id: its sender or receiver; 0 for all nodes, or for no node."""
-
-    service: str
-    node_id: int
-    text: str
 
 
 class Decoder:
@@ -103,9 +96,10 @@ class Decoder:
             if function == EMCY:
                 return Meaning("EMCY", node_id, _emergency_text(data))
             if function == SDO_CLIENT_TO_SERVER:
-                return Meaning("SDO", node_id, self._channel(node_id).client(data))
+                channel = self._channel(node_id)
+                return _of_sdo(node_id, channel.client(data), channel.shown)
             if function == SDO_SERVER_TO_CLIENT:
-                return Meaning("SDO", node_id, self._answer(node_id, data))
+                return self._answer(node_id, data)
             if function == ERROR_CONTROL:
                 if data == _BOOT_UP:
                     self._pdos.booted(node_id)
@@ -114,17 +108,17 @@ class Decoder:
                 return Meaning(_pdo_name(function), node_id, bytes_text(data))
         return Meaning("?", 0, bytes_text(data))
 
-    def _answer(self, node_id: int, data: bytes) -> str:
+    def _answer(self, node_id: int, data: bytes) -> Meaning:
         channel = self._channel(node_id)
         text = channel.server(data)
         if channel.settled is not None:
             self.settled = node_id, channel.settled
             self._pdos.settle(node_id, *channel.settled.place, channel.settled.data)
-        return text
+        return _of_sdo(node_id, text, channel.shown)
 
     def _channel(self, node_id: int) -> OverheardChannel:
         if node_id not in self._channels:
-            self._channels[node_id] = OverheardChannel(self._dictionaries[node_id])
+            self._channels[node_id] = OverheardChannel(self._dictionaries[node_id], node_id)
         return self._channels[node_id]
 
 
@@ -132,6 +126,10 @@ def _pdo_name(function: int) -> str:
     """Return the name of the PDO with a function code: TPDO1 is 3, RPDO1 4, TPDO2 5 ..."""
     number = (function >> 7) - (TPDO1 >> 7)
     return f"{'RPDO' if number % 2 else 'TPDO'} {number // 2 + 1}"
+
+
+def _of_sdo(node_id: int, text: str, shown: Shown | None) -> Meaning:
+    return Meaning("SDO", node_id, text, () if shown is None else (shown,))
 
 
 def _of_pdo(pdo: OverheardPdo, dictionary: ObjectDictionary, frame: Frame) -> Meaning:
@@ -143,15 +141,28 @@ def _of_pdo(pdo: OverheardPdo, dictionary: ObjectDictionary, frame: Frame) -> Me
     except ValueRangeError as error:
         why = f"shorter than its mapping of {mapping.byte_length} bytes" if size < mapping.byte_length else str(error)
         return Meaning(pdo.name, pdo.node_id, f"{why}: {frame.data.hex(' ') or 'no data'}")
+    is_held = pdo.direction is Direction.TPDO
+    objects = tuple(
+        Shown(
+            pdo.node_id,
+            entry.index,
+            entry.subindex,
+            entry.name,
+            value,
+            shown_value(dictionary, entry.index, entry.subindex, value),
+            is_held,
+        )
+        for entry, value in zip(mapping.components, values, strict=True)
+    )
     texts = [
-        f"{_name_of(entry, label)} = {shown_value(dictionary, entry.index, entry.subindex, value)}"
-        for entry, label, value in zip(mapping.components, mapping.labels, values, strict=True)
+        f"{_name_of(entry, label)} = {shown.text}"
+        for entry, label, shown in zip(mapping.components, mapping.labels, objects, strict=True)
     ]
     if size > mapping.byte_length:
         texts.append(
             f"longer than its mapping of {mapping.byte_length} bytes: {frame.data[mapping.byte_length :].hex(' ')} left over"
         )
-    return Meaning(pdo.name, pdo.node_id, ", ".join(texts))
+    return Meaning(pdo.name, pdo.node_id, ", ".join(texts), objects)
 
 
 def _name_of(entry: MappedEntry, label: str) -> str:

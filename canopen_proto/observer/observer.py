@@ -32,8 +32,9 @@ from canopen_proto.frame import (
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.indices import CONSUMER_HEARTBEAT_TIME
 from canopen_proto.machine import NEVER, SECOND, Time
-from canopen_proto.observer.decoding import Decoder, Meaning
+from canopen_proto.observer.decoding import Decoder
 from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.meaning import Meaning
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
 from canopen_proto.observer.sdo_rules import SdoRules
 

@@ -13,12 +13,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from canopen_proto.abort import text_of
-from canopen_proto.cia402.modes import describe_command
-from canopen_proto.cia402.names import names_in_mode
-from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.multiplexer import mux
+from canopen_proto.observer.meaning import Shown, object_text, shown_of, value_text
 from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, END_RESPONSE, FINAL, KIND, MAX_BLOCK_SIZE, SEQUENCE, START_UPLOAD
 from canopen_proto.sdo.codec import (
     ABORT,
@@ -39,10 +35,6 @@ from canopen_proto.sdo.codec import (
 
 MAX_KEPT: Final = 1 << 16
 """The most bytes of a value that are kept: a longer one is firmware or the like, and its length is enough."""
-MAX_SHOWN: Final = 32
-"""The most bytes of a value that are shown."""
-
-_NUMBERS: Final = (1, 2, 4, 8)
 
 
 class Settled(NamedTuple):
@@ -55,11 +47,14 @@ class Settled(NamedTuple):
 class OverheardChannel:
     """The transfers between one client and one server. dictionary: of the server's device, for names and types; may be empty.
 
-    settled: the value that the device holds, as the last frame has shown, or None.
+    Of the last frame: settled: the value that it shows the device to hold, or None. shown: its object, or None if that is not
+    known.
     """
 
-    def __init__(self, dictionary: ObjectDictionary) -> None:
+    def __init__(self, dictionary: ObjectDictionary, node_id: int = 0) -> None:
         self.settled: Settled | None = None
+        self._node_id = node_id
+        self._shows: bytes | None = None
         self._dictionary = dictionary
         self._is_upload: bool
         self._verb: str
@@ -70,14 +65,23 @@ class OverheardChannel:
         self._is_whole: bool
         self._in_block: bool
         self._was_last: bool
+        self._was_abort: bool
         self._block_size: int
         self._segments: list[bytes]  # of this block, without a gap
         self._sent: int  # the number of the last segment
         self._end()
 
+    @property
+    def shown(self) -> Shown | None:
+        """See this class's text."""
+        if not self._object and not self._was_abort:
+            return None
+        return shown_of(self._dictionary, self._node_id, *self._place, self._shows, is_held=self.settled is not None)
+
     def client(self, data: bytes) -> str:
         """Return a frame of the client in words."""
-        self.settled = None
+        self.settled = self._shows = None
+        self._was_abort = False
         if self._in_block and not self._is_upload:
             return self._block_segment(data)
         frame = complete(data, LEAST_REQUEST)
@@ -102,7 +106,8 @@ class OverheardChannel:
 
     def server(self, data: bytes) -> str:
         """Return a frame of the server in words."""
-        self.settled = None
+        self.settled = self._shows = None
+        self._was_abort = False
         if self._in_block and self._is_upload:
             return self._block_segment(data)
         frame = complete(data, LEAST_RESPONSE)
@@ -223,7 +228,7 @@ class OverheardChannel:
         self._data = bytearray()
         self._length = 0
         self._is_whole = False
-        self._in_block = self._was_last = False
+        self._in_block = self._was_last = self._was_abort = False
         self._block_size = MAX_BLOCK_SIZE
         self._segments = []
         self._sent = 0
@@ -246,7 +251,8 @@ class OverheardChannel:
 
     def _settle(self) -> None:
         if self._length == len(self._data):
-            self.settled = Settled(self._place, bytes(self._data))
+            self._shows = bytes(self._data)
+            self.settled = Settled(self._place, self._shows)
 
     def _value(self) -> str:
         self._is_whole = True
@@ -254,11 +260,13 @@ class OverheardChannel:
             self._settle()
         if self._length > len(self._data):
             return f"{self._verb} {self._object}: {self._length} bytes"
-        return f"{self._verb} {self._object} = {value_text(self._dictionary, *self._place, bytes(self._data))}"
+        self._shows = bytes(self._data)
+        return f"{self._verb} {self._object} = {value_text(self._dictionary, *self._place, self._shows)}"
 
     def _aborted(self, frame: bytes, who: str) -> str:
-        place = self._named(frame)
         self._end()
+        self._place, self._was_abort = (frame[1] | frame[2] << 8, frame[3]), True
+        place = self._named(frame)
         code = int.from_bytes(frame[4:8], "little")
         text = text_of(code)
         return f"aborted by {who}, {place}: {text}" + ("" if "(0x" in text else f" (0x{code:08X})")
@@ -266,50 +274,6 @@ class OverheardChannel:
     @staticmethod
     def _announced(frame: bytes, bit: int) -> str:
         return f", {int.from_bytes(frame[4:8], 'little')} bytes" if frame[0] & bit else ""
-
-
-def object_text(dictionary: ObjectDictionary, index: int, subindex: int) -> str:
-    """Return an object in words: "6041:00 statusword"."""
-    variable = dictionary.get(index, subindex)
-    return f"{index:04X}:{subindex:02X}" + (f" {variable.name}" if variable is not None else "")
-
-
-def value_text(dictionary: ObjectDictionary, index: int, subindex: int, data: bytes) -> str:
-    """Return a value in words, by its type and with its names; without a type as a number, or as bytes."""
-    variable = dictionary.get(index, subindex)
-    if variable is not None and variable.data_type not in (DataType.DOMAIN, DataType.OCTET_STRING):
-        try:
-            value = decode(data, variable.data_type)
-        except ValueRangeError:
-            return f"{bytes_text(data)} (not of its type, {variable.data_type.name})"
-        return shown_value(dictionary, index, subindex, value)
-    if len(data) in _NUMBERS:
-        return f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
-    return bytes_text(data)
-
-
-def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: Value) -> str:
-    """Return a value with its names. Large numbers are hexadecimal too: this shows the parts of a COB-ID."""
-    if isinstance(value, bytes):
-        return bytes_text(value)
-    variable = dictionary.get(index, subindex)
-    notes = [] if variable is None else list(dictionary.names_of(variable, value))
-    if mux(index, subindex) == STATUSWORD:
-        notes = list(names_in_mode(notes, None))
-    elif mux(index, subindex) == CONTROLWORD and isinstance(value, int) and (not notes or not value):
-        notes = list(describe_command(value))  # the manual's name of 0 is the first half of a fault reset
-    if isinstance(value, int) and value > 0xFF:
-        notes.insert(0, f"0x{value:X}")
-    return (repr(value) if isinstance(value, str) else str(value)) + (f" ({', '.join(notes)})" if notes else "")
-
-
-def bytes_text(data: bytes) -> str:
-    """Return bytes as text if they are text, else in hexadecimal; at most MAX_SHOWN of them."""
-    if data and all(0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")) and data.rstrip(b"\0"):
-        text = repr(data[:MAX_SHOWN].rstrip(b"\0").decode("ascii"))
-    else:
-        text = data[:MAX_SHOWN].hex(" ") or "nothing"
-    return text if len(data) <= MAX_SHOWN else f"{text} ... ({len(data)} bytes)"
 
 
 def _lone(frame: bytes) -> str:

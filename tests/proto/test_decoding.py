@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +13,8 @@ from canopen_proto.dictionary import Constant, Direction, Filler, ObjectDictiona
 from canopen_proto.dictionary.objects import Object, ObjectType
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.observer.decoding import Decoder
-from canopen_proto.observer.sdo import MAX_KEPT, OverheardChannel, bytes_text
+from canopen_proto.observer.meaning import Shown, bytes_text
+from canopen_proto.observer.sdo import MAX_KEPT, OverheardChannel
 from tests.examples import examples
 from tests.interop.recorded import FOLDER, needs_recordings
 
@@ -149,6 +152,36 @@ def test_names_that_repeat_are_told_with_their_place() -> None:
         [Object(0x6401, "inputs", ObjectType.ARRAY, inputs), obj(0x1800, (U8, 2), (U32, 0x185)), entries]
     )
     assert Decoder(lambda node_id: dictionary).decode(Frame.parse("185#0102")).text == "6401:01 input = 1, 6401:02 input = 2"
+
+
+def shown(*frames: str) -> list[tuple[Shown, ...]]:
+    decoder = Decoder(lambda node_id: DICTIONARY if node_id == 5 else None)
+    return [decoder.decode(Frame.parse(frame)).objects for frame in frames]
+
+
+def test_the_objects_of_a_pdo_have_names_and_values() -> None:
+    statusword = Shown(5, 0x6041, 0, "statusword", 0x6F, "111 (ready)", True)
+    position = Shown(5, 0x6064, 0, "position", -2, "-2", True)
+    assert shown("185#6F00FEFFFFFF", "205#6F00", "185#6F", "185#R") == [
+        (statusword, position),
+        (replace(statusword, is_held=False),),  # the master's; it is not sure that the node takes it
+        (),
+        (),
+    ]
+
+
+def test_the_object_of_an_sdo_transfer_has_a_value_where_a_frame_shows_it() -> None:
+    asked = Shown(5, 0x6041, 0, "statusword", None, "", False)
+    read = Shown(5, 0x6041, 0, "statusword", 0x6F, "111 (ready)", True)
+    assert shown("605#4041600000000000", "585#4B4160006F000000") == [(asked,), (read,)]
+    position = Shown(5, 0x6064, 0, "position", 7, "7", True)
+    assert shown("605#2364600007000000", "585#6064600000000000") == [(replace(position, is_held=False),), (position,)]
+    refused = [(replace(position, is_held=False),), (Shown(5, 0x6064, 0, "position", None, "", False),)]
+    assert shown("605#2364600007000000", "585#8064600000000008") == refused
+    unknown = Shown(5, 0x3000, 1, "", b"\1\2", "0x0201", False)
+    strange = Shown(5, 0x6041, 0, "statusword", b"\1", "01 (not of its type, UNSIGNED16)", False)
+    assert shown("605#2B00300101020000", "605#2F41600001000000") == [(unknown,), (strange,)]
+    assert shown("605#6000000000000000", "705#05", "605#") == [(), (), ()]
 
 
 def sdo(*frames: str) -> list[str]:
