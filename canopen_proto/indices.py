@@ -3,7 +3,7 @@
 CiA 402's objects are in cia402/objects.py. dictionary/standard.py describes all of them: type, access, subindices. Use
 them as `indices.GUARD_TIME`; `mux(indices.GUARD_TIME)` is the key of `Values.store`.
 
-Sources: CiA 301 v4.2.0, 7.5.2; from 0x1F22 on CiA 302.
+Sources: CiA 301 v4.2.0, 7.5.2; from 0x1F20 on CiA 302.
 """
 
 from __future__ import annotations
@@ -65,9 +65,22 @@ TPDO_MAPPINGS: Final = range(0x1A00, 0x1C00)
 PDO_RECORDS: Final = range(0x1400, 0x1C00)
 """The four before: all communication and mapping parameters."""
 
+STORE_DCF: Final = 0x1F20
 CONCISE_DCF: Final = 0x1F22
+CONFIGURATION_DATE: Final = 0x1F26
+CONFIGURATION_TIME: Final = 0x1F27
 PROGRAM_DATA: Final = 0x1F50
 PROGRAM_CONTROL: Final = 0x1F51
+EXPECTED_SOFTWARE: Final = 0x1F55
+PROGRAM_SOFTWARE: Final = 0x1F56
 NMT_STARTUP: Final = 0x1F80
+SLAVE_ASSIGNMENT: Final = 0x1F81
 REQUEST_NMT: Final = 0x1F82
 REQUEST_GUARDING: Final = 0x1F83
+DEVICE_TYPE_IDENTIFICATION: Final = 0x1F84
+VENDOR_IDENTIFICATION: Final = 0x1F85
+PRODUCT_CODE: Final = 0x1F86
+REVISION_NUMBER: Final = 0x1F87
+SERIAL_NUMBER: Final = 0x1F88
+BOOT_TIME: Final = 0x1F89
+RESTORE_CONFIGURATION: Final = 0x1F8A

@@ -74,6 +74,7 @@ class RemoteNode(Group):
         "_sync_listeners",
         "_wanted",
         "_writes",
+        "boots",
         "commanded",
         "dictionary",
         "emcy",
@@ -109,6 +110,7 @@ class RemoteNode(Group):
         self.values = Values(dictionary, node_id)
         self.heard_at: dict[Mux, Time] = {}
         self.nmt_state: NmtState | None = None
+        self.boots = 0  # how often its boot-up was heard
         self.last_sync: Time | None = None
         self._commanded_at: Time = -NEVER
         self.sdo = SdoClient(self.inner, node_id, timeout=sdo_timeout)
@@ -440,6 +442,7 @@ class RemoteNode(Group):
             self.rpdos[number].set_enabled(self.is_operational, now)
 
     def _on_boot(self, report: NodeBooted, now: Time) -> None:
+        self.boots += 1
         self.held.on_boot(now)
         self._enter(NmtState.PRE_OPERATIONAL, now)
         self._wanted.clear()

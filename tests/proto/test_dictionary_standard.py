@@ -142,7 +142,7 @@ def test_the_indices_are_called_as_the_standard_calls_them() -> None:
     named = {
         name: index
         for name, index in vars(indices).items()
-        if name.isupper() and isinstance(index, int) and index < indices.CONCISE_DCF
+        if name.isupper() and isinstance(index, int) and index < indices.STORE_DCF
     }
     assert len(named) > 30
     assert {name.lower(): index for name, index in named.items()} == {standard_object(each).name: each for each in named.values()}
