@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+from canopen_proto.machine import MICROSECOND, MILLISECOND, Time
+
+INHIBIT_UNIT: Final = 100 * MICROSECOND
+"""The unit of inhibit times: of PDOs, and of emergencies (0x1015)."""
 
 
 class Finding(NamedTuple):
@@ -11,3 +16,8 @@ class Finding(NamedTuple):
     rule: str
     node_id: int
     text: str
+
+
+def ms_text(time: Time) -> str:
+    """Return a duration for people: "9.5 ms"."""
+    return f"{time / MILLISECOND:.3g} ms"

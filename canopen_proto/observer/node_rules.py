@@ -5,7 +5,11 @@ had the time to obey; a node that does not obey shows it by its next heartbeat. 
 may start by itself (0x1F80, CiA 302-2).
 
 Two nodes with one ID: their heartbeats tell two states in turn. A state that changes, back, and again, without an NMT command or
-a boot-up, is that; a single change is a device that changes its state by itself (CiA 301 v4.2.0, 7.3.2.2).
+a boot-up, is that; a single change is a device that changes its state by itself (CiA 301 v4.2.0, 7.3.2.2). Or heartbeats with
+one state come in less than half of the producer time (0x1017), again and again, once the recording has shown that time.
+
+Two masters are not seen by NMT commands: CAN does not tell who has sent them. A node that is operational behind its boot-up
+without a command is no fault: it may start by itself (CiA 301 v4.2.0, 7.3.2.2.1; 0x1F80).
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from typing import Final
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.finding import Finding, ms_text
 
 OBEYING: Final = 100 * MILLISECOND
 """Time for a node to obey an NMT command: what it has in its queues still goes out, and a slow node takes its time."""
@@ -30,14 +34,21 @@ _AFTER: Final[dict[int, int]] = {
     NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
 }
 """The state behind a command; behind a reset it is not known until the node says it."""
+_COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
+_STATES: Final = frozenset(int(state) for state in NmtState)
 _TURNS: Final = 3
 """Changes of a state without a reason that only two nodes can make: A, B, A, B."""
+_EARLY: Final = 3
+"""Heartbeats in a row that come too early, until that is told: one may wait for the bus, and the next one not."""
+_TOGGLE: Final = 0x80
 
 
 class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
-    __slots__ = ("deadline", "is_told", "limit", "since", "state", "turns")
+    __slots__ = (
+        "deadline", "early", "is_asked", "is_said", "is_told", "last", "limit", "period", "since", "state", "toggle", "turns",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.state: int | None = None
@@ -46,6 +57,12 @@ class _View:
         self.limit: Time = NEVER  # of its heartbeat, by its most impatient consumer
         self.deadline: Time = NEVER
         self.is_told = False  # that an SDO went to the stopped node
+        self.is_said = False  # the state, by the node itself
+        self.period: Time = 0  # of its heartbeat (0x1017); 0 if it is not known, or switched off
+        self.last: Time = -NEVER  # its last heartbeat
+        self.early = 0  # heartbeats in a row that came too early
+        self.is_asked = False  # by a guarding request
+        self.toggle: int | None = None  # the toggle bit of its last guarding answer
 
 
 class NodeRules:
@@ -69,6 +86,20 @@ class NodeRules:
             if view.limit == NEVER:
                 view.deadline = NEVER
 
+    def producer(self, node_id: int, period: Time) -> None:
+        """Take note of a node's producer heartbeat time (0x1017). period: ns."""
+        view = self._views[node_id]
+        view.period, view.early, view.last = period, 0, -NEVER
+
+    def is_operational(self, node_id: int) -> bool:
+        """Return whether the node has said that it is operational, and was not told otherwise since."""
+        view = self._views[node_id]
+        return view.is_said and view.state == NmtState.OPERATIONAL
+
+    def asked(self, node_id: int) -> None:
+        """Take note of a guarding request."""
+        self._views[node_id].is_asked = True
+
     def overdue(self, now: Time) -> list[Finding]:
         """Return the heartbeats that are later than their consumers allow; each one once."""
         if now < self._next:
@@ -84,13 +115,17 @@ class NodeRules:
         self._next = min(view.deadline for view in self._views)
         return found
 
-    def command(self, command: int, node_id: int, now: Time) -> None:
+    def command(self, command: int, node_id: int, now: Time) -> list[Finding]:
         """Take note of an NMT command. node_id: 0 for all nodes."""
+        if command not in _COMMANDS or node_id > MAX_NODE_ID:
+            return [Finding("nmt", 0, f"an NMT command 0x{command:02X} for node {node_id}: there is no such one")]
         for view in self._views[node_id : node_id + 1] if node_id else self._views:
             view.state = _AFTER.get(command)
             view.since = now
             view.turns.clear()
-            view.is_told = False
+            view.is_told = view.is_said = False
+            view.last = -NEVER  # a heartbeat that tells the new state may come at once
+        return []
 
     def error_control(self, node_id: int, data: bytes, now: Time) -> list[Finding]:
         """Take note of a boot-up, a heartbeat, or a guarding answer."""
@@ -101,9 +136,21 @@ class NodeRules:
         self._next = min(self._next, view.deadline)
         if state == _BOOT_UP:
             view.state = None
+            view.is_said = view.is_asked = False
             view.turns.clear()
+            view.period, view.toggle = 0, _TOGGLE  # the first guarding answer has 0 (CiA 301 v4.2.0, 7.2.8.3.2.1)
             return []
-        found = []
+        found = self._answered(node_id, view, data[0])
+        if state not in _STATES:
+            found.append(Finding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
+        if now - view.last >= view.period // 2 or state != view.state:
+            view.early = 0
+        else:
+            view.early += 1
+            if view.early == _EARLY:
+                text = f"its heartbeats come {ms_text(now - view.last)} apart, and it sends one in {ms_text(view.period)}"
+                found.append(Finding("double id", node_id, f"{text}: two nodes have one ID"))
+        view.last, view.is_said = now, True
         if not view.turns or state != view.turns[-1]:
             view.turns.append(state)
             if len(view.turns) > _TURNS:
@@ -114,6 +161,17 @@ class NodeRules:
         if state != view.state:
             view.state, view.since, view.is_told = state, now, False
         return found
+
+    def _answered(self, node_id: int, view: _View, byte: int) -> list[Finding]:
+        """Return whether an answer to a guarding request has the toggle bit of the one before."""
+        if not view.is_asked:
+            return []
+        view.is_asked = False
+        last, view.toggle = view.toggle, byte & _TOGGLE
+        if view.toggle != last:
+            return []
+        text = "its guarding answers do not alternate the toggle bit: it sends heartbeats instead, or two nodes have one ID"
+        return [Finding("toggle", node_id, text)]
 
     def sdo(self, node_id: int, now: Time, *, is_answer: bool) -> list[Finding]:
         """Take note of an SDO frame."""

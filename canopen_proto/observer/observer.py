@@ -30,16 +30,19 @@ from canopen_proto.frame import (
     Frame,
 )
 from canopen_proto.frame_bits import frame_bits
-from canopen_proto.indices import CONSUMER_HEARTBEAT_TIME
-from canopen_proto.machine import NEVER, SECOND, Time
+from canopen_proto.indices import CONSUMER_HEARTBEAT_TIME, PRODUCER_HEARTBEAT_TIME
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.observer.decoding import Decoder
 from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.meaning import Meaning
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
+from canopen_proto.observer.pdo_rules import PdoRules
+from canopen_proto.observer.sdo import Settled
 from canopen_proto.observer.sdo_rules import SdoRules
+from canopen_proto.observer.service_rules import ServiceRules
 
 RULES: Final = {
-    "toggle": "the toggle bit of a segment does not alternate",
+    "toggle": "the toggle bit of a segment, or of a guarding answer, does not alternate",
     "crc": "the CRC of a block transfer does not fit its data",
     "size": "a value has another size than was announced",
     "no request": "an SDO answer without a request, or for another one",
@@ -48,8 +51,15 @@ RULES: Final = {
     "double id": "two nodes have one ID",
     "shared cob-id": "two nodes send PDOs with one COB-ID",
     "pdo length": "a PDO is longer or shorter than its mapping",
+    "inhibit time": "a PDO or an emergency sooner than its inhibit time allows",
+    "late pdo": "a PDO does not come when SYNC, or its event timer, asks for it",
+    "synchronous pdo": "a synchronous PDO comes twice behind one SYNC",
     "not operational": "a PDO of a node that is not operational",
     "stopped": "an SDO to or from a node that is stopped",
+    "state": "a heartbeat with a state that CiA 301 does not have",
+    "nmt": "an NMT command that CiA 301 does not have",
+    "two sync": "two nodes produce SYNC",
+    "sync counter": "the counter of SYNC leaves a number out, or goes back",
     "late heartbeat": "a heartbeat later than its consumers allow",
     "length": "a frame of a wrong length",
     "load": "the load of the bus is over the limit",
@@ -86,6 +96,8 @@ class Observer:
     ) -> None:
         self._decoder = Decoder(dictionary_of)
         self._nodes = NodeRules()
+        self._services = ServiceRules()
+        self._timings = PdoRules(self._nodes.is_operational)
         self._channels: dict[int, SdoRules] = {}
         self._told: set[str] = set()
         self._alive: set[int] = set()  # nodes that have sent something
@@ -99,9 +111,11 @@ class Observer:
     def observe(self, frame: Frame, now: Time) -> Observation:
         """Return what a frame means, and what is wrong. Frames come in order. now: ns; an earlier one counts as the last."""
         now = self._now = max(now, self._now)
-        found = self._nodes.overdue(now)
+        found = self._nodes.overdue(now) + self._timings.overdue(now)
         found += self._look_at(frame, now)
         meaning = self._decoder.decode(frame)
+        if not frame.flags & REMOTE:
+            found += self._of_service(meaning, frame.data, now)
         pdo = self._decoder.pdo
         if pdo is not None and not pdo.is_guess and not frame.flags & REMOTE:
             size, due = len(frame.data), pdo.mapping.byte_length
@@ -109,27 +123,52 @@ class Observer:
                 found.append(Finding("pdo length", pdo.node_id, f"{pdo.name} has {size} bytes, and its mapping {due}"))
             if pdo.direction is Direction.TPDO:
                 found += self._nodes.pdo(pdo.node_id, now)
+            found += self._timings.came(pdo.node_id, pdo.name, now)
         settled = self._decoder.settled
         if settled is not None:
-            node_id, value = settled
-            index, subindex = value.place
-            if index == CONSUMER_HEARTBEAT_TIME and len(value.data) == 4:
-                self._nodes.consumer(node_id, subindex, int.from_bytes(value.data, "little"))
+            found += self._settle(*settled)
         found += self._shared()
         if self._load is not None:
             found += self._load.add(frame, now)
         return Observation(meaning, tuple(found))
 
+    def _of_service(self, meaning: Meaning, data: bytes, now: Time) -> list[Finding]:
+        """Return what is wrong by the rules of SYNC, TIME, EMCY and LSS."""
+        service, node_id = meaning.service, meaning.node_id
+        if service == "SYNC":
+            return self._services.sync(data) + self._timings.sync()
+        if service == "EMCY":
+            return self._services.length(service, node_id, data) + self._services.emergency(node_id, now)
+        if service in ("TIME", "LSS"):
+            return self._services.length(service, node_id, data)
+        if service == "boot-up":
+            self._services.booted(node_id)
+            self._timings.booted(node_id)
+        return []
+
+    def _settle(self, node_id: int, settled: Settled) -> list[Finding]:
+        """Take note of a value that a node holds."""
+        index, subindex = settled.place
+        value = int.from_bytes(settled.data[:4], "little")
+        if index == CONSUMER_HEARTBEAT_TIME and len(settled.data) == 4:
+            self._nodes.consumer(node_id, subindex, value)
+        elif index == PRODUCER_HEARTBEAT_TIME:
+            self._nodes.producer(node_id, value * MILLISECOND)
+        self._timings.settle(node_id, index, subindex, value)
+        return self._services.settle(node_id, index, value)
+
     def _look_at(self, frame: Frame, now: Time) -> list[Finding]:
         """Return what is wrong by the rules of NMT, error control and SDO."""
         data = frame.data
         if frame.flags & (REMOTE | EXTENDED):
+            if frame.flags == REMOTE and frame.can_id & 0x780 == ERROR_CONTROL:
+                self._nodes.asked(frame.can_id & 0x7F)
             return []
         if frame.can_id == NMT:
             if len(data) != 2:
                 return [Finding("length", 0, f"an NMT command of {len(data)} bytes; it has two")]
-            self._nodes.command(data[0], data[1], now)
-            return []
+            self._timings.commanded(data[1])
+            return self._nodes.command(data[0], data[1], now)
         function, node_id = frame.can_id & 0x780, frame.can_id & 0x7F
         if not node_id:
             return []
