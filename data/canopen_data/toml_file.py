@@ -108,13 +108,13 @@ class TomlReading:
 
 
 class TomlTable:
-    """One table of a file while it is read. place: its name in errors. fallback: has the values of keys that it lacks."""
+    """One table of a file while it is read. place: its name in errors. fallback: has values of keys that it lacks; or None."""
 
     def __init__(
         self, reading: TomlReading, place: str, values: Mapping[str, Any], path: Path = (), fallback: TomlTable | None = None
     ) -> None:
         self._reading = reading
-        self._fallback = fallback
+        self.fallback = fallback
         self.place = place
         self.values = values
         self.path = path
@@ -134,12 +134,12 @@ class TomlTable:
 
     def has(self, key: str) -> bool:
         """Return whether the table, or its fallback, has a value for a key."""
-        return key in self.values or (self._fallback is not None and self._fallback.has(key))
+        return key in self.values or (self.fallback is not None and self.fallback.has(key))
 
     def take(self, key: str, kind: Kind) -> Any:
         """Return the value of a key; None if it is missing, or if it does not fit, which adds an error."""
         if key not in self.values:
-            return None if self._fallback is None else self._fallback.take(key, kind)
+            return None if self.fallback is None else self.fallback.take(key, kind)
         value = self.values[key]
         if kind.fits(value):
             return kind.convert(value)

@@ -18,12 +18,16 @@ from canopen_data.findings import DictionaryError
 from canopen_data.toml_file import places_of
 from canopen_master import ChainSettings, parse_chains
 from canopen_master.machine_file import (
+    BootSettings,
     BusEntry,
     ChainEntry,
     JointEntry,
+    LossReaction,
     MachineFile,
     MasterEntry,
+    NetworkSettings,
     NodeEntry,
+    StartOrder,
     machine_of_chains,
     machine_text,
     parse_machine,
@@ -48,6 +52,11 @@ timeout = "1s"
 heartbeat_timeout = "1.5s"
 grip = { node_id = 126, timeout = "300ms", required = true }
 
+[network]
+start = "all"
+mandatory_lost = "stop all"
+boot_time = "20s"
+
 [simulation]
 state = "state.json"
 
@@ -57,6 +66,9 @@ bitrate = "1M"
 [buses.wrist]
 locator = "pcan:PCAN_USBBUS1@500k"
 
+[defaults.nodes]
+boot = { mandatory = true, heartbeat = "200ms" }
+
 [defaults.joints]
 unit = "degree"
 max_speed = 90
@@ -64,6 +76,7 @@ max_speed = 90
 [nodes.shoulder]
 bus = "can0"
 id = 3
+boot = { mandatory = false, serial = 0x20, store = true }
 
 [nodes.hand]
 bus = "wrist"
@@ -76,6 +89,7 @@ shape = "standard"
 script = "hand.py"
 defaults = true
 values = { 1017 = 500 }
+boot = false
 
 [joints.shoulder]
 min_position = -170
@@ -105,13 +119,16 @@ def test_every_part_of_a_machine() -> None:
     grip = Grip(node_id=126, timeout=300 * MILLISECOND, required=True)
     assert machine.master == MasterEntry(4 * MILLISECOND, SECOND, 1500 * MILLISECOND, grip)
     assert machine.state == "state.json"
+    assert machine.network == NetworkSettings(StartOrder.ALL, LossReaction.STOP_ALL, 20 * SECOND)
     assert machine.buses == {
         "can0": BusEntry("can0", "can0", 1_000_000),
         "wrist": BusEntry("wrist", "pcan:PCAN_USBBUS1@500k"),
     }
     device = DeviceEntry("hand.eds", (3,), "402", "standard", "hand.py", ("units.toml",), True, {"1017": 500}, "gbk")
     assert machine.nodes == {
-        "shoulder": NodeEntry("shoulder", "can0", DeviceEntry("", (3,))),
+        "shoulder": NodeEntry(
+            "shoulder", "can0", DeviceEntry("", (3,)), BootSettings(serial=0x20, heartbeat=200 * MILLISECOND, store=True)
+        ),
         "hand": NodeEntry("hand", "wrist", device),
     }
     shoulder = AxisSettings(
@@ -153,6 +170,13 @@ def test_drives_with_files_exchange_the_pdos_of_these_files(file: str, own: bool
     assert parse_machine(machine_text(machine)) == machine
 
 
+def test_the_default_of_all_nodes_puts_them_into_the_network_list() -> None:
+    text = "[buses.can0]\n[defaults.nodes]\nboot = { mandatory = true }\n[nodes]\na = { id = 5 }\nb = { id = 6, boot = false }\n"
+    nodes = parse_machine(text).nodes
+    assert (nodes["a"].boot, nodes["b"].boot) == (BootSettings(mandatory=True), None)
+    assert parse_machine("[buses.can0]\n[nodes.a]\nid = 5\nboot = {}").nodes["a"].boot == BootSettings()
+
+
 ERRORS = [
     ("[buses.a]\nlocator = 1", "m.toml:2:1: error: buses.a: locator: a locator is expected, not 1"),
     (
@@ -192,6 +216,19 @@ ERRORS = [
     ("[buses.can0]\n[defaults]\nnode = {}", "m.toml:3:1: error: defaults: there is no entry 'node'; did you mean nodes?"),
     ("[buses.can0]\n[defaults.nodes]\nid = 5", "m.toml:3:1: error: defaults.nodes: there is no entry 'id'"),
 ]
+BOOT = "[buses.can0]\n[nodes.a]\nid = 5\n[nodes.a.boot]\n"  # the next line is the fifth
+ERRORS_OF_BOOT = [
+    ("mandatori = true", "m.toml:5:1: error: nodes.a.boot: there is no entry 'mandatori'; did you mean mandatory?"),
+    ("serial = -1", "m.toml:4:2: error: nodes.a.boot: serial is -1; it has to be in 0..4294967295"),
+    ("heartbeat = 200", "m.toml:5:1: error: nodes.a.boot: heartbeat: a time such as"),
+    ("heartbeat = '1.5ms'", "m.toml:4:2: error: nodes.a.boot: heartbeat has to be whole milliseconds, 65535 at most"),
+    ("heartbeat = '1s'\nheartbeat_timeout = '1s'", "m.toml:4:2: error: nodes.a.boot: heartbeat_timeout must be longer than"),
+    ("heartbeat = '1s'\nguard_time = '1s'", "m.toml:4:2: error: nodes.a.boot: a node has a heartbeat or is guarded, not both"),
+    ("guard_time = '1s'\nlife_time_factor = 0", "m.toml:4:2: error: nodes.a.boot: guarding needs a life_time_factor above 0"),
+    ("program = 'a.bin'", "m.toml:4:2: error: nodes.a.boot: program needs software: the number in 0x1F56 that the program has"),
+    ("[network]\nstart = 'some'", "m.toml:6:1: error: network: start: 'each' or 'all' or 'none' is expected, not 'some'"),
+    ("[defaults.nodes]\nboot = { x = 1 }", "m.toml:6:1: error: defaults.nodes.boot: there is no entry 'x'"),
+]
 JOINTS = "[buses.can0]\n[nodes.a]\nid = 5\n[nodes.b]\nid = 6\n[joints.a]\n"  # the next line is the seventh
 ERRORS_OF_JOINTS = [
     ("node = 'c'", "m.toml:7:1: error: joints.a: node: there is no node 'c'; there are a, b"),
@@ -225,7 +262,14 @@ ERRORS_OF_JOINTS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "error"), [*ERRORS, *((JOINTS + text, error) for text, error in ERRORS_OF_JOINTS)])
+ALL_ERRORS = [
+    *ERRORS,
+    *((BOOT + text, error) for text, error in ERRORS_OF_BOOT),
+    *((JOINTS + text, error) for text, error in ERRORS_OF_JOINTS),
+]
+
+
+@pytest.mark.parametrize(("text", "error"), ALL_ERRORS)
 def test_what_is_wrong_is_told_once_and_with_its_line(text: str, error: str) -> None:
     with pytest.raises(DictionaryError) as caught:
         parse_machine(text, "m.toml")
@@ -266,7 +310,7 @@ def test_a_text_with_strings_of_several_lines_has_errors_without_lines() -> None
 
 
 def test_each_setting_has_a_kind_and_none_is_the_default_of_what_may_be_left_out() -> None:
-    for settings in (AxisSettings, ChainSettings, Grip):
+    for settings in (AxisSettings, ChainSettings, Grip, BootSettings, NetworkSettings):
         for each in fields(settings):
             if each.name == "mode":  # which may be None: "auto"
                 continue
@@ -315,6 +359,8 @@ def of_class(settings: type, **known: st.SearchStrategy[object]) -> st.SearchStr
         "HomingStyle": st.sampled_from(HomingStyle),
         "Unit": st.sampled_from(Unit),
         "State": st.sampled_from(MODE_CHANGE_STATES),
+        "StartOrder": st.sampled_from(StartOrder),
+        "LossReaction": st.sampled_from(LossReaction),
         "DriveBit": st.builds(DriveBit, st.integers(0, 0xFFFFFF).map(Mux), st.integers(0, 63), st.integers(0, 1)),
     }
     chosen = dict(known)
@@ -355,8 +401,12 @@ def machines(draw: st.DrawFn) -> MachineFile:
         values=st.dictionaries(TEXTS, st.integers(-5, 500) | TEXTS, max_size=2),
         encoding=st.just("") | TEXTS,
     )
+    milliseconds = st.none() | st.integers(0, 1000).map(lambda value: value * MILLISECOND)
+    timeouts = st.none() | st.just(2 * SECOND)
+    nothing = {"guard_time": st.just(0), "program": st.just("")}
+    boots = of_class(BootSettings, heartbeat=milliseconds, heartbeat_timeout=timeouts, **nothing)
     nodes = {
-        name: NodeEntry(name, bus, replace(draw(devices), node_ids=(node_id,)))
+        name: NodeEntry(name, bus, replace(draw(devices), node_ids=(node_id,)), draw(st.none() | boots))
         for name, (bus, node_id) in zip(names, places, strict=True)
     }
     prefix = "of." if draw(st.booleans()) else ""
@@ -376,6 +426,7 @@ def machines(draw: st.DrawFn) -> MachineFile:
         chains,
         MasterEntry(cycle, draw(TIMES), draw(st.just(0) | TIMES), draw(st.none() | grip)),
         draw(st.just("") | TEXTS),
+        draw(of_class(NetworkSettings)),
     )
 
 
@@ -409,12 +460,16 @@ def test_places_are_those_of_the_text(text: str) -> None:
 def test_each_key_stands_on_the_page_with_its_default() -> None:
     page = (Path(__file__).parents[2] / "docs" / "machine.md").read_text(encoding="utf-8")
     found = {}
-    for section, table in re.findall(r"^`\[(\w+)(?:\.NAME)?\]`(.*?)(?=^`\[|\Z)", page, re.DOTALL | re.MULTILINE):
+    for section, table in re.findall(
+        r"^`\[(\w+|nodes\.NAME\.boot)(?:\.NAME)?\]`(.*?)(?=^`\[|\Z)", page, re.DOTALL | re.MULTILINE
+    ):
         rows = re.findall(r"^\| (`.*?) \| .*? \| .*? \|", table, re.MULTILINE)
         found[section] = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     assert {section: sorted(keys) for section, keys in found.items()} == {
         **{section: sorted(keys) for section, keys in KEYS.items()},
         "master": sorted(each.name for each in fields(MasterEntry)),
+        "network": sorted(each.name for each in fields(NetworkSettings)),
+        "nodes.NAME.boot": sorted(each.name for each in fields(BootSettings)),
         "simulation": ["state"],
     }
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeVar
 
 from canopen_data.durations import duration_text, parse_duration
 from canopen_data.toml_file import BOOLEAN, INTEGER, NUMBER, Kind, TomlTable, one_of, text
+from canopen_master.machine_file.booting import LossReaction, StartOrder
 from canopen_proto.cia402.drive_bit import DriveBit
 from canopen_proto.cia402.states import State
 from canopen_proto.drive.settings import MODE_CHANGE_STATES, HomingStyle
@@ -63,6 +64,8 @@ KINDS: Final[dict[str, Kind]] = {
     "HomingStyle": _choice(HomingStyle),
     "Unit": _choice(Unit),
     "State": one_of(each.value for each in MODE_CHANGE_STATES)._replace(convert=State),
+    "StartOrder": _choice(StartOrder),
+    "LossReaction": _choice(LossReaction),
     "DriveBit": Kind('{ object = "60FD", bit = 31 } or the like', _is_bit, _bit),
 }
 """By the annotation of a field, without "| None"."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from canopen_master.machine_file.booting import BootSettings, NetworkSettings
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.plant import DeviceEntry
 from canopen_proto.drive.settings import AxisSettings
@@ -35,11 +36,13 @@ class BusEntry:
 
 @dataclass(frozen=True, slots=True)
 class NodeEntry:
-    """`[nodes.NAME]`: a device. bus: the name of its bus. device: its file, and how it is simulated; paths are as written."""
+    """`[nodes.NAME]`: a device. bus: the name of its bus. device: its file, and how it is simulated; paths are as written. boot:
+    None = no command of `canopen net` is about it."""
 
     name: str
     bus: str
     device: DeviceEntry
+    boot: BootSettings | None = None
 
     @property
     def node_id(self) -> int:
@@ -84,6 +87,7 @@ class MachineFile:
     chains: Mapping[str, ChainEntry] = field(default_factory=dict)
     master: MasterEntry = MasterEntry()
     state: str = ""
+    network: NetworkSettings = field(default_factory=NetworkSettings)
     source: str = field(default="", compare=False)
     folder: Path | None = field(default=None, compare=False)
 

@@ -14,6 +14,7 @@ from typing import Any, Final, TypeVar
 from canopen_data import DataError, expanded, text_of
 from canopen_data.descriptions import samples
 from canopen_data.toml_file import TABLE, Kind, TomlReading, TomlTable, one_of, parse_toml, places_of, text, texts
+from canopen_master.machine_file.booting import BootSettings, NetworkSettings
 from canopen_master.machine_file.kinds import DURATION, names_of, take_settings
 from canopen_master.machine_file.model import BusEntry, ChainEntry, JointEntry, MachineFile, MasterEntry, NodeEntry
 from canopen_master.motion.chain import ChainSettings
@@ -47,7 +48,7 @@ _NUMBER: Final = re.compile("0[xX].*|[0-9].*")
 _PER_TURN: Final = "counts_per_turn"
 _NODE_ID: Final = Kind(f"a node-ID of 1..{MAX_NODE_ID}", is_node_id, lambda value: (value,))
 _AXIS: Final = Kind(f"an axis of 0..{MAX_AXES - 1}", lambda value: type(value) is int and 0 <= value < MAX_AXES, int)
-_GRIP: Final = Kind("false, or a table", lambda value: value is False or isinstance(value, dict))
+_FALSE_OR_TABLE: Final = Kind("false, or a table", lambda value: value is False or isinstance(value, dict))
 _CYCLE: Final = DURATION._replace(fits=lambda value: DURATION.fits(value) and DURATION.convert(value) > 0)
 
 
@@ -93,7 +94,7 @@ class _Reader:
         self._reading = reading
         self._folder = folder
         self._top = TomlTable(reading, "", tables)
-        self._top.check_keys(("master", "defaults", "simulation", *SECTIONS), "the file")
+        self._top.check_keys(("master", "network", "defaults", "simulation", *SECTIONS), "the file")
 
     def machine(self) -> MachineFile:
         buses = self._entries("buses", self._bus)
@@ -107,7 +108,10 @@ class _Reader:
         chains = self._entries("chains", lambda table: self._chain(table, master, nodes, joints))
         self._check_unique(buses, nodes, joints, chains)
         simulation = self._table(self._top, "simulation", ("state",))
-        return MachineFile(buses, nodes, joints, chains, master, simulation.take("state", FILE) or "")
+        network = take_settings(self._table(self._top, "network", tuple(names_of(NetworkSettings))), NetworkSettings)
+        return MachineFile(
+            buses, nodes, joints, chains, master, simulation.take("state", FILE) or "", network or NetworkSettings()
+        )
 
     # ---- tables ----
 
@@ -148,7 +152,7 @@ class _Reader:
         heartbeat = table.take("heartbeat_timeout", DURATION)
         given = {"cycle": cycle, "timeout": timeout, "heartbeat_timeout": heartbeat}
         entry = MasterEntry(**{key: value for key, value in given.items() if value is not None})
-        grip = table.take("grip", _GRIP)
+        grip = table.take("grip", _FALSE_OR_TABLE)
         if grip is False:
             return replace(entry, grip=None)
         if grip is not None:
@@ -191,14 +195,26 @@ class _Reader:
         if not table.has("id"):
             table.error("it has no id (node-ID)")
         device = device_of(table, _NODE_ID)
-        self._check_files(table, device.file, device.script, *device.overlays)
-        return NodeEntry(table.path[-1], bus, device) if bus in self._buses and device.node_ids else None
+        named = [("file", device.file), ("script", device.script), *(("overlay", name) for name in device.overlays)]
+        self._check_files(table, named)
+        boot = self._boot(table)
+        return NodeEntry(table.path[-1], bus, device, boot) if bus in self._buses and device.node_ids else None
 
-    def _check_files(self, table: TomlTable, file: str, script: str, *overlays: str) -> None:
-        if self._folder is None:
-            return
-        named = [("file", file), ("script", script), *(("overlay", name) for name in overlays)]
-        for key, name in named:
+    def _boot(self, node: TomlTable) -> BootSettings | None:
+        if node.take("boot", _FALSE_OR_TABLE) in (None, False):
+            return None
+        keys = tuple(names_of(BootSettings))
+        fallback = node.fallback if "boot" in node.values else None
+        defaults = self._table(fallback, "boot", keys) if fallback is not None and fallback.take("boot", TABLE) else None
+        table = self._table(node, "boot", keys, defaults)
+        settings = take_settings(table, BootSettings)
+        if settings is not None:
+            self._check_files(table, [("configuration", settings.configuration), ("program", settings.program)])
+        return settings
+
+    def _check_files(self, table: TomlTable, named: list[tuple[str, str]]) -> None:
+        for key, name in named if self._folder is not None else ():
+            assert self._folder is not None
             if name and not (self._folder / name).is_file() and not (key == "file" and name in samples()):
                 table.error(f"there is no file {str(self._folder / name)!r}", key)
 
@@ -302,7 +318,7 @@ _JOINTS: Final = texts("a list of joints")._replace(
 )
 KEYS: Final[dict[str, tuple[str, ...]]] = {
     "buses": ("locator", "bitrate"),
-    "nodes": ("bus", *DEVICE_KEYS),
+    "nodes": ("bus", *DEVICE_KEYS, "boot"),
     "joints": ("node", "axis", _PER_TURN, *names_of(AxisSettings)),
     "chains": ("joints", *names_of(ChainSettings, "cycle_time")),
 }

@@ -24,6 +24,7 @@ def machine_tables(machine: MachineFile) -> dict[str, Any]:
     """Return the tables of a machine file, as `tomllib` would give them."""
     tables = {
         "master": _master(machine.master),
+        "network": settings_table(machine.network),
         "simulation": {"state": machine.state} if machine.state else {},
         "buses": {name: _bus(each) for name, each in machine.buses.items()},
         "nodes": {name: _node(each) for name, each in machine.nodes.items()},
@@ -68,7 +69,8 @@ def _node(node: NodeEntry) -> dict[str, Any]:
         "defaults": device.defaults,
         "values": dict(device.values),
     }
-    return {key: value for key, value in table.items() if value}
+    boot = {} if node.boot is None else {"boot": settings_table(node.boot)}
+    return {key: value for key, value in table.items() if value} | boot
 
 
 def _chain(chain: ChainEntry, machine: MachineFile) -> dict[str, Any]:
