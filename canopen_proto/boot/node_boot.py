@@ -183,6 +183,7 @@ class _NodeBoot:
         yield from self._check_identity()
         if self.assignment.keep_alive and (yield from self._is_operational()):
             yield from self._error_control()
+            self._check_boots()
             raise _Ended(BootLetter.RUNNING)
         if self.assignment.check_software and (yield from self._replace_software()):
             yield from self._check_device_type()
@@ -190,6 +191,7 @@ class _NodeBoot:
             yield from self._replace_software()
         yield from self._configure()
         yield from self._error_control()
+        self._check_boots()
         raise _Ended(BootLetter.READY)
 
     # ---- the steps ----

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.boot.assignment import Assignment
+from canopen_proto.boot.assignment import Assignment, Startup
 from canopen_proto.boot.commands import NmtCommands
-from canopen_proto.boot.entry import BootEntry
+from canopen_proto.boot.entry import BootEntry, NetworkEntry
+from canopen_proto.boot.network_boot import NetworkBoot
+from canopen_proto.boot.outcome import BootEnded
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import ERROR_CONTROL, KEY_REMOTE, REMOTE, Frame, routing_key
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Machine, Outbox, Time
@@ -31,6 +33,8 @@ SETTING = (0x2002, 0)
 
 IDENTITY = (0x360, 0x1234, 0x10002, 0x4D)
 KIND = 0x10191
+OPTIONAL, MANDATORY, KEPT = 0x05, 0x0D, 0x1D
+"""Values of 0x1F81: a node that the master boots; one that the network needs; one that is needed and kept alive."""
 HEARTBEAT_TIME = 200 * MILLISECOND
 WRITES = ((*HEARTBEAT, b"\xc8\x00"), (*SETTING, b"\x34\x12"))
 
@@ -211,6 +215,24 @@ class BootBench:
         assert isinstance(ended[0], ProcedureFinished)
         result: T = ended[0].result
         return result
+
+    def network_boot(self, startup: int = 1, *entries: BootEntry, boot_time: Time = 0, **others: Any) -> NetworkBoot:
+        """The boot-up of the network with a value of 0x1F80; by default of all nodes, all mandatory."""
+        described = entries or tuple(entry(node_id, MANDATORY) for node_id in self.nodes)
+        nodes = {each.node_id: each for each in described}
+        network = NetworkEntry(Startup.from_value(startup), nodes, boot_time, self.commands.pause)
+        return NetworkBoot(self.master, self.nmt, network, self.remotes, **others)
+
+    def supervise(self, boot: NetworkBoot, duration: Time = 0) -> int:
+        """Start the network, and go on supervising it; return the id of the procedure."""
+        self.run(boot.start())
+        request_id = self.master.run(boot.supervise(), self.bus.now)
+        self.bus.run(duration)
+        return request_id
+
+    def letters(self) -> str:
+        """The outcomes so far, in the order in which they were reported."""
+        return "".join(event.outcome.letter for event in self.bus.events if isinstance(event, BootEnded))
 
     def commands_sent(self) -> list[str]:
         """The NMT commands that were sent, as candump shows them."""

@@ -1,0 +1,454 @@
+"""The NMT master's start of a network, and what it does afterwards: `NetworkBoot`.
+
+`start` resets the communication of all nodes, then boots them side by side (node_boot.py). Each node is started as soon as it is
+ready; with 0x1F80 bit 1 all are started at once, when all mandatory nodes are ready. If a mandatory node fails, the network does
+not start: with bit 1 no node runs then, else those that are ready. `supervise` goes on where `start` has ended:
+
+    a node boots, later or again           its boot-up, then its start; the others are not touched
+    a mandatory node is ready at last      the network is started
+    a mandatory node is lost               0x1F80 bit 6: all nodes are stopped, and `supervise` ends
+                                           bit 4: all nodes are reset, and the network starts again
+    any other node is lost                 it is reset; a node that is kept alive is not
+    a lost one is heard without a boot-up  it is reset again: the first time it was not connected
+
+**No failed node is ever started.** Right before a start command, the node still has to be as its boot-up has left it: not lost,
+not booted again. The command to all nodes (bit 1) is sent only if each listed node is ready; else the ready ones are started one
+by one. A node that is kept alive is reset only if it is not Operational.
+
+Each loss has one reaction: while a node is lost or boots, nobody waits for its heartbeats. The host may `suspend` a node while it
+gets a program.
+
+Source: CiA 302-2, process boot NMT master and error handling; from memory. Lely core's master differs in this: it also resets a
+lost node that is kept alive, and it sends the command to all nodes though one has failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from canopen_proto.boot.commands import NmtCommands
+from canopen_proto.boot.entry import BootEntry, NetworkEntry
+from canopen_proto.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node
+from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
+from canopen_proto.guarding import NodeGuardingLost
+from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
+from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
+from canopen_proto.network import Network
+from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
+from canopen_proto.procedures.steps import Procedure, Wait, act, all_of, current_time
+from canopen_proto.remote_node import RemoteNode
+
+ROUNDS: Final = 3
+"""How often `start` boots a node that boots again while others are not ready yet."""
+
+
+class LossReaction(StrEnum):
+    """What the master does about a lost node, in words."""
+
+    RESET = "it was reset"
+    RESET_ALL = "all nodes were reset"
+    STOP_ALL = "all nodes were stopped"
+    NONE = "nothing was sent"
+
+
+class NodeLost(Event):
+    """A booted node has shown no sign of life in time. reaction: of the master."""
+
+    __slots__ = ("reaction",)
+    __match_args__ = ("node_id", "reaction")
+
+    def __init__(self, node_id: int, reaction: LossReaction) -> None:
+        self.node_id = node_id
+        self.reaction = reaction
+
+
+class NetworkStarted(Event):
+    """All mandatory nodes are ready. running: the nodes that were started so far, or left running."""
+
+    __slots__ = ("running",)
+    __match_args__ = ("node_id", "running")
+
+    def __init__(self, node_id: int, running: tuple[int, ...]) -> None:
+        self.node_id = node_id
+        self.running = running
+
+
+class _BootRequested(Event):
+    """The host wants a node to be booted again."""
+
+    __slots__ = ()
+
+
+_OF_ABSENT: Final = (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING)
+"""The outcomes of nodes that are not there, unless they were heard meanwhile."""
+
+
+_TROUBLE: Final = (NodeBooted, HeartbeatLost, NodeGuardingLost, _BootRequested)
+"""The events after which a node has to be looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class BootReport:
+    """How the start of a network went.
+
+    outcomes: by node-ID, as far as there are. missing: the mandatory nodes that are not ready. running: the nodes that were
+    started, or left running. elapsed: ns.
+    """
+
+    outcomes: Mapping[int, BootOutcome]
+    missing: tuple[int, ...]
+    running: tuple[int, ...]
+    elapsed: Time
+
+    @property
+    def is_started(self) -> bool:
+        """Whether all mandatory nodes are ready."""
+        return not self.missing
+
+
+class _Member:
+    """A node of the network. outcome: of its last boot-up. boots: the node's count of boot-ups that were seen to.
+
+    absent_since: since when it is known to be away; NEVER if it is not. reset: how it is reset when it is heard again.
+    """
+
+    def __init__(self, entry: BootEntry, node: RemoteNode) -> None:
+        self.entry = entry
+        self.node = node
+        self.outcome: BootOutcome | None = None
+        self.boots = node.boots
+        self.reset = NmtCommand.RESET_COMMUNICATION
+        self.absent_since: Time = NEVER
+        self.is_booting = False
+        self.is_running = False
+        self.is_requested = False
+        self.is_suspended = False
+
+    @property
+    def is_good(self) -> bool:
+        """Whether its last boot-up went well."""
+        return self.outcome is not None and not self.outcome.is_failure
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it shows no sign of life since a good boot-up."""
+        return self.is_good and (self.node.heartbeat.lost or self.node.guarding.lost)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it is as a good boot-up has left it."""
+        return self.is_good and self.node.boots == self.boots and not self.is_lost and not self.is_suspended
+
+    @property
+    def may_start(self) -> bool:
+        return self.is_ready and self.entry.assignment.boots and not self.is_running
+
+    @property
+    def has_come_back(self) -> bool:
+        """Whether it was away, and was heard without a boot-up."""
+        heard = self.node.heartbeat.last_heard
+        return heard is not None and heard > self.absent_since
+
+
+class _MandatoryLost(Exception):
+    """A mandatory node was lost, which concerns all."""
+
+    def __init__(self, lost: NodeLost) -> None:
+        self.lost = lost
+
+
+class NetworkBoot:
+    """The boot-up of a network; see this module's text. is_started: all mandatory nodes were ready."""
+
+    def __init__(
+        self,
+        network: Network,
+        nmt: NmtMaster,
+        description: NetworkEntry,
+        nodes: Mapping[int, RemoteNode],
+        *,
+        own_id: int | None = None,
+        own: Callable[[NmtCommand, Time], object] = lambda command, now: None,
+        times: BootTimes = DEFAULT_TIMES,
+        update: NodeHook | None = None,
+        configure: NodeHook | None = None,
+    ) -> None:
+        """nmt, nodes: attached to the network; a node for each entry. own_id, own: our own node-ID, and what to call with the
+        commands that concern our own node too, such as `LocalNode.execute`. update, configure: as for `boot_node`.
+
+        Raises LocalProtocolError if a node is missing, or if 0x1F80 says that we are not the master.
+        """
+        if not description.startup.is_master:
+            raise LocalProtocolError("0x1F80 bit 0 is 0: this device is not the NMT master, and boots no network")
+        missing = sorted(description.nodes.keys() - nodes.keys())
+        if missing:
+            raise LocalProtocolError(f"there is no RemoteNode for node {', '.join(map(str, missing))}")
+        self.network = network
+        self.startup = description.startup
+        self.boot_time = description.boot_time
+        self.commands = NmtCommands(nmt, description.pause)
+        self.is_started = False
+        self._own_id = own_id
+        self._own = own
+        self._times = times
+        self._update = update
+        self._configure = configure
+        self._members = {node_id: _Member(entry, nodes[node_id]) for node_id, entry in sorted(description.nodes.items())}
+        self._listed = [member for member in self._members.values() if member.entry.assignment.is_listed]
+        self._begun: Time = 0
+
+    # ---- for the host ----
+
+    def report(self, now: Time) -> BootReport:
+        """Return how it went so far, at any time."""
+        members = self._members.items()
+        return BootReport(
+            {node_id: member.outcome for node_id, member in members if member.outcome is not None},
+            tuple(node_id for node_id, member in members if member.entry.assignment.is_mandatory and not member.is_ready),
+            tuple(node_id for node_id, member in members if member.is_running),
+            now - self._begun,
+        )
+
+    def suspend(self, node_id: int, now: Time) -> None:
+        """Leave a node alone until `boot_again`: something is done to it, such as a program download, that looks like a loss.
+
+        Raises LocalProtocolError for a node that is not in the network, or boots at present.
+        """
+        member = self._member(node_id)
+        if member.is_booting:
+            raise LocalProtocolError(f"node {node_id} boots at present. Try: wait for its BootEnded")
+        member.is_suspended = True
+        self._stop_watching(member, now)
+
+    def boot_again(self, node_id: int, now: Time) -> None:
+        """Reset a node and boot it, once `supervise` runs: it was suspended, or failed for a reason that is gone.
+
+        A node that is kept alive is not reset if it is Operational. Raises LocalProtocolError for an unknown node.
+        """
+        member = self._member(node_id)
+        member.is_suspended = False
+        member.is_requested = True
+        member.node.out.events.append(_BootRequested(node_id))
+
+    def _member(self, node_id: int) -> _Member:
+        member = self._members.get(node_id)
+        if member is None:
+            raise LocalProtocolError(f"node {node_id} is not in the network list")
+        return member
+
+    # ---- the start ----
+
+    def start(self) -> Procedure[BootReport]:
+        """Reset, boot and start the network; return how it went. It ends when each node is ready or has failed.
+
+        Mandatory nodes have `boot_time` to answer; all others, and without a limit all, are asked once, after the time for their
+        boot-up. Those that come later are for `supervise`.
+        """
+        self._begun = yield from current_time()
+        yield from self._reset()
+        return (yield from self._boot_all())
+
+    def _reset(self) -> Procedure[None]:
+        """Reset the communication of all nodes, except those that are kept alive, and except ourselves."""
+        kept = {node_id for node_id, member in self._members.items() if member.entry.assignment.keep_alive}
+        if not kept:
+            yield from self._command_all(NmtCommand.RESET_COMMUNICATION)
+            return
+        listed = {member.node.node_id for member in self._listed}
+        for node_id in sorted((listed | set(self.network.heard_nodes())) - kept - {self._own_id}):
+            yield from self._reset_node(NmtCommand.RESET_COMMUNICATION, node_id)
+
+    def _reset_node(self, command: NmtCommand, node_id: int) -> Procedure[None]:
+        yield from self.commands.send(command, node_id, lambda: self._forget(node_id))
+
+    def _command_all(self, command: NmtCommand) -> Procedure[None]:
+        def forget_all() -> bool:
+            return all(self._forget(node_id) for node_id in self._members)
+
+        yield from self.commands.send(command, ALL_NODES, forget_all)
+
+    def _forget(self, node_id: int) -> bool:
+        """Forget what is known of a node: it will be reset, and boot. A boot-up that it has sent before does not count."""
+        member = self._members.get(node_id)
+        if member is not None:
+            member.boots, member.outcome, member.is_running = member.node.boots, None, False
+        return True
+
+    def _boot_all(self) -> Procedure[BootReport]:
+        self.is_started = False
+        until = self._begun + self.boot_time if self.boot_time else 0
+        yield from all_of(*(self._first_boot(member, until) for member in self._members.values()))
+        for _ in range(ROUNDS):
+            again = [member for member in self._listed if member.is_good and member.node.boots != member.boots]
+            if not again:
+                break
+            yield from all_of(*(self._boot(member, self._begun) for member in again))
+        return (yield from act(self.report))
+
+    def _first_boot(self, member: _Member, until: Time) -> Procedure[None]:
+        assignment = member.entry.assignment
+        if member.is_suspended:
+            return
+        if assignment.is_listed and not assignment.keep_alive:
+            yield from self._await_boot_up(member)
+        yield from self._boot(member, self._begun, until if assignment.is_mandatory else 0)
+
+    def _await_boot_up(self, member: _Member) -> Procedure[None]:
+        """Wait for the boot-up of a node that was reset, for its time at most."""
+        if member.node.boots == member.boots:
+            yield Wait(self._times.boot_up, member.node, _is_of(member), (NodeBooted,))
+
+    def _boot(self, member: _Member, since: Time, until: Time = 0) -> Procedure[None]:
+        """Boot a node, report its outcome, and start what is ready now. since: a node that was not heard since then is away."""
+        member.is_booting, member.is_running, member.is_requested, member.outcome = True, False, False, None
+        try:
+            outcome = yield from boot_node(
+                member.node,
+                self.commands,
+                member.entry,
+                times=self._times,
+                until=until,
+                update=self._update,
+                configure=self._configure,
+            )
+        finally:
+            member.is_booting = False
+        member.outcome, member.boots = outcome, member.node.boots
+        member.is_running = outcome.letter is BootLetter.RUNNING
+        heard = member.node.heartbeat.last_heard
+        member.absent_since = since if outcome.letter in _OF_ABSENT and (heard is None or heard < since) else NEVER
+        yield from act(lambda now: member.node.out.events.append(BootEnded(member.node.node_id, outcome)))
+        if not self.startup.start_all or self.is_started:
+            yield from self._start(member)
+        yield from self._start_network()
+
+    def _start(self, member: _Member) -> Procedure[None]:
+        """Start a node, if that is allowed."""
+        if self.startup.application_starts or not member.may_start:
+            return
+        if (yield from self.commands.send(NmtCommand.START, member.node.node_id, lambda: member.may_start)):
+            member.is_running = True
+
+    def _start_network(self) -> Procedure[None]:
+        """Start the network once all mandatory nodes are ready; without any, once all nodes have booted or failed."""
+        mandatory = [member for member in self._members.values() if member.entry.assignment.is_mandatory]
+        if self.is_started or not all(member.is_ready for member in mandatory):
+            return
+        if not mandatory and any(member.outcome is None and not member.is_suspended for member in self._members.values()):
+            return
+        self.is_started = True
+        if not self.startup.waits:
+            yield from act(lambda now: self._own(NmtCommand.START, now))
+        if self.startup.start_all and not self.startup.application_starts:
+            yield from self._start_all()
+        running = tuple(node_id for node_id, member in self._members.items() if member.is_running)
+        yield from act(lambda now: self.network.out.events.append(NetworkStarted(0, running)))
+
+    def _start_all(self) -> Procedure[None]:
+        members = self._members.values()
+
+        def all_may_start() -> bool:
+            return all(member.may_start or (member.is_ready and member.is_running) for member in members)
+
+        if all_may_start() and (yield from self.commands.send(NmtCommand.START, ALL_NODES, all_may_start)):
+            for member in members:
+                member.is_running = True
+            return
+        for member in members:
+            yield from self._start(member)
+
+    # ---- afterwards ----
+
+    def supervise(self) -> Procedure[NodeLost]:
+        """Boot nodes that come later, or come back, and react to lost ones; see this module's text.
+
+        It runs until it is cancelled. It ends by itself only if all nodes were stopped because a mandatory one was lost (0x1F80
+        bit 6): the loss is returned.
+        """
+        while True:
+            try:
+                yield from all_of(*(self._watch(member) for member in self._listed))
+                yield Wait(None)  # there are no nodes
+            except _MandatoryLost as failed:
+                lost = failed.lost
+            if lost.reaction is LossReaction.STOP_ALL:
+                yield from self._for_all(NmtCommand.STOP)
+                return lost
+            self._begun = yield from current_time()
+            yield from self._for_all(NmtCommand.RESET_NODE)
+            yield from self._boot_all()
+
+    def _for_all(self, command: NmtCommand) -> Procedure[None]:
+        """Command all nodes and our own one, and watch none of them any more."""
+        yield from act(self._watch_nobody)
+        yield from self._command_all(command)
+        yield from act(lambda now: self._own(command, now))
+
+    def _watch(self, member: _Member) -> Procedure[None]:
+        """Look after one node, for ever."""
+        while True:
+            if member.is_suspended:
+                yield Wait(None, member.node, _is_of(member), (_BootRequested,))
+            elif member.is_requested:
+                yield from self._reset_and_boot(member)
+            elif member.node.boots != member.boots:
+                yield from self._boot(member, (yield from current_time()))
+            elif member.is_lost:
+                yield from self._on_lost(member)
+            elif member.has_come_back:
+                yield from self._reset_and_boot(member)
+            else:
+                sign_of_life = (HeartbeatReceived,) if member.absent_since < NEVER else ()
+                yield Wait(None, member.node, _is_of(member), (*_TROUBLE, *sign_of_life))
+
+    def _on_lost(self, member: _Member) -> Procedure[None]:
+        assignment = member.entry.assignment
+        lost = NodeLost(member.node.node_id, self._reaction_to(member))
+        yield from act(lambda now: self._take_loss(member, lost, now))
+        if lost.reaction in (LossReaction.STOP_ALL, LossReaction.RESET_ALL):
+            raise _MandatoryLost(lost)
+        if lost.reaction is LossReaction.RESET:
+            member.reset = NmtCommand.RESET_NODE
+            yield from self.commands.send(member.reset, member.node.node_id)
+            yield from self._await_boot_up(member)
+        if assignment.guards and not member.entry.consumer_time:  # only so a node that is connected again is heard
+            yield from act(lambda now: member.node.start_guarding(assignment.guard_time, assignment.retry_factor, now))
+        member.absent_since = yield from current_time()
+
+    def _reaction_to(self, member: _Member) -> LossReaction:
+        assignment = member.entry.assignment
+        if assignment.is_mandatory and self.startup.stop_all_on_loss:
+            return LossReaction.STOP_ALL
+        if assignment.is_mandatory and self.startup.reset_all_on_loss:
+            return LossReaction.RESET_ALL
+        return LossReaction.RESET if assignment.boots and not assignment.keep_alive else LossReaction.NONE
+
+    def _take_loss(self, member: _Member, lost: NodeLost, now: Time) -> None:
+        self._stop_watching(member, now)
+        member.boots, member.outcome, member.is_running, member.absent_since = member.node.boots, None, False, now
+        member.node.out.events.append(lost)
+
+    def _watch_nobody(self, now: Time) -> None:
+        for member in self._members.values():
+            self._stop_watching(member, now)
+
+    def _stop_watching(self, member: _Member, now: Time) -> None:
+        member.node.heartbeat.set_timeout(0, now)
+        member.node.stop_guarding()
+
+    def _reset_and_boot(self, member: _Member) -> Procedure[None]:
+        """Boot a node that has not just booted: reset it, unless the master leaves that to the application, or keeps it alive."""
+        assignment = member.entry.assignment
+        since = yield from current_time()
+        if assignment.boots and not assignment.keep_alive:
+            yield from self._reset_node(member.reset, member.node.node_id)
+            yield from self._await_boot_up(member)
+        yield from self._boot(member, since)
+
+
+def _is_of(member: _Member) -> Callable[[Event], bool]:
+    node_id = member.node.node_id
+    return lambda event: event.node_id == node_id
