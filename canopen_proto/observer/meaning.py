@@ -1,15 +1,20 @@
-"""`Meaning`: a frame of a bus in words, and the objects in it with their names and values."""
+"""`Meaning`: a frame of a bus in words, and the objects in it with their names and values.
+
+Words are made when they are first read: on a full bus most of them never are.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 from canopen_proto.cia402.modes import describe_command
 from canopen_proto.cia402.names import names_in_mode
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
-from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.frame import Frame
 from canopen_proto.multiplexer import mux
 
 MAX_SHOWN: Final = 32
@@ -36,17 +41,49 @@ class Shown:
     is_held: bool
 
 
-class Meaning(NamedTuple):
-    """A frame in words.
+class Words(NamedTuple):
+    """A frame in words, and its objects: those of a PDO, in its order, or the one of an SDO transfer."""
 
-    service: "NMT", "SDO" and the like. node_id: its sender or receiver; 0 for all nodes, or for no node. objects: those of a PDO,
-    in its order, or the one of an SDO transfer.
-    """
-
-    service: str
-    node_id: int
     text: str
     objects: tuple[Shown, ...] = ()
+
+
+Say: TypeAlias = Callable[[Frame], Words]
+"""Puts a frame in words."""
+
+
+class Meaning:
+    """A frame, understood.
+
+    service: "NMT", "SDO" and the like. node_id: its sender or receiver; 0 for all nodes, or for no node.
+    """
+
+    __slots__ = ("_frame", "_say", "_words", "node_id", "service")
+
+    def __init__(self, service: str, node_id: int, say: Say, frame: Frame) -> None:
+        self.service = service
+        self.node_id = node_id
+        self._say = say
+        self._frame = frame
+        self._words: Words | None = None
+
+    @property
+    def text(self) -> str:
+        """The frame in words."""
+        return self._said().text
+
+    @property
+    def objects(self) -> tuple[Shown, ...]:
+        """The objects of a PDO, in its order, or the one of an SDO transfer."""
+        return self._said().objects
+
+    def _said(self) -> Words:
+        if self._words is None:
+            self._words = self._say(self._frame)
+        return self._words
+
+    def __repr__(self) -> str:
+        return f"<Meaning {self.service} {self.node_id} {self.text}>"
 
 
 def shown_of(
@@ -58,12 +95,17 @@ def shown_of(
     if data is None:
         return Shown(node_id, index, subindex, name, None, "", False)
     value: Value = data
-    if variable is not None and _has_type(variable):
+    if variable is not None and variable.data_type not in (DataType.DOMAIN, DataType.OCTET_STRING):
         try:
             value = decode(data, variable.data_type)
+            text = value_text(dictionary, index, subindex, value)
         except ValueRangeError:
-            value = data
-    return Shown(node_id, index, subindex, name, value, value_text(dictionary, index, subindex, data), is_held)
+            text = f"{bytes_text(data)} (not of its type, {variable.data_type.name})"
+    elif len(data) in _NUMBERS:
+        text = f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
+    else:
+        text = bytes_text(data)
+    return Shown(node_id, index, subindex, name, value, text, is_held)
 
 
 def object_text(dictionary: ObjectDictionary, index: int, subindex: int) -> str:
@@ -72,21 +114,7 @@ def object_text(dictionary: ObjectDictionary, index: int, subindex: int) -> str:
     return f"{index:04X}:{subindex:02X}" + (f" {variable.name}" if variable is not None else "")
 
 
-def value_text(dictionary: ObjectDictionary, index: int, subindex: int, data: bytes) -> str:
-    """Return a value in words, by its type and with its names; without a type as a number, or as bytes."""
-    variable = dictionary.get(index, subindex)
-    if variable is not None and _has_type(variable):
-        try:
-            value = decode(data, variable.data_type)
-        except ValueRangeError:
-            return f"{bytes_text(data)} (not of its type, {variable.data_type.name})"
-        return shown_value(dictionary, index, subindex, value)
-    if len(data) in _NUMBERS:
-        return f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
-    return bytes_text(data)
-
-
-def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: Value) -> str:
+def value_text(dictionary: ObjectDictionary, index: int, subindex: int, value: Value) -> str:
     """Return a value with its names. Large numbers are hexadecimal too: this shows the parts of a COB-ID."""
     if isinstance(value, bytes):
         return bytes_text(value)
@@ -101,11 +129,6 @@ def shown_value(dictionary: ObjectDictionary, index: int, subindex: int, value: 
     return (repr(value) if isinstance(value, str) else str(value)) + (f" ({', '.join(notes)})" if notes else "")
 
 
-def _has_type(variable: Variable) -> bool:
-    """Return whether its values are more than bytes."""
-    return variable.data_type not in (DataType.DOMAIN, DataType.OCTET_STRING)
-
-
 def bytes_text(data: bytes) -> str:
     """Return bytes as text if they are text, else in hexadecimal; at most MAX_SHOWN of them."""
     if data and all(0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")) and data.rstrip(b"\0"):
@@ -113,3 +136,8 @@ def bytes_text(data: bytes) -> str:
     else:
         text = data[:MAX_SHOWN].hex(" ") or "nothing"
     return text if len(data) <= MAX_SHOWN else f"{text} ... ({len(data)} bytes)"
+
+
+def hex_text(data: bytes) -> str:
+    """Return bytes in hexadecimal, or "no data"."""
+    return data.hex(" ") or "no data"

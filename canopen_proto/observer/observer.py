@@ -5,40 +5,54 @@
         observation = observer.observe(frame, now)
         observation.meaning.text, observation.findings
 
-RULES says what it looks for. Each finding comes with the frame that shows it. Nothing is guessed: a rule that needs what the
-recording does not show (the beginning of a transfer, a mapping, the state of a node) is silent. Memory is bounded: the state of
-127 nodes, and one transfer of each.
+It begins with the predefined connection set (CiA 301 v4.2.0, 7.3.3) and with what the devices' files say. It uses the COB-IDs,
+SDO channels and PDOs of each device from the moment when the recording shows them (parameters.py).
 
-Left out: COB-IDs of other services that were changed at run time, and SDO channels beyond the first.
+RULES says what it looks for. Each finding comes with the frame that shows it. Nothing is guessed: a rule that needs what the
+recording does not show (the beginning of a transfer, a mapping, the state of a node) is silent. Memory is bounded: the state and
+the parameters of 127 nodes, and one transfer for each SDO channel.
+
+Left out: services of other standards but LSS.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from functools import partial
+from typing import Final, NamedTuple, TypeAlias
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import (
     EMCY,
     ERROR_CONTROL,
-    EXTENDED,
+    KEY_EXTENDED,
+    KEY_REMOTE,
     MAX_NODE_ID,
     NMT,
-    REMOTE,
+    RPDO4,
     SDO_CLIENT_TO_SERVER,
     SDO_SERVER_TO_CLIENT,
+    SYNC,
+    TIME,
+    TPDO1,
+    TPDO4,
     Frame,
+    RoutingKey,
 )
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.indices import CONSUMER_HEARTBEAT_TIME, PRODUCER_HEARTBEAT_TIME
+from canopen_proto.lss import messages as lss
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
-from canopen_proto.observer.decoding import Decoder
+from canopen_proto.multiplexer import index_of, subindex_of
+from canopen_proto.observer import words
+from canopen_proto.observer.connections import Channel, Service, channels_of, services_of
 from canopen_proto.observer.finding import Finding
-from canopen_proto.observer.meaning import Meaning
+from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
+from canopen_proto.observer.parameters import Parameters
+from canopen_proto.observer.pdo import OverheardPdo, OverheardPdos
 from canopen_proto.observer.pdo_rules import PdoRules
-from canopen_proto.observer.sdo import Settled
-from canopen_proto.observer.sdo_rules import SdoRules
+from canopen_proto.observer.sdo import SdoFollower, Settled
 from canopen_proto.observer.service_rules import ServiceRules
 
 RULES: Final = {
@@ -68,10 +82,15 @@ RULES: Final = {
 
 LOAD_LIMIT: Final = 0.9
 """Share of the bit rate. Above it, a bus delays what has a low priority beyond any bound that a plan gives."""
-_BY_THE_NODE: Final = (EMCY, SDO_SERVER_TO_CLIENT, ERROR_CONTROL)
-"""Function codes of frames that only the node itself sends."""
 _MAX_TOLD: Final = 1024
 """Pairs of PDOs with one COB-ID of which it is kept that they were told: more than a bus of 127 nodes can have by mistake."""
+_EMPTY: Final = ObjectDictionary((), source="nothing")
+_FUNCTION: Final = 0x780
+_BOOT_UP: Final = b"\0"
+_TOGGLE: Final = 0x80
+
+_Route: TypeAlias = Callable[[Frame, Time, list[Finding]], Meaning]
+"""Takes a frame of one service of one node. Puts what is wrong into the list."""
 
 
 class Observation(NamedTuple):
@@ -94,103 +113,234 @@ class Observer:
         bitrate: int = 0,
         load_limit: float = LOAD_LIMIT,
     ) -> None:
-        self._decoder = Decoder(dictionary_of)
+        self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
+        self._parameters = Parameters(self._dictionaries)
+        self._pdos = OverheardPdos(self._parameters)
+        self._cob_ids: dict[int, tuple[tuple[RoutingKey, Service], ...]] = {}  # by node-ID
+        self._channels: dict[int, tuple[Channel, ...]] = {}  # by node-ID
+        self._followers: dict[Channel, SdoFollower] = {}  # those that were heard
+        self._routes: dict[RoutingKey, _Route] = {}  # those that were needed since the last change
+        self._assigned: dict[RoutingKey, _Route] | None = None  # those that parameters say
         self._nodes = NodeRules()
         self._services = ServiceRules()
         self._timings = PdoRules(self._nodes.is_operational)
-        self._channels: dict[int, SdoRules] = {}
         self._told: set[str] = set()
         self._alive: set[int] = set()  # nodes that have sent something
+        self._is_shared_told = True  # that the nodes alive share COB-IDs
         self._now: Time = -NEVER
         self._load = _Load(bitrate, load_limit) if bitrate else None
-        for node_id in range(1, MAX_NODE_ID + 1):
-            dictionary = dictionary_of(node_id)
-            if dictionary is not None:
-                self._read_consumers(node_id, dictionary)
+        for node_id, dictionary in self._dictionaries.items():
+            self._renew(node_id)
+            self._read_consumers(node_id, dictionary)
 
     def observe(self, frame: Frame, now: Time) -> Observation:
         """Return what a frame means, and what is wrong. Frames come in order. now: ns; an earlier one counts as the last."""
         now = self._now = max(now, self._now)
         found = self._nodes.overdue(now) + self._timings.overdue(now)
-        found += self._look_at(frame, now)
-        meaning = self._decoder.decode(frame)
-        if not frame.flags & REMOTE:
-            found += self._of_service(meaning, frame.data, now)
-        pdo = self._decoder.pdo
-        if pdo is not None and not pdo.is_guess and not frame.flags & REMOTE:
-            size, due = len(frame.data), pdo.mapping.byte_length
-            if size != due:
-                found.append(Finding("pdo length", pdo.node_id, f"{pdo.name} has {size} bytes, and its mapping {due}"))
-            if pdo.direction is Direction.TPDO:
-                found += self._nodes.pdo(pdo.node_id, now)
-            found += self._timings.came(pdo.node_id, pdo.name, now)
-        settled = self._decoder.settled
-        if settled is not None:
-            found += self._settle(*settled)
-        found += self._shared()
+        route = self._routes.get(frame.key)
+        if route is None:
+            route = self._find_route(frame.key)
+        meaning = route(frame, now, found)
+        if not self._is_shared_told:
+            self._is_shared_told = True
+            found += self._shared()
         if self._load is not None:
             found += self._load.add(frame, now)
         return Observation(meaning, tuple(found))
 
-    def _of_service(self, meaning: Meaning, data: bytes, now: Time) -> list[Finding]:
-        """Return what is wrong by the rules of SYNC, TIME, EMCY and LSS."""
-        service, node_id = meaning.service, meaning.node_id
-        if service == "SYNC":
-            return self._services.sync(data) + self._timings.sync()
-        if service == "EMCY":
-            return self._services.length(service, node_id, data) + self._services.emergency(node_id, now)
-        if service in ("TIME", "LSS"):
-            return self._services.length(service, node_id, data)
-        if service == "boot-up":
+    # ---- which service has a COB-ID ----
+
+    def _find_route(self, key: RoutingKey) -> _Route:
+        """Return who takes the frames with a routing key. It is kept, but for 29-bit identifiers that nobody has: of these there
+        are too many."""
+        route = self._known_route(key)
+        if route is None:
+            if key & KEY_EXTENDED:
+                return partial(_plain, "?", 0, words.of_extended)
+            route = self._predefined(key)
+        self._routes[key] = route
+        return route
+
+    def _known_route(self, key: RoutingKey) -> _Route | None:
+        """Return the route by what the recording or the files say, or None."""
+        data_key = RoutingKey(key & ~KEY_REMOTE)
+        pdo = self._pdos.find(data_key)
+        pdos = (pdo,) if pdo is not None else self._pdos.guesses(data_key)
+        if pdos:
+            if key & KEY_REMOTE:
+                return partial(_plain, pdos[0].name, pdos[0].node_id, words.of_request)
+            return partial(self._pdo, pdos[0]) if len(pdos) == 1 else partial(self._one_of, pdos)
+        if self._assigned is None:
+            self._assigned = self._assignments()
+        return self._assigned.get(key)
+
+    def _assignments(self) -> dict[RoutingKey, _Route]:
+        """Return the routes of what is not where the predefined connection set has it. The lower node-ID goes first."""
+        routes: dict[RoutingKey, _Route] = {}
+        channels = set()
+        for node_id in self._dictionaries:
+            for key, service in self._cob_ids[node_id]:
+                routes.setdefault(key, self._service_route(service, node_id))
+            for channel in self._channels[node_id]:
+                channels.add(channel)
+                routes.setdefault(channel.to_server, partial(self._request, channel))
+                routes.setdefault(channel.to_client, partial(self._answer, channel))
+        for gone in self._followers.keys() - channels:
+            if gone != _first_channel(gone.node_id):
+                del self._followers[gone]
+        return routes
+
+    def _service_route(self, service: Service, node_id: int) -> _Route:
+        if service is Service.EMCY:
+            return partial(self._emergency, node_id)
+        return self._sync if service is Service.SYNC else self._time
+
+    def _predefined(self, key: RoutingKey) -> _Route:
+        """Return the route by the predefined connection set, of 11-bit identifiers. CiA 301 v4.2.0, 7.3.3"""
+        function, node_id = key & _FUNCTION, key & MAX_NODE_ID
+        if key & KEY_REMOTE:
+            if node_id and function == ERROR_CONTROL:
+                return partial(self._guarding_request, node_id)
+            if node_id and TPDO1 <= function <= TPDO4:
+                return partial(_plain, _pdo_name(function), node_id, words.of_request)
+            return partial(_plain, "?", 0, words.of_remote)
+        if key == NMT:
+            return self._nmt
+        if key == SYNC:
+            return self._sync
+        if key == TIME:
+            return self._time
+        if key in (lss.FROM_MASTER, lss.FROM_SLAVE):
+            return self._lss
+        if node_id:
+            if function == EMCY:
+                return partial(self._emergency, node_id)
+            if function == SDO_CLIENT_TO_SERVER:
+                return partial(self._request, _first_channel(node_id))
+            if function == SDO_SERVER_TO_CLIENT:
+                return partial(self._answer, _first_channel(node_id))
+            if function == ERROR_CONTROL:
+                return partial(self._error_control, node_id)
+            if TPDO1 <= function <= RPDO4:
+                return partial(_plain, _pdo_name(function), node_id, words.of_bytes)
+        return partial(_plain, "?", 0, words.of_bytes)
+
+    def _renew(self, node_id: int) -> None:
+        """Take note that communication parameters of a device may have changed."""
+        self._cob_ids[node_id] = tuple(services_of(self._parameters, node_id))
+        self._channels[node_id] = tuple(channels_of(self._parameters, node_id))
+        self._pdos.renew(node_id)
+        self._routes.clear()
+        self._assigned = None
+        self._is_shared_told = False
+
+    # ---- the services ----
+
+    def _nmt(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        data = frame.data
+        if len(data) == 2:
+            self._timings.commanded(data[1])
+            found += self._nodes.command(data[0], data[1], now)
+        else:
+            found.append(Finding("length", 0, f"an NMT command of {len(data)} bytes; it has two"))
+        node_id = data[1] if len(data) > 1 and data[1] <= MAX_NODE_ID else 0
+        return Meaning("NMT", node_id, words.of_nmt, frame)
+
+    def _error_control(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        data = frame.data
+        self._lives(node_id)
+        found += self._nodes.error_control(node_id, data, now)
+        service = "heartbeat"
+        if data == _BOOT_UP:
+            service = "boot-up"
             self._services.booted(node_id)
             self._timings.booted(node_id)
-        return []
+            if self._parameters.booted(node_id):
+                self._renew(node_id)
+        elif len(data) == 1 and data[0] & _TOGGLE:
+            service = "guarding"
+        return Meaning(service, node_id, words.of_error_control, frame)
 
-    def _settle(self, node_id: int, settled: Settled) -> list[Finding]:
+    def _guarding_request(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        self._nodes.asked(node_id)
+        return Meaning("guarding", node_id, words.of_guarding_request, frame)
+
+    def _sync(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        found += self._services.sync(frame.data)
+        found += self._timings.sync()
+        return Meaning("SYNC", 0, words.of_sync, frame)
+
+    def _time(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        found += self._services.length("TIME", 0, frame.data)
+        return Meaning("TIME", 0, words.of_time, frame)
+
+    def _lss(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        found += self._services.length("LSS", 0, frame.data)
+        return Meaning("LSS", 0, words.of_lss, frame)
+
+    def _emergency(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        self._lives(node_id)
+        found += self._services.length("EMCY", node_id, frame.data)
+        found += self._services.emergency(node_id, now)
+        return Meaning("EMCY", node_id, words.of_emergency, frame)
+
+    def _one_of(self, pdos: tuple[OverheardPdo, ...], frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        """Take a PDO that is one of several by PDOs.csv: the first one with its length."""
+        pdo = next((each for each in pdos if each.byte_length == len(frame.data)), pdos[0])
+        return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
+
+    def _pdo(self, pdo: OverheardPdo, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        if not pdo.is_guess:
+            if len(frame.data) != pdo.byte_length:
+                text = f"{pdo.name} has {len(frame.data)} bytes, and its mapping {pdo.byte_length}"
+                found.append(Finding("pdo length", pdo.node_id, text))
+            if pdo.direction is Direction.TPDO:
+                found += self._nodes.pdo(pdo.node_id, now)
+            found += self._timings.came(pdo.node_id, pdo.name, now)
+        return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
+
+    def _request(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        found += self._nodes.sdo(channel.node_id, now, is_answer=False)
+        return self._follower(channel).client(frame, now, found)
+
+    def _answer(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+        self._lives(channel.node_id)
+        found += self._nodes.sdo(channel.node_id, now, is_answer=True)
+        follower = self._follower(channel)
+        meaning = follower.server(frame, now, found)
+        if follower.settled is not None:
+            found += self._settle(follower.settled)
+        return meaning
+
+    def _follower(self, channel: Channel) -> SdoFollower:
+        follower = self._followers.get(channel)
+        if follower is None:
+            follower = self._followers[channel] = SdoFollower(channel.node_id, self._dictionaries[channel.node_id])
+        return follower
+
+    def _settle(self, settled: Settled) -> list[Finding]:
         """Take note of a value that a node holds."""
-        index, subindex = settled.place
-        value = int.from_bytes(settled.data[:4], "little")
-        if index == CONSUMER_HEARTBEAT_TIME and len(settled.data) == 4:
+        node_id, place, data = settled
+        index, subindex, value = index_of(place), subindex_of(place), int.from_bytes(data[:4], "little")
+        if index == CONSUMER_HEARTBEAT_TIME and len(data) == 4:
             self._nodes.consumer(node_id, subindex, value)
         elif index == PRODUCER_HEARTBEAT_TIME:
             self._nodes.producer(node_id, value * MILLISECOND)
         self._timings.settle(node_id, index, subindex, value)
+        if self._parameters.settle(node_id, index, subindex, data):
+            self._renew(node_id)
         return self._services.settle(node_id, index, value)
 
-    def _look_at(self, frame: Frame, now: Time) -> list[Finding]:
-        """Return what is wrong by the rules of NMT, error control and SDO."""
-        data = frame.data
-        if frame.flags & (REMOTE | EXTENDED):
-            if frame.flags == REMOTE and frame.can_id & 0x780 == ERROR_CONTROL:
-                self._nodes.asked(frame.can_id & 0x7F)
-            return []
-        if frame.can_id == NMT:
-            if len(data) != 2:
-                return [Finding("length", 0, f"an NMT command of {len(data)} bytes; it has two")]
-            self._timings.commanded(data[1])
-            return self._nodes.command(data[0], data[1], now)
-        function, node_id = frame.can_id & 0x780, frame.can_id & 0x7F
-        if not node_id:
-            return []
-        if function in _BY_THE_NODE:
+    def _lives(self, node_id: int) -> None:
+        """Take note that a node has sent a frame that only the node itself sends."""
+        if node_id not in self._alive:
             self._alive.add(node_id)
-        if function == ERROR_CONTROL:
-            return self._nodes.error_control(node_id, data, now)
-        if function == SDO_CLIENT_TO_SERVER:
-            return self._nodes.sdo(node_id, now, is_answer=False) + self._channel(node_id).client(data, now)
-        if function == SDO_SERVER_TO_CLIENT:
-            return self._nodes.sdo(node_id, now, is_answer=True) + self._channel(node_id).server(data, now)
-        return []
-
-    def _channel(self, node_id: int) -> SdoRules:
-        if node_id not in self._channels:
-            self._channels[node_id] = SdoRules(node_id)
-        return self._channels[node_id]
+            self._is_shared_told = False
 
     def _shared(self) -> list[Finding]:
         """Return PDOs of two nodes with one COB-ID that were not told yet. A file alone is no evidence: both have to be there."""
         found = []
-        for key, first, second in self._decoder.shared_cob_ids():
+        for key, first, second in self._pdos.shared():
             if not {first.node_id, second.node_id} <= self._alive:
                 continue
             text = f"{first.name} of node {first.node_id} and {second.name} of node {second.node_id} have the COB-ID 0x{key:X}"
@@ -207,6 +357,22 @@ class Observer:
             value = variable.initial_of(node_id)
             if isinstance(value, int):
                 self._nodes.consumer(node_id, subindex, value)
+
+
+def _plain(service: str, node_id: int, say: Say, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    """Take a frame of a service without rules."""
+    return Meaning(service, node_id, say, frame)
+
+
+def _first_channel(node_id: int) -> Channel:
+    """Return the predefined SDO channel of a node."""
+    return Channel(RoutingKey(SDO_CLIENT_TO_SERVER + node_id), RoutingKey(SDO_SERVER_TO_CLIENT + node_id), node_id)
+
+
+def _pdo_name(function: int) -> str:
+    """Return the name of the PDO with a function code: TPDO1 is 3, RPDO1 4, TPDO2 5 ..."""
+    number = (function >> 7) - (TPDO1 >> 7)
+    return f"{'RPDO' if number % 2 else 'TPDO'} {number // 2 + 1}"
 
 
 class _Load:

@@ -1,28 +1,27 @@
 """Find out, by listening only, which PDO a frame is, and what its bytes mean.
 
-Three sources say which settings a device's PDOs have, the surer one first:
-
-1. the recording: PDO parameters (0x1400 to 0x1BFF) that were written to the device, or read from it. A boot-up ends that: the
-   device has its power-on values again.
-2. the device's own file: the defaults of an EDS, the values of a DCF.
-3. the PDO descriptions of the dictionary (PDOs.csv), if there is neither of these: the first one with the frame's CAN-ID and
-   length.
+Three sources say which settings a device's PDOs have, the surer one first: the recording, the device's own file (parameters.py),
+and, if there is neither of these, the PDO descriptions of the dictionary (PDOs.csv): the first one with the frame's CAN-ID and
+length.
 
 If the mapping of a PDO is known and its COB-ID is not, the COB-ID is that of the predefined connection set (CiA 301 v4.2.0,
 7.3.5). If two devices have the same COB-ID, the recording goes before a file, the sender before a receiver, then the lower
-node-ID.
+node-ID. A frame of a multiplexed PDO names its object itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
+from canopen_proto.datatypes import ValueRangeError, bit_length_of
 from canopen_proto.dictionary import Direction, ObjectDictionary
-from canopen_proto.frame import COB_ID_INVALID, RPDO1, TPDO1, RoutingKey, key_of_cob_id
-from canopen_proto.multiplexer import Mux, index_of, mux
-from canopen_proto.pdo.mapping import MAX_ENTRIES, MappingError, entries_of
+from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
+from canopen_proto.observer.meaning import Shown, Words, hex_text, object_text, shown_of, value_text
+from canopen_proto.observer.parameters import Parameters
+from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError, entries_of
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
+from canopen_proto.pdo.multiplexed import DESTINATION_MODE, MPDO, MpdoMode
 from canopen_proto.pdo.settings import COB_ID, communication_index, mapping_index, place_of
 
 PREDEFINED_PDOS: Final = 4
@@ -30,110 +29,167 @@ _FIRST_COB_ID: Final = {Direction.TPDO: TPDO1, Direction.RPDO: RPDO1}
 _NEXT_PDO: Final = 0x100  # from the function code of a PDO to that of the next in its direction
 
 
-class OverheardPdo(NamedTuple):
-    """A PDO of a device. name: "TPDO 1", or its name in PDOs.csv; is_guess: the latter, which may be of another device."""
+class OverheardPdo:
+    """A PDO of a device. Never changes.
 
-    node_id: int
-    name: str
-    direction: Direction
-    mapping: PdoMapping
-    is_recorded: bool
-    is_guess: bool = False
+    name: "TPDO 1", or its name in PDOs.csv; is_guess: the latter, which may be of another device. is_recorded: the recording has
+    shown its parameters. mapping: None for a multiplexed PDO. byte_length: of its frames. say: puts a frame in words.
+    """
+
+    __slots__ = ("_dictionaries", "byte_length", "direction", "is_guess", "is_recorded", "mapping", "name", "node_id", "say")
+
+    def __init__(
+        self,
+        node_id: int,
+        name: str,
+        direction: Direction,
+        mapping: PdoMapping | None,
+        dictionaries: Mapping[int, ObjectDictionary],
+        *,
+        is_recorded: bool = False,
+        is_guess: bool = False,
+    ) -> None:
+        self.node_id = node_id
+        self.name = name
+        self.direction = direction
+        self.mapping = mapping
+        self.is_recorded = is_recorded
+        self.is_guess = is_guess
+        self.byte_length = MPDO.size if mapping is None else mapping.byte_length
+        self.say = self._multiplexed if mapping is None else self._mapped
+        self._dictionaries = dictionaries
+
+    def _mapped(self, frame: Frame) -> Words:
+        mapping, data = self.mapping, frame.data
+        assert mapping is not None
+        dictionary = self._dictionaries[self.node_id]
+        try:
+            values = mapping.unpack(data)
+        except ValueRangeError as error:
+            why = f"shorter than its mapping of {self.byte_length} bytes" if len(data) < self.byte_length else str(error)
+            return Words(f"{why}: {hex_text(data)}")
+        is_held = self.direction is Direction.TPDO
+        objects = []
+        texts = []
+        for entry, label, value in zip(mapping.components, mapping.labels, values, strict=True):
+            text = value_text(dictionary, entry.index, entry.subindex, value)
+            objects.append(Shown(self.node_id, entry.index, entry.subindex, entry.name, value, text, is_held))
+            texts.append(f"{_name_of(entry, label)} = {text}")
+        if len(data) > self.byte_length:
+            rest = data[self.byte_length :].hex(" ")
+            texts.append(f"longer than its mapping of {self.byte_length} bytes: {rest} left over")
+        return Words(", ".join(texts), tuple(objects))
+
+    def _multiplexed(self, frame: Frame) -> Words:
+        """A frame in source address mode names the producer and its object; in destination address mode, the consumer and its."""
+        if len(frame.data) != MPDO.size:
+            return Words(f"a multiplexed PDO has {MPDO.size} bytes: {hex_text(frame.data)}")
+        address, index, subindex, data = MPDO.unpack(frame.data)
+        node_id, is_source = address & ~DESTINATION_MODE, not address & DESTINATION_MODE
+        dictionary = self._dictionaries.get(node_id) or self._dictionaries[self.node_id]
+        variable = dictionary.get(index, subindex)
+        bits = bit_length_of(variable.data_type) if variable is not None else None
+        shown = shown_of(dictionary, node_id, index, subindex, data[: ((bits or 32) + 7) // 8], is_held=is_source)
+        whose = f"of node {node_id}" if node_id else "of all nodes"
+        return Words(f"{object_text(dictionary, index, subindex)} {whose} = {shown.text}", (shown,))
 
 
 class OverheardPdos:
-    """The PDOs of all devices on a bus; see this module's text. dictionaries: by node-ID.
+    """The PDOs of all devices on a bus; see this module's text. `renew` reads those of a device."""
 
-    shared: those that two nodes send with one COB-ID; `find` fills it.
-    """
+    def __init__(self, parameters: Parameters) -> None:
+        self._parameters = parameters
+        self._of_node: dict[int, list[tuple[RoutingKey, OverheardPdo]]] = {}
+        self._by_key: dict[RoutingKey, OverheardPdo] | None = None
+        self._shared: list[tuple[RoutingKey, OverheardPdo, OverheardPdo]] = []
 
-    def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
-        self._dictionaries = dictionaries
-        self._recorded: dict[int, dict[Mux, int]] = {}  # by node-ID: mux -> value
-        self._of_node = {node_id: self._pdos_of(node_id) for node_id in dictionaries}  # with their routing keys
-        self._by_key: dict[int, OverheardPdo] | None = None
-        self.shared: list[tuple[RoutingKey, OverheardPdo, OverheardPdo]] = []
-
-    def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
-        """Take note that the device holds this value. Does nothing if the object is not a PDO parameter."""
-        if place_of(index) is not None and len(data) <= 4:
-            self._recorded.setdefault(node_id, {})[mux(index, subindex)] = int.from_bytes(data, "little")
-            self._renew(node_id)
-
-    def booted(self, node_id: int) -> None:
-        """Take note of a boot-up: the device has its power-on values again."""
-        if self._recorded.pop(node_id, None):
-            self._renew(node_id)
-
-    def find(self, key: RoutingKey, node_id: int, length: int) -> OverheardPdo | None:
-        """Return the PDO with a routing key, or None. node_id: of the CAN-ID; length: bytes of the frame; both for PDOs.csv."""
-        if self._by_key is None:
-            self._by_key = {}
-            self.shared = []
-            known = [pair for pairs in self._of_node.values() for pair in pairs]
-            known.sort(key=lambda pair: (not pair[1].is_recorded, pair[1].direction is Direction.RPDO))
-            for each, pdo in known:
-                first = self._by_key.setdefault(each, pdo)
-                if first.node_id != pdo.node_id and Direction.RPDO not in (first.direction, pdo.direction):
-                    self.shared.append((each, first, pdo))
-        if key in self._by_key or self._of_node.get(node_id):
-            return self._by_key.get(key)
-        return self._of_csv(key, node_id, length)
-
-    def _renew(self, node_id: int) -> None:
+    def renew(self, node_id: int) -> None:
+        """Take note that the parameters of a device have changed."""
         self._of_node[node_id] = self._pdos_of(node_id)
         self._by_key = None
-        self.shared = []
 
-    def _of_csv(self, key: RoutingKey, node_id: int, length: int) -> OverheardPdo | None:
-        pdos = self._dictionaries[node_id].pdos if node_id in self._dictionaries else ()
-        candidates = [each for each in pdos if each.can_id(node_id) == key]
-        if not candidates:
-            return None
-        best = next((each for each in candidates if (each.bit_length + 7) // 8 == length), candidates[0])
-        try:
-            return OverheardPdo(node_id, best.name, best.direction, PdoMapping.from_description(best), False, True)
-        except MappingError:
-            return None
+    def find(self, key: RoutingKey) -> OverheardPdo | None:
+        """Return the PDO with a routing key by the recording or by a file, or None."""
+        return self._in_order().get(key)
+
+    def shared(self) -> list[tuple[RoutingKey, OverheardPdo, OverheardPdo]]:
+        """Return the PDOs that two nodes send with one COB-ID, with its routing key."""
+        self._in_order()
+        return self._shared
+
+    def _in_order(self) -> dict[RoutingKey, OverheardPdo]:
+        if self._by_key is None:
+            self._by_key = {}
+            self._shared = []
+            known = [pair for pairs in self._of_node.values() for pair in pairs]
+            known.sort(key=lambda pair: (not pair[1].is_recorded, pair[1].direction is Direction.RPDO))
+            for key, pdo in known:
+                first = self._by_key.setdefault(key, pdo)
+                if first.node_id != pdo.node_id and Direction.RPDO not in (first.direction, pdo.direction):
+                    self._shared.append((key, first, pdo))
+        return self._by_key
+
+    def guesses(self, key: RoutingKey) -> tuple[OverheardPdo, ...]:
+        """Return the PDOs that PDOs.csv describes with a routing key, for a device that has shown none itself."""
+        node_id = key & MAX_NODE_ID
+        if self._of_node.get(node_id):
+            return ()
+        dictionaries = self._parameters.dictionaries
+        found = []
+        for each in dictionaries[node_id].pdos if node_id in dictionaries else ():
+            if each.can_id(node_id) == key:
+                try:
+                    mapping = PdoMapping.from_description(each)
+                except MappingError:
+                    continue
+                found.append(OverheardPdo(node_id, each.name, each.direction, mapping, dictionaries, is_guess=True))
+        return tuple(found)
 
     def _pdos_of(self, node_id: int) -> list[tuple[RoutingKey, OverheardPdo]]:
         """Return the valid PDOs of a device by the recording and by its file, with their routing keys."""
-        recorded = set(_pdos_at(index_of(mux) for mux in self._recorded.get(node_id, ())))
+        recorded = set(_pdos_at(self._parameters.recorded(node_id)))
         found = []
-        for direction, number in sorted({*recorded, *_pdos_at(self._dictionaries[node_id].objects)}):
-            cob_id, mapping = self._cob_id(node_id, direction, number), self._mapping(node_id, direction, number)
-            if cob_id and not cob_id & COB_ID_INVALID and mapping is not None:
-                pdo = OverheardPdo(node_id, f"{direction} {number}", direction, mapping, (direction, number) in recorded)
+        for direction, number in sorted(set(_pdos_at(self._parameters.indices(node_id)))):
+            cob_id = self._cob_id(node_id, direction, number)
+            if not cob_id or cob_id & COB_ID_INVALID:
+                continue
+            mapping, is_multiplexed = self._mapping(node_id, direction, number)
+            if mapping is not None or is_multiplexed:
+                known = self._parameters.dictionaries
+                is_recorded = (direction, number) in recorded
+                pdo = OverheardPdo(node_id, f"{direction} {number}", direction, mapping, known, is_recorded=is_recorded)
                 found.append((key_of_cob_id(cob_id), pdo))
         return found
 
     def _cob_id(self, node_id: int, direction: Direction, number: int) -> int | None:
-        stored = self._value(node_id, communication_index(direction, number), COB_ID)
+        stored = self._parameters.value(node_id, communication_index(direction, number), COB_ID)
         if stored is None and number <= PREDEFINED_PDOS:
             return _FIRST_COB_ID[direction] + _NEXT_PDO * (number - 1) + node_id
         return stored
 
-    def _mapping(self, node_id: int, direction: Direction, number: int) -> PdoMapping | None:
-        """Return the mapping; None if it is empty, not known, or impossible: the device has refused it then."""
-        index = mapping_index(direction, number)
-        count = self._value(node_id, index, 0) or 0
-        if not 0 < count <= MAX_ENTRIES:
-            return None
-        entries = [self._value(node_id, index, subindex) for subindex in range(1, count + 1)]
-        if not all(entries):
-            return None
-        try:
-            return PdoMapping(entries_of(filter(None, entries), self._dictionaries[node_id]))
-        except MappingError:
-            return None
+    def _mapping(self, node_id: int, direction: Direction, number: int) -> tuple[PdoMapping | None, bool]:
+        """Return the mapping, and whether there is none because the PDO is a multiplexed one.
 
-    def _value(self, node_id: int, index: int, subindex: int) -> int | None:
-        recorded = self._recorded.get(node_id, {}).get(mux(index, subindex))
-        if recorded is not None:
-            return recorded
-        variable = self._dictionaries[node_id].get(index, subindex)
-        value = None if variable is None else variable.initial_of(node_id)
-        return value if isinstance(value, int) else None
+        None if it is empty, not known, or impossible: the device has refused it then.
+        """
+        index = mapping_index(direction, number)
+        count = self._parameters.value(node_id, index, 0) or 0
+        if count in (MpdoMode.SOURCE, MpdoMode.DESTINATION):
+            return None, True
+        if not 0 < count <= MAX_ENTRIES:
+            return None, False
+        entries = [self._parameters.value(node_id, index, subindex) for subindex in range(1, count + 1)]
+        if not all(entries):
+            return None, False
+        try:
+            return PdoMapping(entries_of(filter(None, entries), self._parameters.dictionaries[node_id])), False
+        except MappingError:
+            return None, False
+
+
+def _name_of(entry: MappedEntry, label: str) -> str:
+    """Return an object's label; with its index and subindex too, if several objects of the PDO have that name."""
+    return label if label == entry.name else f"{label} {entry.name}"
 
 
 def _pdos_at(indices: Iterable[int]) -> Iterator[tuple[Direction, int]]:

@@ -21,7 +21,6 @@ from canopen_cli.session import read_dictionary
 from canopen_master.plain_text import clean, json_text
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND
-from canopen_proto.observer.decoding import Decoder
 from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observation, Observer
 from canopen_transports import open_transport
@@ -149,7 +148,7 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
         rate = parse_bitrate(bitrate)
     except ValueError as error:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
-    reader, decoder = _reader(source), Decoder()
+    reader, observer = _reader(source), Observer()
     frames: Counter[int] = Counter()
     bits: Counter[int] = Counter()
     what: dict[int, tuple[str, str, int]] = {}
@@ -161,7 +160,7 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
         frames[frame.key] += 1
         bits[frame.key] += frame_bits(frame)
         if frame.key not in what:
-            meaning = decoder.decode(frame)
+            meaning = observer.observe(frame, record.time).meaning
             service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first one is the boot-up
             what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
     seconds = 0.0 if first is None or last is None else (last - first) / SECOND

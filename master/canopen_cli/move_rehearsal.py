@@ -20,7 +20,7 @@ from canopen_data.path_file import PathFile
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import SYNC
 from canopen_proto.machine import NEVER
-from canopen_proto.observer.decoding import Decoder
+from canopen_proto.observer.observer import Observer
 from canopen_transports.tracing import recording
 
 
@@ -68,7 +68,7 @@ def rehearse_move(
     # The set-points of the first cycle are sent behind the SYNC after it; SYNC goes to all buses at one instant
     begin, end = (*sorted({record.time for record in sent if record.frame.can_id == SYNC})[1:3], NEVER, NEVER)[:2]
     first = [record for record in sent if begin <= record.time < end]
-    show_frames(settings, screen, first, Decoder(dictionaries.get))
+    show_frames(settings, screen, first, Observer(dictionaries.get))
     screen.say("nothing of this was sent: simulated drives with the values of yours have moved. Yours may answer otherwise")
 
 

@@ -36,7 +36,7 @@ from canopen_proto.frame import SDO_CLIENT_TO_SERVER, Frame
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.observer.decoding import Decoder
+from canopen_proto.observer.observer import Observer
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.procedures.walk import walk
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
@@ -139,7 +139,7 @@ def rehearse(
         with recording(frames):
             run(apart, screen, perform)
     finally:
-        show_frames(settings, screen, frames.records, Decoder(session.dictionary_of))
+        show_frames(settings, screen, frames.records, Observer(session.dictionary_of))
     screen.say("nothing of this was sent: a simulated drive with the values of yours has answered. Yours may answer otherwise")
 
 
@@ -184,14 +184,14 @@ def likeness_of(node: Node) -> Procedure[Likeness]:
     return Likeness(node.node_id, made, tuple(shown), node.nmt_state is NmtState.OPERATIONAL)
 
 
-def show_frames(settings: Settings, screen: Screen, records: Sequence[Record], decoder: Decoder) -> None:
+def show_frames(settings: Settings, screen: Screen, records: Sequence[Record], observer: Observer) -> None:
     """Show the frames that we would send. Reads are counted, or shown with -v; a repeated heartbeat is shown once."""
     rows: list[tuple[Time, Frame, str, str]] = []
     reads = 0
     heartbeats: set[Frame] = set()
     for record in records:
         frame = record.frame
-        meaning = decoder.decode(frame)
+        meaning = observer.observe(frame, record.time).meaning
         if not record.sent or frame in heartbeats:
             continue
         if meaning.service == "heartbeat":

@@ -12,9 +12,9 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Constant, Direction, Filler, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.dictionary.objects import Object, ObjectType
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
-from canopen_proto.observer.decoding import Decoder
 from canopen_proto.observer.meaning import Shown, bytes_text
-from canopen_proto.observer.sdo import MAX_KEPT, OverheardChannel
+from canopen_proto.observer.observer import Observer
+from canopen_proto.observer.sdo import MAX_KEPT
 from tests.examples import examples
 from tests.interop.recorded import FOLDER, needs_recordings
 
@@ -43,8 +43,8 @@ DICTIONARY = ObjectDictionary(
 
 
 def meanings(*frames: str, of: int | None = 5) -> list[str]:
-    decoder = Decoder(lambda node_id: DICTIONARY if node_id == of else None)
-    made = [decoder.decode(Frame.parse(frame)) for frame in frames]
+    observer = Observer(lambda node_id: DICTIONARY if node_id == of else None)
+    made = [observer.observe(Frame.parse(frame), 0).meaning for frame in frames]
     return [f"{each.service} {each.node_id} {each.text}".rstrip() for each in made]
 
 
@@ -120,6 +120,65 @@ def test_pdo_parameters_that_the_recording_shows_count_until_the_next_boot_up() 
     assert (after, gone) == (before, "TPDO 1 6 6f 00 05")
 
 
+def written(node_id: int, index: int, subindex: int, value: int) -> list[str]:
+    """A write that the node confirms."""
+    place = f"{index & 0xFF:02X}{index >> 8:02X}{subindex:02X}"
+    return [f"{0x600 + node_id:03X}#23{place}{value.to_bytes(4, 'little').hex()}", f"{0x580 + node_id:03X}#60{place}00000000"]
+
+
+def test_cob_ids_of_services_that_the_recording_shows() -> None:
+    *_, sync, predefined = meanings(*written(5, 0x1005, 0, 0x4000_0091), "091#03", "080#")
+    assert (sync, predefined) == ("SYNC 0 counter 3", "SYNC 0")
+    *_, time = meanings(*written(5, 0x1012, 0, 0x8000_0101), "101#000000000000")
+    assert time == "TIME 0 1984-01-01 00:00:00+00:00"
+    frames = ["0A0#1081010000000000", "120#1081010000000000"]
+    *_, before, emergency = meanings(*written(5, 0x1014, 0, 0x120), *frames)
+    assert before.startswith("EMCY 32 0x8110")
+    assert emergency.startswith("EMCY 5 0x8110")
+    *_, invalid = meanings(*written(5, 0x1014, 0, 0x8000_0120), frames[1])
+    assert invalid.startswith("? 0")
+    *_, extended = meanings(*written(5, 0x1014, 0, 0x3234_5678), "12345678#1081010000000000")
+    assert extended.startswith("EMCY 5 0x8110")
+    *_, after = meanings(*written(5, 0x1014, 0, 0x120), "705#00", frames[1])
+    assert after.startswith("? 0"), "a boot-up: the power-on value counts again"
+
+
+CHANNEL = ["6E1#4041600000000000", "6E2#4B4160006F000000"]
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        written(5, 0x1201, 1, 0x6E1) + written(5, 0x1201, 2, 0x6E2),
+        written(9, 0x1280, 1, 0x6E1) + written(9, 0x1280, 2, 0x6E2) + written(9, 0x1280, 3, 5),  # its client has it
+        written(5, 0x1201, 1, 0x6E1) + written(5, 0x1201, 2, 0x6E2) + written(9, 0x1280, 1, 0x6E1) + written(9, 0x1280, 2, 0x6E2),
+    ],
+)
+def test_sdo_channels_beyond_the_first(record: list[str]) -> None:
+    *_, request, answer = meanings(*record, *CHANNEL)
+    assert (request, answer) == ("SDO 5 read 6041:00 statusword", "SDO 5 read 6041:00 statusword = 111 (ready)")
+    *_, request, _ = meanings(*record, *written(5, 0x1201, 1, 0x8000_06E1), *written(9, 0x1280, 2, 0x8000_06E2), *CHANNEL)
+    assert request.startswith("? 0"), "it is not valid any more"
+
+
+def test_two_channels_of_a_server_are_two_transfers() -> None:
+    record = written(5, 0x1201, 1, 0x6E1) + written(5, 0x1201, 2, 0x6E2)
+    *_, first, second = meanings(*record, "605#4064600000000000", *CHANNEL, "585#4364600007000000")
+    assert (first, second) == ("SDO 5 read 6041:00 statusword = 111 (ready)", "SDO 5 read 6064:00 position = 7")
+
+
+def test_multiplexed_pdos() -> None:
+    source = [*written(6, 0x1A00, 0, 0xFE), *written(6, 0x1800, 1, 0x186)]
+    *_, known, unknown, short = meanings(*source, "186#056460000700FEFF", "186#0600200101000000", "186#05")
+    assert known == "TPDO 1 6 6064:00 position of node 5 = -131065"
+    assert unknown == "TPDO 1 6 2000:01 of node 6 = 0x00000001"
+    assert short == "TPDO 1 6 a multiplexed PDO has 8 bytes: 05"
+    destination = [*written(6, 0x1600, 0, 0xFF), *written(6, 0x1400, 1, 0x206)]
+    *_, whom, all_nodes = meanings(*destination, "206#8541600037020000", "206#8041600037020000")
+    assert whom == "RPDO 1 6 6041:00 statusword of node 5 = 567 (0x237)"
+    assert all_nodes == "RPDO 1 6 6041:00 of all nodes = 0x00000237"
+
+
 def test_pdo_parameters_count_for_a_device_without_a_file_as_well() -> None:
     reads = ("605#40001A0000000000", "585#4F001A0001000000", "605#40001A0100000000", "585#43001A0110004160")
     *_, meaning = meanings(*reads, "185#6F00", of=None)
@@ -134,8 +193,11 @@ def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
         PdoDescription("long", 0x200, Direction.RPDO, 1, (control, Filler("notused16", 16), position)),
     ]
     dictionary = ObjectDictionary([Object(0x6040, "c", ObjectType.VAR, {0: control})], pdos=pdos)
-    decoder = Decoder(lambda node_id: dictionary)
-    seen = [decoder.decode(Frame.parse(text)) for text in ("205#0F00", "205#0F00000001000000", "205#0F", "285#0F00", "180#")]
+    observer = Observer(lambda node_id: dictionary)
+    seen = [
+        observer.observe(Frame.parse(text), 0).meaning
+        for text in ("205#0F00", "205#0F00000001000000", "205#0F", "285#0F00", "180#")
+    ]
     assert [f"{each.service} {each.text}" for each in seen] == [
         "short controlword = 15 (enable operation)",
         "long controlword = 15 (enable operation), position = 1",
@@ -151,12 +213,15 @@ def test_names_that_repeat_are_told_with_their_place() -> None:
     dictionary = ObjectDictionary(
         [Object(0x6401, "inputs", ObjectType.ARRAY, inputs), obj(0x1800, (U8, 2), (U32, 0x185)), entries]
     )
-    assert Decoder(lambda node_id: dictionary).decode(Frame.parse("185#0102")).text == "6401:01 input = 1, 6401:02 input = 2"
+    assert (
+        Observer(lambda node_id: dictionary).observe(Frame.parse("185#0102"), 0).meaning.text
+        == "6401:01 input = 1, 6401:02 input = 2"
+    )
 
 
 def shown(*frames: str) -> list[tuple[Shown, ...]]:
-    decoder = Decoder(lambda node_id: DICTIONARY if node_id == 5 else None)
-    return [decoder.decode(Frame.parse(frame)).objects for frame in frames]
+    observer = Observer(lambda node_id: DICTIONARY if node_id == 5 else None)
+    return [observer.observe(Frame.parse(frame), 0).meaning.objects for frame in frames]
 
 
 def test_the_objects_of_a_pdo_have_names_and_values() -> None:
@@ -186,8 +251,8 @@ def test_the_object_of_an_sdo_transfer_has_a_value_where_a_frame_shows_it() -> N
 
 def sdo(*frames: str) -> list[str]:
     """Client's frames begin with >, server's with <."""
-    channel = OverheardChannel(DICTIONARY)
-    return [(channel.client if frame[0] == ">" else channel.server)(bytes.fromhex(frame[1:])) for frame in frames]
+    ids = {">": "605#", "<": "585#"}
+    return [text.removeprefix("SDO 5 ") for text in meanings(*(ids[frame[0]] + frame[1:].replace(" ", "") for frame in frames))]
 
 
 def test_expedited_transfers() -> None:
@@ -295,7 +360,7 @@ def test_aborts() -> None:
     assert sdo("<80 41 60 00 11 00 09 06") == ["aborted by the server, 6041:00 statusword: subindex does not exist (0x06090011)"]
     assert sdo(">80 41 60 00 00 00 04 05")[0].startswith("aborted by the client, 6041:00 statusword: ")
     within = sdo(">A0 08 10 00 7F 00 00 00", "<C2 08 10 00 09 00 00 00", ">A3" + " 00" * 7, "<80 08 10 00 00 00 04 05")
-    assert within[-1].startswith("aborted by the sender, 1008:00 name")
+    assert within[-1].startswith("aborted by the server, 1008:00 name")
 
 
 def test_what_begins_in_the_middle() -> None:
@@ -312,11 +377,9 @@ def test_what_begins_in_the_middle() -> None:
 
 
 def test_a_long_value_is_only_counted() -> None:
-    channel = OverheardChannel(DICTIONARY)
-    channel.client(bytes.fromhex("2000200000000000"))
-    for _ in range(MAX_KEPT // 7 + 2):
-        channel.client(bytes(8))
-    assert channel.client(b"\1" + bytes(7)) == f"write 2000:00 blob: {(MAX_KEPT // 7 + 3) * 7} bytes"
+    segments = [frame for _ in range(MAX_KEPT // 7 + 2) for frame in (">00" + " 00" * 7, "<20" + " 00" * 7)]
+    whole = sdo(">20 00 20 00 00 00 00 00", "<60 00 20 00 00 00 00 00", *segments, ">01" + " 00" * 7)
+    assert whole[-1] == f"write 2000:00 blob: {(MAX_KEPT // 7 + 3) * 7} bytes"
 
 
 def test_bytes() -> None:
@@ -346,9 +409,9 @@ any_frames = st.one_of(
 @given(st.lists(any_frames, max_size=40))
 @examples(150)
 def test_any_frames_have_a_meaning(frames: list[Frame]) -> None:
-    decoder = Decoder(lambda node_id: DICTIONARY if node_id == 5 else None)
+    observer = Observer(lambda node_id: DICTIONARY if node_id == 5 else None)
     for frame in frames:
-        meaning = decoder.decode(frame)
+        meaning = observer.observe(frame, 0).meaning
         assert meaning.service
         assert 0 <= meaning.node_id <= 127
         assert len(meaning.text) < 300
@@ -358,8 +421,9 @@ def test_any_frames_have_a_meaning(frames: list[Frame]) -> None:
 def test_recorded_transfers_come_out_whole() -> None:
     seen = []
     for path in sorted(FOLDER.glob("*.log")):
-        decoder = Decoder()
-        seen += [decoder.decode(Frame.parse(line.split()[2])) for line in path.read_text().splitlines()]
+        observer = Observer()
+        frames = [Frame.parse(line.split()[2]) for line in path.read_text().splitlines()]
+        seen += [observer.observe(frame, 0).meaning for frame in frames]
     texts = [meaning.text for meaning in seen]
     assert "read 1008:00 = 'CANopenDemoLinux'" in texts
     assert "write 2121:02 = 'ABCDEFGHIJKLMNOPQRSTUVWX'" in texts

@@ -1,0 +1,74 @@
+"""Keep the communication parameters of all devices on a bus, as far as they can be known by listening only.
+
+Two sources say which value a device has, the surer one first:
+
+1. the recording: what was written to the device, or read from it. A boot-up ends that: the device has its power-on values again.
+2. the device's own file: the defaults of an EDS, the values of a DCF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from canopen_proto import indices
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.multiplexer import Mux, index_of, mux
+from canopen_proto.pdo.settings import place_of
+
+COB_IDS: Final = (indices.COB_ID_SYNC, indices.COB_ID_TIME_STAMP, indices.COB_ID_EMERGENCY)
+MAX_RECORDED: Final = 1 << 14
+"""Values of one device: more than 127 SDO channels and 200 PDOs with all their entries."""
+_MAX_BYTES: Final = 4
+
+
+class Parameters:
+    """See this module's text. dictionaries: by node-ID, one for each device that a bus may have."""
+
+    __slots__ = ("_recorded", "dictionaries")
+
+    def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
+        self.dictionaries = dictionaries
+        self._recorded: dict[int, dict[Mux, int]] = {}  # by node-ID
+
+    def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> bool:
+        """Take note that a device holds this value. Return whether it is a communication parameter that had another value."""
+        if not is_parameter(index) or len(data) > _MAX_BYTES:
+            return False
+        recorded, key = self._recorded.setdefault(node_id, {}), mux(index, subindex)
+        value = int.from_bytes(data, "little")
+        if recorded.get(key) == value or len(recorded) >= MAX_RECORDED:
+            return False
+        recorded[key] = value
+        return True
+
+    def booted(self, node_id: int) -> bool:
+        """Take note of a boot-up. Return whether the device had other values than its file says."""
+        return bool(self._recorded.pop(node_id, None))
+
+    def value(self, node_id: int, index: int, subindex: int) -> int | None:
+        """Return the number that a device has in an object; None if that is not known."""
+        recorded = self._recorded.get(node_id)
+        if recorded is not None:
+            value = recorded.get(mux(index, subindex))
+            if value is not None:
+                return value
+        variable = self.dictionaries[node_id].get(index, subindex)
+        initial = None if variable is None else variable.initial_of(node_id)
+        return initial if isinstance(initial, int) else None
+
+    def recorded(self, node_id: int) -> set[int]:
+        """Return the indices of the objects that the recording has shown."""
+        return {index_of(key) for key in self._recorded.get(node_id, ())}
+
+    def indices(self, node_id: int) -> Iterator[int]:
+        """Return the indices of the parameters that the device has, by either source; some of them twice."""
+        yield from self.recorded(node_id)
+        for index in self.dictionaries[node_id].objects:
+            if is_parameter(index):
+                yield index
+
+
+def is_parameter(index: int) -> bool:
+    """Return whether an object says which frames a device exchanges: a COB-ID, an SDO channel or a PDO."""
+    return index in COB_IDS or index in indices.SDO_SERVERS or index in indices.SDO_CLIENTS or place_of(index) is not None

@@ -1,0 +1,93 @@
+"""The frames of services that have no memory, in words: NMT, error control, SYNC, TIME, EMCY, LSS, remote frames."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.error_codes import error_text, register_names
+from canopen_proto.frame import Frame
+from canopen_proto.lss import messages as lss
+from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand
+from canopen_proto.observer.meaning import Words, bytes_text, hex_text
+from canopen_proto.time_stamp import time_of
+
+_COMMANDS: Final[dict[int, str]] = {
+    NmtCommand.START: "start",
+    NmtCommand.STOP: "stop",
+    NmtCommand.ENTER_PRE_OPERATIONAL: "enter pre-operational",
+    NmtCommand.RESET_NODE: "reset node",
+    NmtCommand.RESET_COMMUNICATION: "reset communication",
+}
+_STATE: Final = 0x7F
+
+
+def of_nmt(frame: Frame) -> Words:
+    data = frame.data
+    if len(data) < 2:
+        return Words(f"too short: {hex_text(data)}")
+    command = _COMMANDS.get(data[0]) or f"unknown command 0x{data[0]:02X}"
+    return Words(f"{command}: {'all nodes' if data[1] == 0 else f'node {data[1]}'}")
+
+
+def of_error_control(frame: Frame) -> Words:
+    data = frame.data
+    if len(data) != 1:
+        return Words(f"of a wrong length: {hex_text(data)}")
+    if not data[0]:
+        return Words("")
+    return Words(state_text(data[0]))
+
+
+def state_text(byte: int) -> str:
+    """Return the NMT state in a heartbeat or guarding answer, which may have the toggle bit."""
+    state = STATE_OF_BYTE[byte]
+    return state.name.lower().replace("_", "-") if state is not None else f"unknown state 0x{byte & _STATE:02X}"
+
+
+def of_sync(frame: Frame) -> Words:
+    return Words(f"counter {frame.data[0]}" if frame.data else "")
+
+
+def of_time(frame: Frame) -> Words:
+    try:
+        return Words(str(time_of(frame.data[:6])))
+    except ValueRangeError:
+        return Words(f"not a time: {hex_text(frame.data)}")
+
+
+def of_emergency(frame: Frame) -> Words:
+    data = frame.data
+    if len(data) < 3:
+        return Words(f"too short: {hex_text(data)}")
+    code = data[0] | data[1] << 8
+    register = f"error register 0x{data[2]:02X}"
+    names = register_names(data[2])
+    if names:
+        register += f" ({', '.join(names)})"
+    rest = f", {data[3:].hex(' ')}" if any(data[3:]) else ""
+    return Words(f"0x{code:04X} {error_text(code)}, {register}{rest}")
+
+
+def of_lss(frame: Frame) -> Words:
+    return Words(lss.text_of(frame))
+
+
+def of_bytes(frame: Frame) -> Words:
+    return Words(bytes_text(frame.data))
+
+
+def of_request(frame: Frame) -> Words:
+    return Words("requested by a remote frame")
+
+
+def of_guarding_request(frame: Frame) -> Words:
+    return Words("the master asks for the state")
+
+
+def of_remote(frame: Frame) -> Words:
+    return Words(f"a remote frame, {frame.dlc} bytes")
+
+
+def of_extended(frame: Frame) -> Words:
+    return Words("29-bit identifier, which no file here assigns")
