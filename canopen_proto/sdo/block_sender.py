@@ -43,8 +43,8 @@ class BlockSender(Transfer):
     """See this module's text. Subclasses say what follows from what, by the methods at the end."""
 
     __slots__ = (
-        "_base", "_block_size", "_content", "_count", "_crc", "_is_final", "_is_whole", "_sent", "_stalls", "_unused",
-        "_with_crc",
+        "_acknowledged", "_base", "_block_size", "_content", "_count", "_crc", "_is_final", "_is_whole", "_sent", "_stalls",
+        "_unused", "_with_crc",
     )  # fmt: skip
 
     in_blocks: ClassVar[bool] = True
@@ -58,6 +58,7 @@ class BlockSender(Transfer):
         self._is_whole = is_whole
         self._with_crc = with_crc
         self._crc = 0  # of what was acknowledged
+        self._acknowledged = 0  # bytes
         self._base = 0  # where the sub-block begins in content
         self._count = 0  # its segments
         self._sent = 0  # of these
@@ -70,6 +71,10 @@ class BlockSender(Transfer):
     def is_all_sent(self) -> bool:
         """Whether all segments have been sent, as far as we know: the receiver may have everything."""
         return self._is_final and self._sent == self._count
+
+    @property
+    def delivered(self) -> int:
+        return self._acknowledged
 
     # ---- inputs ----
 
@@ -178,6 +183,7 @@ class BlockSender(Transfer):
     def _drop(self, size: int) -> None:
         """Forget so many bytes of the content: they have arrived."""
         end = self._base + size
+        self._acknowledged += size
         if self._with_crc:
             self._crc = crc_hqx(self._content[self._base : end], self._crc)
         if isinstance(self._content, bytearray):

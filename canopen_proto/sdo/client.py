@@ -224,6 +224,12 @@ class SdoClient(ChannelEnd):
         transfer = self._find(request_id)
         return 0 if transfer is None else transfer.room
 
+    def delivered(self, request_id: RequestId) -> int:
+        """Return how many bytes of a download the server has acknowledged; 0 if it is not open. The last segment, filled up with
+        unused bytes, counts whole."""
+        transfer = self._find(request_id)
+        return 0 if transfer is None else transfer.delivered
+
     def cancel(self, request_id: RequestId, now: Time) -> bool:
         """Give a request up: SdoAborted with origin CANCELLED follows at once. Returns False if it is not open, or no longer.
 

@@ -136,6 +136,10 @@ class Download(SegmentedTransfer):
             return bool(self.first[0] & EXPEDITED_BIT)
         return self._offset >= len(self._content)
 
+    @property
+    def delivered(self) -> int:
+        return max(0, self._offset - 7)  # the last segment is under way
+
 
 def own(content: Buffer, index: int, subindex: int) -> bytes:
     """Return the content as bytes, which cannot change while the request waits; else raise LocalProtocolError."""

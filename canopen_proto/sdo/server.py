@@ -77,7 +77,7 @@ MAX_DOWNLOAD: Final = 16 << 20
 class SdoServer(ChannelEnd):
     """The server of one SDO channel; see this module's text."""
 
-    __slots__ = ("_door", "_straggler", "_transfer", "enabled", "max_download")
+    __slots__ = ("_door", "_straggler", "_transfer", "enabled", "max_download", "serves_blocks")
 
     def __init__(
         self,
@@ -114,6 +114,8 @@ class SdoServer(ChannelEnd):
         self.burst_interval = burst_interval
         self.max_download = max_download
         self.enabled = True
+        self.serves_blocks = True
+        """False: block transfer is refused (0x05040001), as by servers that do not have it."""
         self._door = Door(store)
         self._transfer: Transfer | None = None
         self._straggler = 0  # the number of a segment that may come though its block download has ended; 0: none
@@ -323,6 +325,10 @@ class SdoServer(ChannelEnd):
                 self.ignore(frame, "second copy of the last frame")
             else:
                 self._on_unknown(command, data, frame, now)
+        elif not self.serves_blocks:
+            if self._transfer is None or self._make_way(data, frame):
+                index, subindex = MULTIPLEXER.unpack(data)
+                Transfer(self, index, subindex, data).abort(AbortCode.INVALID_COMMAND)
         elif command & SPECIFIER == BLOCK_UPLOAD:
             self._on_initiate_upload(command, data, frame, now)
         else:

@@ -218,6 +218,11 @@ class Transfer:
         return False
 
     @property
+    def delivered(self) -> int:
+        """How many bytes of a download the other side has acknowledged."""
+        return 0
+
+    @property
     def patience(self) -> Time:
         """How long the other side may be silent, in ns; inside a block transfer two silences: it may ask again after one."""
         return 2 * silence_limit(self.end.timeout) if self.in_blocks and self.has_begun else self.end.timeout

@@ -1,0 +1,107 @@
+"""Read the program objects of a device (CiA 302-3) that may be busy with its flash, or booting: it is asked until it answers.
+
+A read changes nothing, so it is repeated after a loss; see programs.py for the objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+from canopen_proto import indices
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.procedures.objects import ABSENT
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, current_time, sleep, upload
+from canopen_proto.programs import FlashStatus, flash_status
+from canopen_proto.remote_node import RemoteNode
+
+T = TypeVar("T")
+
+POLL: Final = 100 * MILLISECOND
+"""Between two looks at a state that is awaited."""
+_OF_A_LOSS: Final = (
+    AbortCode.TOGGLE_NOT_ALTERNATED,
+    AbortCode.TIMED_OUT,
+    AbortCode.INVALID_COMMAND,
+    AbortCode.INVALID_SEQUENCE_NUMBER,
+    AbortCode.CRC_ERROR,
+)
+"""How a device says that frames were lost, or came late."""
+
+
+class NotReached(ProcedureError):
+    """A device did not answer for a time, or not with what was awaited. is_silent: it did not answer the last time."""
+
+    def __init__(self, message: str, *, is_silent: bool) -> None:
+        super().__init__(message)
+        self.is_silent = is_silent
+
+
+def is_lost(failed: SdoFailed) -> bool:
+    """Return whether nobody said no: a frame was lost, late or in the wrong place, or the device has booted meanwhile."""
+    if failed.origin is AbortOrigin.PEER:
+        return failed.abort_code in _OF_A_LOSS
+    return failed.origin is not AbortOrigin.CANCELLED and failed.abort_code != AbortCode.CANNOT_TRANSFER
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramObjects:
+    """The objects of one program of a node. Limits are in ns; at the limit, NotReached is raised."""
+
+    node: RemoteNode
+    program: int
+
+    def control(self, limit: Time, wanted: Collection[int | None] = ()) -> Procedure[int | None]:
+        """Return 0x1F51, None if the device does not have it. wanted: wait until it is one of these."""
+        return (yield from self._await(indices.PROGRAM_CONTROL, lambda value: not wanted or value in wanted, limit))
+
+    def identification(self, limit: Time) -> Procedure[int | None]:
+        """Return 0x1F56; None if it cannot be read: without a program some devices refuse."""
+        return (yield from self._await(indices.PROGRAM_SOFTWARE, lambda value: True, limit, refusal_is_none=True))
+
+    def settled(self, limit: Time) -> Procedure[FlashStatus | None]:
+        """Wait until the flash is not busy; return its status, None if it cannot be read. A flash that is busy at the limit is no
+        error here."""
+        value = yield from self._await(
+            indices.FLASH_STATUS, lambda value: value is None or not value & 1, limit, refusal_is_none=True, anything=True
+        )
+        return None if value is None else flash_status(value)
+
+    def _await(
+        self,
+        index: int,
+        is_wanted: Callable[[int | None], bool],
+        limit: Time,
+        *,
+        refusal_is_none: bool = False,
+        anything: bool = False,
+    ) -> Procedure[int | None]:
+        """Read until the value is wanted. anything: at the limit, any value will do."""
+        end = (yield from current_time()) + limit
+        while True:
+            seen = ""
+            try:
+                value = yield from self._read(index, refusal_is_none)
+                if is_wanted(value) or (anything and (yield from current_time()) >= end):
+                    return value
+                seen = "nothing" if value is None else f"0x{value:02X}"
+            except SdoFailed as failed:
+                if not is_lost(failed):
+                    raise
+            if (yield from current_time()) >= end:
+                place = f"0x{index:04X}:{self.program:02X}"
+                text = f"it still shows {seen} in {place}" if seen else f"it does not answer reading {place}"
+                raise NotReached(f"{text} after {limit / SECOND:g} s", is_silent=not seen)
+            yield from sleep(POLL)
+
+    def _read(self, index: int, refusal_is_none: bool) -> Procedure[int | None]:
+        """Read a number once; None if the device does not have it."""
+        try:
+            data = yield from upload(self.node.sdo, index, self.program)
+        except SdoFailed as failed:
+            if failed.abort_code in ABSENT or (refusal_is_none and not is_lost(failed)):
+                return None
+            raise
+        return int.from_bytes(data[:4], "little")
