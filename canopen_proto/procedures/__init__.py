@@ -9,6 +9,7 @@
     described_pdos.py  exchange the PDOs of a device's file; device_pdos.py: those that the device has set up
     scan.py            find the nodes of a bus
     lss_scan.py        find devices by LSS: fastscan, search; lss_assign.py: give them node-IDs; lss_bit_rate.py: another bit rate
+    program_download.py  write a new program into a device (CiA 302-3); program_objects.py: its objects, read in spite of losses
     backup.py          read all objects of a node; walk.py: the same without knowing its objects
     restore.py         set a node to given values, in the order that CiA 302 asks for
 

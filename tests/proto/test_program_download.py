@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import zlib
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.boot.assignment import Assignment
+from canopen_proto.boot.commands import NmtCommands
+from canopen_proto.boot.entry import BootEntry
+from canopen_proto.boot.node_boot import boot_node
+from canopen_proto.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.boot_loader import BootLoader, BootLoaderSettings, ProgramMemory, Slot
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.procedures.program_download import (
@@ -19,7 +24,7 @@ from canopen_proto.procedures.program_download import (
     least_duration,
     updating,
 )
-from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished
 from canopen_proto.programs import FlashError, FlashStatus, ProgramControl
 from canopen_proto.sdo.access import Pending
 from canopen_proto.sdo.events import SdoServerAborted
@@ -372,17 +377,24 @@ def test_the_least_time_of_a_mebibyte(bit_rate: int, blocks: bool, least: float)
 # ---- the hook of the boot-up ----
 
 
-class Entry(NamedTuple):
-    software: int | None
+def boot_up(bench: FlashBench, images: dict[int, bytes]) -> BootOutcome:
+    assignment = Assignment(boots=True, check_software=True, update_software=True)
+    entry = BootEntry(NODE, assignment, software=ID)
+    update = updating(bench.nmt, images.get)
+    bench.master.run(boot_node(bench.remote, NmtCommands(bench.nmt), entry, update=update), bench.bus.now)
+    outcome = bench.outcome()
+    assert isinstance(outcome, ProcedureFinished), outcome
+    result: BootOutcome = outcome.result
+    return result
 
 
-def test_the_boot_up_updates_by_it() -> None:
+def test_the_boot_up_of_a_network_updates_by_it() -> None:
     bench = FlashBench()
-    update = updating(bench.nmt, {NODE: IMAGE}.get)
-    bench.master.run(update(bench.remote, Entry(ID)), bench.bus.now)
-    assert isinstance(bench.outcome(), ProcedureFinished)
+    assert boot_up(bench, {NODE: IMAGE}).letter is BootLetter.READY
     assert bench.memory.program == IMAGE
-    bench.master.run(updating(bench.nmt, {}.get)(bench.remote, Entry(ID)), bench.bus.now)
-    failed = bench.outcome()
-    assert isinstance(failed, ProcedureFailed)
-    assert "no program file" in str(failed.error)
+
+
+def test_a_boot_up_without_the_file_says_so() -> None:
+    outcome = boot_up(FlashBench(), {})
+    assert outcome.letter is BootLetter.UPDATE_FAILED
+    assert "no program file" in outcome.remark
