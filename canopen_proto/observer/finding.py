@@ -20,4 +20,4 @@ class Finding(NamedTuple):
 
 def ms_text(time: Time) -> str:
     """Return a duration for people: "9.5 ms"."""
-    return f"{time / MILLISECOND:.3g} ms"
+    return f"{round(time / MILLISECOND, 1):g} ms"

@@ -12,7 +12,12 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.frame import COB_ID_NO_RTR, MAX_NODE_ID
-from canopen_proto.indices import COB_ID_SYNC, COMMUNICATION_CYCLE_PERIOD, INHIBIT_TIME_EMERGENCY
+from canopen_proto.indices import (
+    COB_ID_SYNC,
+    COMMUNICATION_CYCLE_PERIOD,
+    INHIBIT_TIME_EMERGENCY,
+    SYNCHRONOUS_COUNTER_OVERFLOW_VALUE,
+)
 from canopen_proto.machine import NEVER, Time
 from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, ms_text
 from canopen_proto.sync import MAX_COUNTER
@@ -45,8 +50,10 @@ class ServiceRules:
         elif index == INHIBIT_TIME_EMERGENCY:
             self._inhibit[node_id] = value * INHIBIT_UNIT
             return []
-        else:
+        elif index != SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:
             return []
+        self._lengths.clear()  # a producer has changed
+        self._counter = None
         both = sorted(self._producers & self._periods)
         if len(both) < 2:
             self._told = False
@@ -58,6 +65,9 @@ class ServiceRules:
 
     def booted(self, node_id: int) -> None:
         """Take note of a boot-up: the node has its power-on values again, which are not known."""
+        if node_id in self._producers:
+            self._lengths.clear()
+            self._counter = None
         self._producers.discard(node_id)
         self._periods.discard(node_id)
         self._inhibit.pop(node_id, None)

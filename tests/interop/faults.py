@@ -1,0 +1,205 @@
+"""Faults that are planted in recorded sessions, for the observer to find.
+
+Two kinds. A `Change` makes another session of a recorded one: a bit is flipped, an answer comes twice. It needs such a frame, so
+it fits some sessions only. A `Scene` is what two further devices, nodes 98 and 99, do on the same bus: it has its own
+times, and its frames go in between those of the session. Each scene has a twin that is right.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from random import Random
+from typing import NamedTuple, TypeAlias
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.observer.observer import Observer
+from canopen_proto.sdo.codec import TOGGLE
+from tests.interop.recorded import Line
+
+BITRATE = 125_000
+"""Of the recorded sessions, for their load: they were made on a bus in software."""
+
+Session: TypeAlias = list[Line]
+
+
+class Found(NamedTuple):
+    """A finding. line: the frame that shows it."""
+
+    line: Line
+    rule: str
+    node_id: int
+
+
+def found_in(session: Session) -> list[Found]:
+    """Observe a session."""
+    observer = Observer(bitrate=BITRATE)
+    return [
+        Found(line, found.rule, found.node_id) for line in session for found in observer.observe(line.frame, line.time).findings
+    ]
+
+
+# ---- changes of recorded frames ----
+
+
+class Change(NamedTuple):
+    """rule: the one that the fault breaks. fits: what a frame has to be, by its words and its first byte. plant: the fault."""
+
+    rule: str
+    fits: str
+    plant: Callable[[Session, int], Session]
+
+    def places(self, session: Session) -> list[int]:
+        """The frames at which it can be planted."""
+        observer = Observer()
+        words = [f"{line.text[:6]} {observer.observe(line.frame, line.time).meaning.text}" for line in session]
+        return [at for at, each in enumerate(words) if re.match(self.fits, each)]
+
+
+def with_byte(session: Session, at: int, place: int, bits: int) -> Session:
+    """The session with some bits of a frame flipped."""
+    data = bytearray(session[at].frame.data)
+    data[place] ^= bits
+    return with_data(session, at, bytes(data))
+
+
+def with_data(session: Session, at: int, data: bytes) -> Session:
+    line = session[at]
+    return [*session[:at], line._replace(frame=Frame(line.frame.can_id, data)), *session[at + 1 :]]
+
+
+def with_copy(session: Session, at: int, place: int, bits: int) -> Session:
+    """The session with a frame sent a second time 10 us later, with some bits flipped."""
+    copy = with_byte(session, at, place, bits)[at]
+    return [*session[: at + 1], copy._replace(time=copy.time + 10_000), *session[at + 1 :]]
+
+
+ANSWER = "58.#4[^1] read .* ="
+"""Of an expedited upload."""
+REQUEST = "60.#40 read "
+SEGMENT = "(60|58).#.. .*(next segment|segment confirmed|bytes so far)"
+IN_BLOCK = "(60|58).#.. .*block segment [0-9]+$"
+SIZED = "(60|58).#.. .*in (segments|blocks), [0-9]+ bytes"
+CHANGES = [
+    Change("toggle", SEGMENT, lambda session, at: with_byte(session, at, 0, TOGGLE)),
+    Change("crc", IN_BLOCK, lambda session, at: with_byte(session, at, 1 + at % 7, 1 << at % 8)),
+    Change(
+        "size", "(60|58).#.. .*in (segments|blocks), [0-9]+ bytes", lambda session, at: with_byte(session, at, 4, 1 << at % 8)
+    ),
+    Change("no request", ANSWER, lambda session, at: with_copy(session, at, 0, 0)),
+    Change("no request", ANSWER, lambda session, at: with_byte(session, at, 3, 0x40)),
+    Change("double id", ANSWER, lambda session, at: with_copy(session, at, 4, 1)),
+    Change("two masters", REQUEST, lambda session, at: with_copy(session, at, 3, 0x20)),
+    Change("sdo", REQUEST, lambda session, at: with_data(session, at, session[at].frame.data[:2])),
+]
+
+
+# ---- further devices ----
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What nodes 98 and 99 do. rule: the one that is broken. frames: with the time since the frame before, in ms. is_faulty: else
+    nothing is wrong."""
+
+    rule: str
+    frames: list[tuple[float, str]]
+    is_faulty: bool
+
+    def begin_in(self, session: Session, random: Random) -> Time:
+        """A time from which it can happen: it is not interrupted by a command to all nodes."""
+        length = round(sum(after for after, _ in self.frames) * MILLISECOND)
+        commands = [line.time for line in session if line.frame.can_id == 0 and not line.frame.data[1]]
+        while True:
+            begin = random.randrange(session[0].time, session[-1].time + SECOND)
+            if not any(begin <= command <= begin + length for command in commands):
+                return begin
+
+    def within(self, session: Session, begin: Time) -> Session:
+        """The session with these frames too, from a time on."""
+        now, lines = begin, []
+        for after, text in self.frames:
+            now += round(after * MILLISECOND)
+            lines.append(Line(now, Frame.parse(text)))
+        return sorted([*session, *lines], key=lambda line: line.time)
+
+
+def write(index: int, subindex: int, value: int, size: int, node_id: int = 99) -> list[tuple[float, str]]:
+    """A write by SDO, and its confirmation."""
+    place = f"{index & 0xFF:02X}{index >> 8:02X}{subindex:02X}"
+    data = value.to_bytes(4, "little").hex()
+    return [
+        (1, f"{0x600 + node_id:03X}#{0x23 | (4 - size) << 2:02X}{place}{data}"),
+        (1, f"{0x580 + node_id:03X}#60{place}00000000"),
+    ]
+
+
+def mapped(node_id: int, cob_id: int) -> list[tuple[float, str]]:
+    """TPDO 1 of a node gets this COB-ID, and 0x6041 as the only object."""
+    return [
+        *write(0x1800, 1, cob_id, 4, node_id),
+        *write(0x1A00, 1, 0x6041_0010, 4, node_id),
+        *write(0x1A00, 0, 1, 1, node_id),
+    ]
+
+
+def every(ms: float, *texts: str) -> list[tuple[float, str]]:
+    return [(ms, text) for text in texts]
+
+
+DEVICES = (0, 98, 99)
+"""Node-IDs in findings about scenes."""
+PDO = "1E3#3702"
+READ = "663#4041600000000000"
+RUNS = "763#05"
+TIMED = [*mapped(99, 0x1E3), (1, RUNS)]
+"""Node 99 has a TPDO, and is operational."""
+
+
+STOP = [(1, "000#8063")]
+
+
+def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, str]]]]:
+    """Each rule, with what breaks it, and with the like that does not."""
+    yield "toggle", every(9, "763#R1", RUNS, "763#R1", RUNS), every(9, "763#R1", RUNS, "763#R1", "763#85")
+    block = every(1, "663#C600200003000000", "5E3#A40020007F000000", "663#8161626300000000", "5E3#A2017F0000000000")
+    yield "crc", [*block, (1, "663#D100000000000000")], [*block, *every(1, "663#D1D69D0000000000", "5E3#A100000000000000")]
+    begin, end = ["5E3#6000200000000000", "663#0761626364000000"], "5E3#2000000000000000"
+    yield "size", every(1, "663#2100200005000000", *begin), every(1, "663#2100200004000000", *begin, end)
+    read = [READ, "5E3#4B41600037020000"]
+    yield "no request", every(900, *read, read[1]), every(900, *read, *read)
+    yield "sdo", every(1, *read, begin[1]), every(1, *read, "663#2100200004000000", *begin, end)
+    yield "two masters", every(1, READ, "663#4064600000000000"), every(900, READ, "663#4064600000000000")
+    yield "double id", every(9, RUNS, "763#7F", RUNS, "763#7F"), every(9, RUNS, "763#7F", RUNS)
+    period = write(0x1017, 0, 100, 2)
+    yield "double id", [*period, *every(40, *[RUNS] * 5)], [*period, *every(80, *[RUNS] * 5)]
+    both = every(1, "763#05", "762#05")
+    yield "shared cob-id", *([*both, *mapped(98, 0x1E2), *mapped(99, each), (1, RUNS)] for each in (0x1E2, 0x1E3))
+    yield "pdo length", [*TIMED, (1, PDO + "00")], [*TIMED, (1, PDO)]
+    for inhibit, frame in ((write(0x1800, 3, 500, 2), PDO), (write(0x1015, 0, 500, 2), "0E3#0010010000000000")):
+        yield "inhibit time", [*TIMED, *inhibit, *every(20, frame, frame)], [*TIMED, *inhibit, *every(50, frame, frame)]
+    timer = [*TIMED, *write(0x1800, 2, 254, 1), *write(0x1800, 5, 100, 2)]
+    yield "late pdo", [*timer, (1, PDO), (200, RUNS)], [*timer, *every(100, PDO, PDO, RUNS), *STOP]
+    cyclic = [*TIMED, *write(0x1800, 2, 1, 1)]
+    cycles = [*cyclic, *every(0, "080#", PDO, "080#", PDO), *STOP]
+    yield "late pdo", [*cyclic, *every(0, PDO, "080#", "080#", "080#")], cycles
+    yield "synchronous pdo", [*cyclic, *every(0, "080#", PDO, PDO)], cycles
+    yield "not operational", [*TIMED, (1, "763#7F"), (200, PDO)], [*TIMED, (200, PDO)]
+    yield "stopped", [(1, "763#04"), (200, READ)], [(1, "763#04"), (1, "763#7F"), (200, READ)]
+    yield "state", every(1, "763#11"), every(1, "763#04")
+    yield "nmt", every(1, "000#0763"), every(1, "000#0163")
+    first, second = ([*write(0x1005, 0, 0x4000_0080, 4, each), *write(0x1006, 0, 9000, 4, each)] for each in (98, 99))
+    yield "two sync", [*first, *second], first
+    yield "sync counter", every(0, "080#05", "080#07"), []
+    listens, listens_no_more = write(0x1016, 1, 99 << 16 | 200, 4, 98), write(0x1016, 1, 0, 4, 98)
+    yield "late heartbeat", [*listens, *every(300, RUNS, RUNS)], [*listens, *every(150, RUNS, RUNS), *listens_no_more]
+    for whole in ("080#01", "0E3#0010010000000000", "100#000000000000", "000#0163", "763#05", "7E5#0400000000000000"):
+        right = "080#" if whole == "080#01" else whole
+        yield "length", every(1, whole + "00" if len(whole) < 20 else whole[:-2]), every(1, right)
+    full = "1E3#5555555555555555"
+    yield "load", every(0.8, *[full] * 2700), every(10, *[full] * 10)
+
+
+SCENES = [Scene(rule, wrong, True) for rule, wrong, _ in pairs()] + [Scene(rule, right, False) for rule, _, right in pairs()]
