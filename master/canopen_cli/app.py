@@ -31,6 +31,8 @@ COMMANDS: Final = {
     "write": ("objects", "Write an object of a node, and show its value before and after."),
     "nmt": ("nmt", "Start, stop or reset a node, or all of them."),
     "lss": ("lss", "Give devices their node-ID and bit rate over the bus itself (CiA 305)."),
+    "top": ("top", "Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong."),
+    "watch": ("watch", "Show the values of a node's objects, live."),
     "drive": ("drive", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
     "move": ("move", "Move chains to a target, or along a path."),
     "jog": ("jog", "Move joints of a chain by keys, as long as a key is held."),

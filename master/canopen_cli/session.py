@@ -6,7 +6,7 @@ LISTEN_ON before it says what it heard of the node that it asked, and of others.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from typing import Final
@@ -34,6 +34,9 @@ from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoFailed
+from canopen_transports import open_transport
+from canopen_transports.record import Record
+from canopen_transports.tracing import overheard
 
 LISTEN_ON: Final = 1.5
 """Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may just be late."""
@@ -91,16 +94,22 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
 
 
 @asynccontextmanager
-async def open_session(settings: Settings, screen: Screen) -> AsyncIterator[Session]:
-    """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError."""
+async def open_session(
+    settings: Settings, screen: Screen, *, heard: Callable[[Record], None] | None = None
+) -> AsyncIterator[Session]:
+    """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError.
+
+    heard: is called with each frame on the bus, those that we send too. Raises also TransportError then.
+    """
     bus = settings.required_bus()
     files = NodeFiles(settings, screen, read_dictionary(screen))
     async with AsyncExitStack() as stack:
         if bus == DEMO:
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
+        opened = bus if heard is None else overheard(await open_transport(bus), heard)
         master = await stack.enter_async_context(
-            open_master(bus, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
+            open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
         )
         session = Session(master, files)
         try:

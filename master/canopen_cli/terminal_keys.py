@@ -66,22 +66,29 @@ def _last_key(text: str) -> str:
     return text[begin:].replace("\x1bO", "\x1b[") if begin >= 0 else text[-1]
 
 
-async def read_terminal() -> bytes:
-    """Wait for keys, and return them; nothing once the terminal is gone."""
+async def read_terminal(terminal: int | None = None) -> bytes:
+    """Wait for keys, and return them; nothing once the terminal is gone.
+
+    terminal: a file descriptor, by default that of stdin.
+    """
+    fd = sys.stdin.fileno() if terminal is None else terminal
     try:
-        await trio.lowlevel.wait_readable(sys.stdin.fileno())
-        return os.read(sys.stdin.fileno(), 1024)
+        await trio.lowlevel.wait_readable(fd)
+        return os.read(fd, 1024)
     except OSError:  # EIO: the terminal was closed
         return b""
 
 
 @contextmanager
-def key_by_key() -> Iterator[None]:
-    """Have the terminal give each key at once, and show none, while the block runs. Ctrl-C stays what it is."""
+def key_by_key(terminal: int | None = None) -> Iterator[None]:
+    """Have the terminal give each key at once, and show none, while the block runs. Ctrl-C stays what it is.
+
+    terminal: a file descriptor, by default that of stdin.
+    """
     import termios
     import tty
 
-    fd = sys.stdin.fileno()
+    fd = sys.stdin.fileno() if terminal is None else terminal
     before = termios.tcgetattr(fd)
     tty.setcbreak(fd)
     try:

@@ -14,7 +14,7 @@ If a trace cannot be written (no room on the disk), it ends, and says so at the 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Final, Protocol, TypeVar
@@ -115,6 +115,23 @@ class Trace:
             self._taps[tap.locator].remove(tap)
 
 
+class _Listener:
+    """A LogWriter that passes each record on."""
+
+    left_out = 0
+
+    def __init__(self, heard: Callable[[Record], None]) -> None:
+        self.write = heard
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def overheard(transport: Named, heard: Callable[[Record], None]) -> TracingTransport:
+    """Return the transport, with each frame that passes through it told to `heard`, which must not raise or block."""
+    return Trace(_Listener(heard)).wrap(transport)
+
+
 class TracingTransport(trio.abc.AsyncResource):
     """A transport that records in a trace what passes through it. Its methods are those of the transport below, except filters: a
     trace must see all frames."""
@@ -139,6 +156,12 @@ class TracingTransport(trio.abc.AsyncResource):
         """How many error frames came, if the transport below counts them."""
         errors: int = getattr(self.transport, "errors", 0)
         return errors
+
+    @property
+    def bitrate(self) -> int | None:
+        """The bit rate, if the transport below knows it."""
+        bitrate: int | None = getattr(self.transport, "bitrate", None)
+        return bitrate
 
     async def send(self, frame: Frame) -> None:
         record = self._record_of(frame, self._ours)
