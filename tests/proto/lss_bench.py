@@ -96,13 +96,19 @@ class LssBench:
 
     def end_of(self, request_id: int):  # type: ignore[no-untyped-def]
         kinds = (ProcedureFinished, ProcedureFailed, ProcedureCancelled)
+        ended: list[Event] = []
+        seen = 0
 
-        def ends() -> list[Event]:
-            return [each for each in self.bus.events if isinstance(each, kinds) and each.request_id == request_id]
+        def look() -> bool:
+            nonlocal seen
+            ended.extend(each for each in self.bus.events[seen:] if isinstance(each, kinds) and each.request_id == request_id)
+            seen = len(self.bus.events)
+            return bool(ended)
 
-        self.bus.run_until(lambda: bool(ends()), limit=3600 * SECOND)
+        self.bus.run_until(look, limit=3600 * SECOND)
         self.bus.run(MILLISECOND)  # what it sent last arrives
-        (end,) = ends()
+        look()
+        (end,) = ended
         self.events += self.bus.events
         self.bus.events.clear()
         if isinstance(end, ProcedureFailed):

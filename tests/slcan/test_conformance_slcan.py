@@ -45,7 +45,7 @@ SITE = Site(
     simulated,
     openings("slcan:/dev/no-such-line", "slcan:", "slcan:/dev/null@500k?sleep_after_open=0", "slcan:/dev/no@50M"),
     burst=200,  # of what a serial line loses nobody knows
-    stream=10_000,
+    stream=2_000,  # at the speed of a serial line in Python
 )
 
 
