@@ -108,6 +108,11 @@ class Scene:
     frames: list[tuple[float, str]]
     is_faulty: bool
 
+    @property
+    def has_sync(self) -> bool:
+        """Whether SYNCs are among the frames."""
+        return any(text.startswith("080#") for _, text in self.frames)
+
     def begin_in(self, session: Session, random: Random) -> Time:
         """A time from which it can happen: it is not interrupted by a command to all nodes."""
         length = round(sum(after for after, _ in self.frames) * MILLISECOND)
