@@ -40,8 +40,9 @@ class BootEntry:
     within which its heartbeats have to come; 0: no heartbeat is watched. restore_subindex: of its 0x1011; 0: none.
 
     configuration: what is written to it, in this order. date: days since 1984-01-01 and ms after midnight of this configuration;
-    a node that shows it in 0x1020 is not configured again; None: it is configured each time. After the configuration the date is
-    written, unless the configuration writes 0x1020 itself. save: the node stores its parameters at the end (0x1010:01).
+    a node that shows it in 0x1020 is not configured again; None: it is configured each time, as is a node without 0x1020. After
+    the configuration the date is written, unless the configuration writes 0x1020 itself. save: the node stores its parameters at
+    the end (0x1010:01).
 
     software: what 0x1F56:01 has to be; None: not known.
     """

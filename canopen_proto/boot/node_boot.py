@@ -256,7 +256,8 @@ class _NodeBoot:
     def _configure(self) -> Procedure[None]:
         self.step = BootStep.CONFIGURATION
         entry = self.entry
-        if entry.date is not None and (yield from self._shows_date()):
+        shown = (yield from self._read_date()) if entry.date is not None else None
+        if shown is not None and shown == entry.date:
             return
         if self.assignment.restore and entry.restore_subindex:
             yield from self._restore(entry.restore_subindex)
@@ -268,25 +269,26 @@ class _NodeBoot:
             except ProcedureError as failed:
                 raise _Ended(BootLetter.NOT_CONFIGURED, remark=str(failed)) from failed
             self._check_boots()
-        if entry.date is not None and all(index != indices.VERIFY_CONFIGURATION for index, *_ in entry.configuration):
+        if (
+            entry.date is not None
+            and shown is not None
+            and all(index != indices.VERIFY_CONFIGURATION for index, *_ in entry.configuration)
+        ):
             for subindex, number in enumerate(entry.date, start=1):
                 yield from self._write(indices.VERIFY_CONFIGURATION, subindex, number.to_bytes(4, "little"))
         if entry.save:
             yield from self._write(indices.STORE_PARAMETERS, 1, SIGNATURES[indices.STORE_PARAMETERS].to_bytes(4, "little"))
 
-    def _shows_date(self) -> Procedure[bool]:
-        """Return whether the node shows the date and time of the configuration. One that does not have them does not."""
-        assert self.entry.date is not None
-        for subindex, expected in enumerate(self.entry.date, start=1):
-            try:
-                data = yield from self._read(indices.VERIFY_CONFIGURATION, subindex, BootLetter.NOT_CONFIGURED, expected)
-            except _Ended as ended:
-                if ended.abort_code == AbortCode.TIMED_OUT:
-                    raise
-                return False
-            if _number(data) != expected:
-                return False
-        return True
+    def _read_date(self) -> Procedure[tuple[Shown, Shown] | None]:
+        """Return the date and time of the configuration that the node has; None if it refuses to say."""
+        try:
+            date = yield from self._read(indices.VERIFY_CONFIGURATION, 1, BootLetter.NOT_CONFIGURED)
+            time = yield from self._read(indices.VERIFY_CONFIGURATION, 2, BootLetter.NOT_CONFIGURED)
+        except _Ended as ended:
+            if ended.abort_code == AbortCode.TIMED_OUT:
+                raise
+            return None
+        return _number(date), _number(time)
 
     def _restore(self, subindex: int) -> Procedure[None]:
         load = SIGNATURES[indices.RESTORE_DEFAULT_PARAMETERS].to_bytes(4, "little")
