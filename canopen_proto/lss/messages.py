@@ -183,6 +183,17 @@ def fastscan_message(number: int, bit_check: int, sub: int, following: int) -> b
     return _FASTSCAN.pack(LssService.FASTSCAN, number, bit_check, sub, following)
 
 
+def fastscan_of(data: bytes) -> tuple[int, int, int, int]:
+    """Return what `fastscan_message` was made of: number, bit_check, sub, following. data: eight bytes."""
+    _, number, bit_check, sub, following = _FASTSCAN.unpack(data)
+    return number, bit_check, sub, following
+
+
+def field_name(sub: int) -> str:
+    """Return the name of a number of an address: "vendor-ID"."""
+    return FIELD_NAMES[sub] if sub < len(FIELD_NAMES) else f"part {sub}"
+
+
 def is_node_id(number: int) -> bool:
     """Return whether a number is one that a device may be given: 1..127, or UNCONFIGURED."""
     return 1 <= number <= MAX_NODE_ID or number == UNCONFIGURED
@@ -228,10 +239,10 @@ def _request_text(service: LssService, data: bytes) -> str:
         case LssService.STORE | LssService.IDENTIFY_NON_CONFIGURED:
             return {LssService.STORE: "store node-ID and bit rate"}.get(service, "who has no node-ID?")
         case LssService.FASTSCAN:
-            _, number, bit_check, sub, following = _FASTSCAN.unpack(data)
+            number, bit_check, sub, following = fastscan_of(data)
             if bit_check == CONFIRM:
                 return "fastscan begins: who has no node-ID?"
-            name = FIELD_NAMES[sub] if sub < len(FIELD_NAMES) else f"part {sub}"
+            name = field_name(sub)
             if bit_check == 0 and following != sub:
                 return f"fastscan: is the {name} 0x{number:08X}?"
             return f"fastscan: is the {name} 0x{number:08X} down to bit {bit_check}?"

@@ -44,6 +44,7 @@ from canopen_proto.indices import CONSUMER_HEARTBEAT_TIME, PRODUCER_HEARTBEAT_TI
 from canopen_proto.lss import messages as lss
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import index_of, subindex_of
+from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 from canopen_proto.observer import words
 from canopen_proto.observer.connections import Channel, Service, channels_of, services_of
 from canopen_proto.observer.finding import Finding
@@ -53,6 +54,7 @@ from canopen_proto.observer.parameters import Parameters
 from canopen_proto.observer.pdo import OverheardPdo, OverheardPdos
 from canopen_proto.observer.pdo_rules import PdoRules
 from canopen_proto.observer.sdo import SdoFollower, Settled
+from canopen_proto.observer.sequences import Sequences, Summary
 from canopen_proto.observer.service_rules import ServiceRules
 
 RULES: Final = {
@@ -94,10 +96,16 @@ _Route: TypeAlias = Callable[[Frame, Time, list[Finding]], Meaning]
 
 
 class Observation(NamedTuple):
-    """A frame in words, and what is wrong: with this frame, or at its time."""
+    """A frame in words, and what is wrong: with this frame, or at its time.
+
+    summaries: of sequences of frames that are over (sequences.py), with this frame or before it. is_part: the frame belongs to
+    such a sequence, so a summary of it comes with this frame, with one behind it, or by `Observer.unfinished`.
+    """
 
     meaning: Meaning
     findings: tuple[Finding, ...]
+    is_part: bool = False
+    summaries: tuple[Summary, ...] = ()
 
 
 class Observer:
@@ -124,6 +132,7 @@ class Observer:
         self._nodes = NodeRules()
         self._services = ServiceRules()
         self._timings = PdoRules(self._nodes.is_operational)
+        self._sequences = Sequences()
         self._told: set[str] = set()
         self._alive: set[int] = set()  # nodes that have sent something
         self._is_shared_told = True  # that the nodes alive share COB-IDs
@@ -137,6 +146,9 @@ class Observer:
         """Return what a frame means, and what is wrong. Frames come in order. now: ns; an earlier one counts as the last."""
         now = self._now = max(now, self._now)
         found = self._nodes.overdue(now) + self._timings.overdue(now)
+        sequences = self._sequences
+        if now >= sequences.deadline:
+            sequences.overdue(now)
         route = self._routes.get(frame.key)
         if route is None:
             route = self._find_route(frame.key)
@@ -146,7 +158,15 @@ class Observer:
             found += self._shared()
         if self._load is not None:
             found += self._load.add(frame, now)
+        if sequences.is_part or sequences.ended:
+            return Observation(meaning, tuple(found), *sequences.take())
         return Observation(meaning, tuple(found))
+
+    def unfinished(self) -> tuple[Summary, ...]:
+        """Return the sequences that are not over yet, and forget them: behind the last frame of a recording."""
+        self._sequences.overdue(NEVER)
+        _, summaries = self._sequences.take()
+        return summaries
 
     # ---- which service has a COB-ID ----
 
@@ -241,6 +261,7 @@ class Observer:
         if len(data) == 2:
             self._timings.commanded(data[1])
             found += self._nodes.command(data[0], data[1], now)
+            self._sequences.command(data[0], data[1], now)
         else:
             found.append(Finding("length", 0, f"an NMT command of {len(data)} bytes; it has two"))
         node_id = data[1] if len(data) > 1 and data[1] <= MAX_NODE_ID else 0
@@ -253,12 +274,15 @@ class Observer:
         service = "heartbeat"
         if data == _BOOT_UP:
             service = "boot-up"
+            self._sequences.booted(node_id, now)
             self._services.booted(node_id)
             self._timings.booted(node_id)
             if self._parameters.booted(node_id):
                 self._renew(node_id)
         elif len(data) == 1 and data[0] & _TOGGLE:
             service = "guarding"
+        if len(data) == 1 and STATE_OF_BYTE[data[0]] is NmtState.OPERATIONAL:
+            self._sequences.operational(node_id, now)
         return Meaning(service, node_id, words.of_error_control, frame)
 
     def _guarding_request(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
@@ -276,6 +300,7 @@ class Observer:
 
     def _lss(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         found += self._services.length("LSS", 0, frame.data)
+        self._sequences.lss(frame.data, now, by_master=frame.key == lss.FROM_MASTER)
         return Meaning("LSS", 0, words.of_lss, frame)
 
     def _emergency(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
@@ -301,13 +326,17 @@ class Observer:
 
     def _request(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         found += self._nodes.sdo(channel.node_id, now, is_answer=False)
-        return self._follower(channel).client(frame, now, found)
+        follower = self._follower(channel)
+        meaning = follower.client(frame, now, found)
+        self._sequences.sdo(channel.node_id, None, follower.aborted, now)
+        return meaning
 
     def _answer(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         self._lives(channel.node_id)
         found += self._nodes.sdo(channel.node_id, now, is_answer=True)
         follower = self._follower(channel)
         meaning = follower.server(frame, now, found)
+        self._sequences.sdo(channel.node_id, follower.settled, follower.aborted, now)
         if follower.settled is not None:
             found += self._settle(follower.settled)
         return meaning
@@ -320,7 +349,7 @@ class Observer:
 
     def _settle(self, settled: Settled) -> list[Finding]:
         """Take note of a value that a node holds."""
-        node_id, place, data = settled
+        node_id, place, data, _ = settled
         index, subindex, value = index_of(place), subindex_of(place), int.from_bytes(data[:4], "little")
         if index == CONSUMER_HEARTBEAT_TIME and len(data) == 4:
             self._nodes.consumer(node_id, subindex, value)

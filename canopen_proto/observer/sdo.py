@@ -22,7 +22,7 @@ from canopen_proto.abort import text_of
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.multiplexer import Mux, mux
+from canopen_proto.multiplexer import Mux
 from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.sdo_words import (
@@ -31,7 +31,7 @@ from canopen_proto.observer.sdo_words import (
     a_block_confirmation,
     a_confirmation,
     alone,
-    index_of_place,
+    mux_of,
     too_short,
 )
 from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, END_RESPONSE, FINAL, KIND, MAX_BLOCK_SIZE, SEQUENCE, START_UPLOAD
@@ -91,23 +91,25 @@ class Settled(NamedTuple):
     node_id: int
     place: Mux
     data: bytes
+    is_read: bool
 
 
 class SdoFollower:
     """See this module's text. node_id: of the server. dictionary: of its device, for names and types; may be empty.
 
-    settled: the value that the device is known to hold by the last frame, or None.
+    By the last frame: settled: the value that the device is known to hold, or None. aborted: the object of an abort, or None.
     """
 
     __slots__ = (
         "_announced", "_answer", "_answered", "_block_size", "_crc", "_data", "_dictionary", "_found", "_has_crc", "_is_judged",
         "_is_sound", "_is_upload", "_is_whole", "_last", "_length", "_pending", "_phase", "_place", "_request", "_sent", "_since",
-        "_tail", "_toggle", "_verb", "_was_final", "node_id", "settled",
+        "_tail", "_toggle", "_verb", "_was_final", "aborted", "node_id", "settled",
     )  # fmt: skip
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary) -> None:
         self.node_id = node_id
         self.settled: Settled | None = None
+        self.aborted: Mux | None = None
         self._dictionary = dictionary
         self._found: list[Finding] = []
         self._phase = _Phase.UNKNOWN
@@ -138,13 +140,13 @@ class SdoFollower:
 
     def client(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         """Return the meaning of a frame of the client. found: takes what is wrong."""
-        self.settled = None
+        self.settled = self.aborted = None
         self._found = found
         return Meaning("SDO", self.node_id, self._of_client(frame.data, now), frame)
 
     def server(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         """Return the meaning of a frame of the server. found: takes what is wrong."""
-        self.settled = None
+        self.settled = self.aborted = None
         self._found = found
         return Meaning("SDO", self.node_id, self._of_server(frame.data, now), frame)
 
@@ -284,7 +286,7 @@ class SdoFollower:
         place, verb, data = answer[1:4], "read" if is_upload else "write", None
         if answer[0] & SPECIFIER == INITIATE_UPLOAD_RESPONSE and answer[0] & EXPEDITED_BIT:
             data = _expedited(answer)
-            self.settled = Settled(self.node_id, mux(index_of_place(place), place[2]), data)
+            self.settled = Settled(self.node_id, mux_of(place), data, True)
         after = ": begins" if is_upload else ": go on"
         return SdoStep(self._dictionary, self.node_id, place, verb, after, data, data is not None).say
 
@@ -445,10 +447,11 @@ class SdoFollower:
 
     def _settle(self, data: bytes) -> None:
         if self._is_sound:
-            self.settled = Settled(self.node_id, mux(index_of_place(self._place), self._place[2]), data)
+            self.settled = Settled(self.node_id, mux_of(self._place), data, self._is_upload)
 
     def _aborted(self, frame: bytes, whom: str) -> Say:
         self._end()
+        self.aborted = mux_of(frame[1:4])
         code = int.from_bytes(frame[4:8], "little")
         text = text_of(code)
         reason = f": {text}" + ("" if "(0x" in text else f" (0x{code:08X})")

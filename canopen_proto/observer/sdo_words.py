@@ -9,6 +9,7 @@ from typing import Final
 
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
+from canopen_proto.multiplexer import Mux, mux, split_mux
 from canopen_proto.observer.meaning import Words, hex_text, object_text, shown_of
 
 WRITTEN: Final = "written"
@@ -33,7 +34,7 @@ class SdoStep:
 
     def say(self, _frame: Frame) -> Words:
         """Return the step in words, with its object."""
-        index, subindex = index_of_place(self.place), self.place[2]
+        index, subindex = split_mux(mux_of(self.place))
         shown = shown_of(self.dictionary, self.node_id, index, subindex, self.data, is_held=self.is_held)
         after = f" = {shown.text}" if self.data is not None and self.before != WRITTEN else self.after
         return Words(f"{self.before} {object_text(self.dictionary, index, subindex)}{after}", (shown,))
@@ -59,6 +60,6 @@ def too_short(frame: Frame) -> Words:
     return Words(f"too short for its command: {hex_text(frame.data)}")
 
 
-def index_of_place(place: bytes) -> int:
-    """Return the index of an object that an SDO frame names."""
-    return place[0] | place[1] << 8
+def mux_of(place: bytes) -> Mux:
+    """Return the object that an SDO frame names. place: index and subindex, as they are sent."""
+    return mux(place[0] | place[1] << 8, place[2])

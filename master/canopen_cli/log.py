@@ -207,7 +207,8 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
     reader, buses = _reader(source), _Buses(files)
     wanted = tuple(service.lower() for service in services)
     for number, record in enumerate(reader):
-        seconds, (meaning, findings) = buses.observe(record)
+        seconds, observation = buses.observe(record)
+        meaning, findings = observation.meaning, observation.findings
         kind = meaning.service.lower()
         if (nodes and meaning.node_id not in nodes) or (wanted and not any(word in kind for word in wanted)):
             continue
