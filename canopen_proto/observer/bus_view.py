@@ -85,7 +85,8 @@ class Emergency(NamedTuple):
 class NodeFigures(NamedTuple):
     """A node that was heard, or spoken to.
 
-    state: what it has last said, or was told since; None if neither was heard. is_said: it has said so itself.
+    state: what it has last said, or was told since; None if neither was heard. is_said: it has said so itself. state_at: when
+    that was.
     booted: how often it has booted.
     last_heard: when it last sent something; None if others have only spoken to it. heard_by: the service of that frame.
     heartbeat: intervals of its heartbeats, or of its guarding answers; None before the second one.
@@ -98,6 +99,7 @@ class NodeFigures(NamedTuple):
     node_id: int
     state: NmtState | int | None
     is_said: bool
+    state_at: Time | None
     booted: int
     last_heard: Time | None
     heard_by: str
@@ -118,7 +120,8 @@ class BusFigures(NamedTuple):
     elapsed: ns since the first frame.
     load, peak, mean_load: shares of the bit rate (0.4 is 40 %): in the last second, the most in any second, and since the first
     frame. They are None if the bit rate is not known.
-    syncs: how many SYNCs have come. sync: their intervals; None before the second one. sync_counter: the last counter, if any.
+    syncs: how many SYNCs have come. sync: their intervals; None before the second one. sync_at: when the last one came.
+    sync_counter: its counter, if any.
     transfers, aborts: the sums of all nodes.
     findings: the last ones and their times, the newest last. found: how many of each rule.
     """
@@ -133,6 +136,7 @@ class BusFigures(NamedTuple):
     mean_load: float | None
     syncs: int
     sync: Intervals | None
+    sync_at: Time | None
     sync_counter: int | None
     transfers: int
     aborts: int
@@ -174,7 +178,7 @@ class BusView:
             self._sync.beat(now)
             self._sync_counter = frame.data[0] if frame.data else None
         elif service == "NMT":
-            self._command(frame.data)
+            self._command(frame.data, now)
         if node_id:
             node = self._nodes.get(node_id)
             if node is None:
@@ -210,6 +214,7 @@ class BusView:
             mean_load=mean,
             syncs=self._syncs,
             sync=self._sync.intervals(),
+            sync_at=self._sync.last,
             sync_counter=self._sync_counter,
             transfers=sum(node.transfers for node in nodes),
             aborts=sum(node.aborts for node in nodes),
@@ -217,7 +222,7 @@ class BusView:
             found=dict(self._found),
         )
 
-    def _command(self, data: bytes) -> None:
+    def _command(self, data: bytes, now: Time) -> None:
         if len(data) != 2:
             return
         state, node_id = _AFTER.get(data[0]), data[1]
@@ -225,7 +230,7 @@ class BusView:
             return
         for node in self._nodes.values():
             if node_id in (0, node.node_id):
-                node.state, node.is_said = state, False
+                node.state, node.is_said, node.state_at = state, False, now
 
 
 class _Node:
@@ -244,6 +249,7 @@ class _Node:
         "node_id",
         "rate",
         "state",
+        "state_at",
         "transfers",
     )  # fmt: skip
 
@@ -251,6 +257,7 @@ class _Node:
         self.node_id = node_id
         self.state: NmtState | int | None = None
         self.is_said = False
+        self.state_at: Time | None = None
         self.booted = 0
         self.last_heard: Time | None = None
         self.heard_by = ""
@@ -266,7 +273,7 @@ class _Node:
         """Take a boot-up, a heartbeat or a guarding answer."""
         if len(data) != 1:
             return
-        state, self.is_said = data[0] & 0x7F, True
+        state, self.is_said, self.state_at = data[0] & 0x7F, True, now
         if state == NmtState.INITIALISING:
             self.booted += 1
             self.heartbeat = _Pulse()
@@ -302,6 +309,7 @@ class _Node:
             node_id=self.node_id,
             state=self.state,
             is_said=self.is_said,
+            state_at=self.state_at,
             booted=self.booted,
             last_heard=self.last_heard,
             heard_by=self.heard_by,
@@ -364,17 +372,17 @@ class _Rate:
 class _Pulse:
     """Something that comes again and again: the last intervals."""
 
-    __slots__ = ("_intervals", "_last")
+    __slots__ = ("_intervals", "last")
 
     def __init__(self) -> None:
-        self._last: Time | None = None
+        self.last: Time | None = None
         self._intervals: deque[Time] = deque(maxlen=MAX_INTERVALS)
 
     def beat(self, now: Time) -> None:
         """Take note that it has come."""
-        if self._last is not None:
-            self._intervals.append(now - self._last)
-        self._last = now
+        if self.last is not None:
+            self._intervals.append(now - self.last)
+        self.last = now
 
     def intervals(self) -> Intervals | None:
         """Return the figures of the last intervals; None if there is none."""

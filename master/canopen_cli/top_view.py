@@ -52,11 +52,17 @@ class TopView(NamedTuple):
 
 
 def is_silent(node: NodeFigures, now: Time) -> bool:
-    """Return whether a node was not heard for longer than its heartbeat, or than other nodes, would allow."""
-    if node.last_heard is None:
-        return True
-    limit = SILENT if node.heartbeat is None else max(SECOND, round(MISSED * node.heartbeat.mean))
-    return now - node.last_heard > limit
+    """Return whether a node was not heard for longer than its heartbeat, or than SILENT, allows."""
+    return node.last_heard is None or now - node.last_heard > _patience(node)
+
+
+def is_old(node: NodeFigures, now: Time) -> bool:
+    """Return whether a node said its state so long ago that it may have another one now."""
+    return node.state_at is None or now - node.state_at > _patience(node)
+
+
+def _patience(node: NodeFigures) -> Time:
+    return SILENT if node.heartbeat is None else max(SECOND, round(MISSED * node.heartbeat.mean))
 
 
 SORTS: Final[dict[str, Callable[[NodeFigures], Any]]] = {
@@ -99,7 +105,11 @@ def plain(view: TopView, width: int) -> RenderableType:
         if number:
             pieces.append(Text(""))
         nodes = sorted(shown.figures.nodes, key=SORTS[view.sort])
-        pieces += [*_head(view, shown, width, None), _table(nodes, shown, view.sort, width), *_events(shown, width)]
+        pieces += [
+            *_head(view._replace(chosen=number), shown, width, None),
+            _table(nodes, shown, view.sort, width),
+            *_events(shown, width),
+        ]
     return Group(*pieces, *(line(note, width, "yellow") for note in view.notes))
 
 
@@ -122,7 +132,7 @@ def _head(view: TopView, shown: BusShown, width: int, paused: float | None) -> l
     if paused is not None:
         first.stylize("reverse", len(left) + gap)
     silence = shown.now - shown.last
-    second = _sync_text(figures)
+    second = _sync_text(shown)
     if silence > SILENT:
         second = f"NOTHING HEARD FOR {age_text(silence)}"
     wrong = ", ".join(f"{count} x {rule}" for rule, count in sorted(figures.found.items(), key=lambda each: -each[1]))
@@ -142,10 +152,16 @@ def _load_text(shown: BusShown) -> str:
     return f"load {figures.load:.1%} of {bitrate_text(shown.bitrate)}, peak {figures.peak:.1%}"
 
 
-def _sync_text(figures: BusFigures) -> str:
-    if figures.sync is None:
-        return "no SYNC" if not figures.syncs else "one SYNC"
+def _sync_text(shown: BusShown) -> str:
+    figures = shown.figures
+    if figures.sync_at is None:
+        return "no SYNC"
+    age = shown.now - figures.sync_at
     sync = figures.sync
+    if sync is None:
+        return f"one SYNC, {age_text(age)} ago"
+    if age > max(SECOND, round(MISSED * sync.mean)):
+        return f"SYNC has stopped {age_text(age)} ago; it came each {_ms(sync.mean)} ms"
     return (
         f"SYNC each {_ms(sync.mean)} ms, from {_ms(sync.least)} to {_ms(sync.most)}, standard deviation {_ms(sync.deviation)} ms"
     )
@@ -160,43 +176,61 @@ def _ms(time: float) -> str:
 
 
 def state_text(node: NodeFigures) -> str:
-    """Return the NMT state of a node, in words."""
-    state = node.state
-    if state is None:
-        return "not known"
-    word = state.name.lower().replace("_", "-") if isinstance(state, NmtState) else f"0x{state:02X}"
-    return word if node.is_said else f"told: {word}"
+    """Return the NMT state of a node, in words; "" if it is not known."""
+    if node.state is None:
+        return ""
+    return node.state.name.lower().replace("_", "-") if isinstance(node.state, NmtState) else f"0x{node.state:02X}"
+
+
+def _state_cell(node: NodeFigures, now: Time) -> str:
+    """Return the state with how far it is known, in 19 characters at most."""
+    word = state_text(node)
+    if not word:
+        return "SILENT" if is_silent(node, now) else "not known"
+    if is_silent(node, now):
+        return f"SILENT, {_SHORT.get(word, word)}"
+    if not node.is_said:
+        return f"told: {_SHORT.get(word, word)}"
+    return f"was {_SHORT.get(word, word)}" if is_old(node, now) else word
+
+
+_SHORT: Final = {"pre-operational": "pre-op", "initialising": "init"}
 
 
 def _table(nodes: Sequence[NodeFigures], shown: BusShown, sort: str, width: int) -> RenderableType:
     load = "load %" if shown.bitrate else "bit/s"
-    heads = ("node", "state", "heard", "heartbeat ms", "frames/s", load, "SDO", "aborts", "errors")
+    heads = ("node", "state", "heard", "heartbeat", "frames/s", load, "SDO", "aborts", "errors")
     sorted_by = {"node": "node", "load": load, "silence": "heard", "errors": "errors"}[sort]
     rows = [_cells(node, shown) for node in nodes]
     sizes = [max(map(cell_len, (name, *(row[place] for row in rows)))) for place, name in enumerate(heads)]
-    sizes[-1] = max(6, width - sum(sizes[:-1]) - GAP * (len(sizes) - 1))
+    used = [name != "aborts" or any(row[place] for row in rows) for place, name in enumerate(heads)]
+    sizes[-1] = max(6, width - sum(size + GAP for size, is_used in zip(sizes[:-1], used, strict=False) if is_used))
     table = Table.grid(padding=(0, GAP, 0, 0))
-    for name, size in zip(heads, sizes, strict=True):
-        is_text = name in ("node", "state", "errors")
-        table.add_column(width=size, no_wrap=True, overflow="ellipsis", justify="left" if is_text else "right")
-    table.add_row(*(Text(name, style="bold underline" if name == sorted_by else "bold") for name in heads))
+    for name, size, is_used in zip(heads, sizes, used, strict=True):
+        if is_used:
+            is_text = name in ("node", "state", "errors")
+            table.add_column(width=size, no_wrap=True, overflow="ellipsis", justify="left" if is_text else "right")
+    table.add_row(
+        *(
+            Text(name, style="bold underline" if name == sorted_by else "bold")
+            for name, is_used in zip(heads, used, strict=True)
+            if is_used
+        )
+    )
     for node, row in zip(nodes, rows, strict=True):
-        table.add_row(*(Text(cell, style=style) for cell, style in zip(row, _styles(node, shown.now), strict=True)))
+        styled = zip(row, _styles(node, shown.now), used, strict=True)
+        table.add_row(*(Text(cell, style=style) for cell, style, is_used in styled if is_used))
     return table
 
 
 def _cells(node: NodeFigures, shown: BusShown) -> tuple[str, ...]:
-    heard = "never" if node.last_heard is None else age_text(shown.now - node.last_heard)
-    load = f"{node.bits_per_second / shown.bitrate * 100:.1f}" if shown.bitrate else str(node.bits_per_second)
-    state = state_text(node)
-    state = f"SILENT, {state}" if is_silent(node, shown.now) else state
     return (
         f"{node.node_id} (0x{node.node_id:02X})",
-        state,
-        heard,
+        _state_cell(node, shown.now),
+        "never" if node.last_heard is None else age_text(shown.now - node.last_heard),
         _heartbeat_text(node.heartbeat),
         str(node.frames_per_second),
-        load,
+        f"{node.bits_per_second / shown.bitrate * 100:.1f}" if shown.bitrate else str(node.bits_per_second),
         str(node.transfers),
         str(node.aborts or ""),
         _errors_text(node),
@@ -206,7 +240,8 @@ def _cells(node: NodeFigures, shown: BusShown) -> tuple[str, ...]:
 def _heartbeat_text(heartbeat: Intervals | None) -> str:
     if heartbeat is None:
         return ""
-    return f"{heartbeat.mean / MILLISECOND:.0f} ±{heartbeat.deviation / MILLISECOND:.1f}"
+    deviation = heartbeat.deviation / MILLISECOND
+    return f"{heartbeat.mean / MILLISECOND:.0f} ±{deviation:.{0 if deviation >= 9.5 else 1}f} ms"
 
 
 def _errors_text(node: NodeFigures) -> str:
@@ -219,8 +254,13 @@ def _errors_text(node: NodeFigures) -> str:
 def _styles(node: NodeFigures, now: Time) -> tuple[str, ...]:
     if is_silent(node, now):
         return ("dim", "dim", "bold yellow", *["dim"] * 6)
-    state = {NmtState.OPERATIONAL: "green", NmtState.STOPPED: "red"}.get(node.state, "yellow")  # type: ignore[call-overload]
-    return ("bold", state, "dim", "", "", "", "", "yellow", "bold red")
+    is_known = node.is_said and not is_old(node, now)
+    state = _COLOURS.get(node.state, "yellow") if is_known else "dim"
+    heartbeat = "dim" if is_old(node, now) else ""
+    return ("bold", state, "dim", heartbeat, "", "", "", "yellow", "bold red")
+
+
+_COLOURS: Final[dict[int | None, str]] = {NmtState.OPERATIONAL: "green", NmtState.STOPPED: "red"}
 
 
 # ---- what has happened ----
@@ -261,9 +301,9 @@ def _bus_json(shown: BusShown) -> dict[str, Any]:
 
 
 def _node_json(node: NodeFigures, now: Time) -> dict[str, Any]:
-    document = {"node": node.node_id, **node._asdict(), "is_silent": is_silent(node, now)}
+    document = {"node": node.node_id, **node._asdict(), "is_silent": is_silent(node, now), "is_old": is_old(node, now)}
     del document["node_id"]
-    document["state"] = None if node.state is None else state_text(node._replace(is_said=True))
+    document["state"] = state_text(node) or None
     document["heartbeat"] = None if node.heartbeat is None else node.heartbeat._asdict()
     document["emergencies"] = [{**each._asdict(), "data": each.data.hex(), "text": each.text} for each in node.emergencies]
     return document

@@ -86,7 +86,7 @@ class Terminal:
 
     def wait_for_end(self) -> int:
         """Wait until the command has ended; return its exit status."""
-        self._wait(lambda: self._about("#{pane_dead}") == "1", "the end of the command")
+        self._wait(lambda: self._about("#{pane_dead_status}#{pane_dead_signal}"), "the end of the command")
         return int(self._about("#{pane_dead_status}") or -1)
 
     def press(self, *keys: str) -> None:
@@ -103,7 +103,7 @@ class Terminal:
         os.close(self._pipe)
         shutil.rmtree(self._own, ignore_errors=True)
 
-    def _wait(self, is_so: Callable[[], bool], what: str) -> None:
+    def _wait(self, is_so: Callable[[], object], what: str) -> None:
         end = time.monotonic() + LIMIT
         while not is_so():
             if time.monotonic() > end:

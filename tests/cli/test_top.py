@@ -19,10 +19,10 @@ from tests.cli.cli_support import Run, runner
 LOG = """\
 (1.000000) can0 705#00
 (1.100000) can1 706#05
-(1.500000) can0 080#
-(1.510000) can0 080#
-(1.520000) can0 080#
 (2.000000) can0 705#05
+(2.200000) can0 080#
+(2.210000) can0 080#
+(2.220000) can0 080#
 (2.300000) can0 085#3081110000000000
 (2.400000) can0 605#4041600000000000
 (2.410000) can0 585#4B41600040020000
@@ -67,11 +67,11 @@ def test_a_bus_at_80_by_24() -> None:
     view, last = recorded(bitrate=125_000)
     found = drawn(shown(view, last))
     assert found[0].startswith("socketcan:can0")
-    assert found[0].endswith("4 frames/s, load 0.3% of 125k, peak 0.5%")
+    assert found[0].endswith("7 frames/s, load 0.5% of 125k, peak 0.5%")
     assert found[1] == "SYNC each 10.00 ms, from 10.00 to 10.00, standard deviation 0.00 ms"
     assert found[2] == "9 frames in 2.0 s, SDO: 1 value"
-    assert found[3].split() == ["node", "state", "heard", "heartbeat", "ms", "frames/s", "load", "%", "SDO", "aborts", "errors"]
-    assert found[4].split() == ["5", "(0x05)", "operational", "0.0", "s", "1000", "±0.0", "4", "0.3", "1", "0x8130"]
+    assert found[3].split() == ["node", "state", "heard", "heartbeat", "frames/s", "load", "%", "SDO", "errors"]
+    assert found[4].split() == ["5", "(0x05)", "operational", "0.0", "s", "1000", "±0.0", "ms", "4", "0.3", "1", "0x8130"]
     assert found[-2].startswith(" 0.7 s ago  node 5  EMCY 0x8130 life guard error or heartbeat error")
     assert found[-1] == "q end   p pause   s sort"
 
@@ -99,6 +99,28 @@ def test_a_node_that_is_silent_does_not_look_alive() -> None:
 def test_a_state_that_was_only_commanded_is_no_fact() -> None:
     view, last = recorded(f"{LOG}(3.10) can0 000#0205\n")
     assert "told: stopped" in drawn(shown(view, last))[4]
+
+
+def test_a_state_that_was_said_long_ago_is_not_the_present_one() -> None:
+    view, last = recorded(f"{LOG}(6.5) can0 585#4B41600040020000\n")  # it answers SDO, and sends no heartbeat any more
+    assert "was operational" in drawn(shown(view, last))[4]
+    view, last = recorded("(1.0) can0 705#00\n(9.0) can0 585#4B41600040020000\n")  # without a heartbeat
+    assert "was pre-op" in drawn(shown(view, last))[4]
+
+
+def test_a_sync_that_has_stopped_is_not_shown_as_running() -> None:
+    view, last = recorded()
+    assert drawn(shown(view, last, last + SECOND))[1] == "SYNC has stopped 1.8 s ago; it came each 10.00 ms"
+    view, last = recorded("(1.0) can0 080#\n(3.0) can0 705#05\n")
+    assert drawn(shown(view, last))[1] == "one SYNC, 2.0 s ago"
+    assert drawn(shown(recorded("(3.0) can0 705#05\n")[0], last))[1] == "no SYNC"
+
+
+@pytest.mark.parametrize("heartbeat", ["05", "7F", "04"])
+def test_all_columns_fit_for_the_longest_state(heartbeat: str) -> None:
+    view, last = recorded("".join(f"({second}.0) can0 77F#{heartbeat}\n" for second in range(1, 10)))
+    for now in (last, last + 9 * SECOND):
+        assert "…" not in drawn(shown(view, last, now))[4]
 
 
 def test_what_does_not_fit_is_counted() -> None:
