@@ -32,7 +32,7 @@ from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.axes import axes_of, swapped
 from canopen_proto.cia402.states import FAULT_STATES, State, state_of
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, Frame
+from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtState
@@ -49,8 +49,6 @@ LOCATOR: Final = "virtual:dry-run"
 INTERRUPTED_AFTER: Final = 1.0
 """Seconds of virtual time after which a command that has no end of its own is ended, as Ctrl-C would."""
 
-_UPLOADS: Final = frozenset((2, 3, 5))
-"""Command specifiers (the first three bits) of an SDO client that reads: expedited or segmented, segment, block."""
 _GENERIC_ERROR: Final = 0x1000
 """The error code of a fault that the drive does not name."""
 _WORDS: Final = {State.READY_TO_SWITCH_ON: (0x06,), State.SWITCHED_ON: (0x06, 0x07), State.OPERATION_ENABLED: (0x06, 0x07, 0x0F)}
@@ -196,7 +194,7 @@ def show_frames(settings: Settings, screen: Screen, records: Sequence[Record], o
             continue
         if meaning.service == "heartbeat":
             heartbeats.add(frame)
-        if _reads(frame):
+        if meaning.service == "SDO" and meaning.text.startswith("read "):  # that changes nothing in the device
             reads += 1
             if screen.verbosity <= 0:
                 continue
@@ -211,8 +209,3 @@ def show_frames(settings: Settings, screen: Screen, records: Sequence[Record], o
     else:
         screen.data("no frames, except those that read")
     screen.say(f"[dim]and {counted(reads, 'read')}{' (-v shows them)' * (screen.verbosity <= 0)}[/]")
-
-
-def _reads(frame: Frame) -> bool:
-    """Return whether a frame of ours reads an object: that changes nothing in the device."""
-    return frame.can_id & 0x780 == SDO_CLIENT_TO_SERVER and bool(frame.data) and frame.data[0] >> 5 in _UPLOADS

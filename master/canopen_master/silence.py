@@ -14,10 +14,11 @@ from typing import Final, NamedTuple
 
 from canopen_proto.bus_knowledge import HeardService, NodeHeard
 from canopen_proto.error_codes import error_text
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import SERVICES, NmtState, Service
+from canopen_proto.observer.observer import Observer
 from canopen_proto.remote_node import RemoteNode
 
 RECENT: Final = 5 * SECOND
@@ -56,7 +57,7 @@ def sdo_silence(network: Network, node: RemoteNode, now: Time) -> Diagnosis:
         stopped = f"canopen nmt preop {node.node_id}    (a node that is Stopped answers again)"
         return Diagnosis(silent.seen, f"{silent.cause}; or it is Stopped and has no heartbeat", (*silent.tries, stopped))
     node_id, state = node.node_id, _state(heard, node)
-    others, their_cause = _other_clients(network, heard, now)
+    others, their_cause = _other_clients(network, heard, node, now)
     seen += others
     if state is NmtState.INITIALISING:
         return Diagnosis(seen, "it was reset, and has not booted since", ("the same once it has booted", SCAN))
@@ -139,19 +140,27 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
     return time, text
 
 
-def _other_clients(network: Network, heard: NodeHeard, now: Time) -> tuple[str, str]:
+def _other_clients(network: Network, heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[str, str]:
     """Return the signs that another client asks this node, and their meaning; "" if there are none."""
     node_id, request, answer = heard.node_id, heard.foreign_request, heard.unasked_answer
     if request is not None and now - request.time <= RECENT:
-        seen = f"; another client asked it {_ago(now - request.time)} (0x{SDO_CLIENT_TO_SERVER + node_id:X})"
+        can_id = SDO_CLIENT_TO_SERVER + node_id
+        seen = f"; another client asked it {_ago(now - request.time)} (0x{can_id:X}{_said(request.frame, node)})"
         return seen, "another SDO client talks to it, and an SDO channel serves one at a time"
     if answer is not None and now - answer.time <= RECENT:
         can_id = SDO_SERVER_TO_CLIENT + node_id
-        seen = f"; answers seen on 0x{can_id:X} that were not for us, the last {_ago(now - answer.time)}"
+        said = _said(answer.frame, node)
+        seen = f"; answers seen on 0x{can_id:X} that were not for us, the last {_ago(now - answer.time)}{said}"
         if network.hears_all:  # a request of somebody else's would have been heard
             return seen, f"two devices have node-ID {node_id}, or it answers something else than it is asked, or twice"
         return seen, f"two devices have node-ID {node_id}, or another SDO client talks to it (its requests are filtered)"
     return "", ""
+
+
+def _said(frame: Frame, node: RemoteNode) -> str:
+    """Return what an SDO frame says of an object, as ": read 6041:00 statusword"; "" if it does not name the object."""
+    meaning = Observer({node.node_id: node.dictionary}.get).observe(frame, 0).meaning
+    return f": {meaning.text}" if meaning.objects else ""
 
 
 def _silent(network: Network, heard: NodeHeard, now: Time) -> Diagnosis:

@@ -137,13 +137,13 @@ def test_an_answer_that_came_far_too_late() -> None:
 
 def test_another_client() -> None:
     known = hearing("705#05", "605#4000100000000000", "585#4300100092010200").sdo()
-    assert "another client asked it 120 ms ago (0x605)" in known.seen
+    assert "another client asked it 120 ms ago (0x605: read 1000:00" in known.seen
     assert "another SDO client talks to it" in known.cause
 
 
 def test_answers_that_were_not_for_us() -> None:
     known = hearing("705#05", "585#4300100092010200").sdo()
-    assert "answers seen on 0x585 that were not for us, the last 120 ms ago" in known.seen
+    assert "answers seen on 0x585 that were not for us, the last 120 ms ago: read 1000:00" in known.seen
     assert "NMT state OPERATIONAL 120 ms ago" not in known.seen
     assert "two devices have node-ID 5" in known.cause
     assert "client" not in known.cause  # its requests would have been heard

@@ -327,6 +327,22 @@ def test_block_upload_with_a_segment_lost() -> None:
     ]
 
 
+def test_a_value_of_which_a_part_was_not_heard_is_not_shown() -> None:
+    begin = (">C2 00 20 00 0A 00 00 00", "<A0 00 20 00 7F 00 00 00", ">01" + " 00" * 7, ">83" + " 00" * 7)
+    assert sdo(*begin, "<A2 03 7F 00 00 00 00 00", ">D1" + " 00" * 7, "<A1" + " 00" * 7)[-2:] == [
+        "write 2000:00 blob: not all of it was heard",
+        "written 2000:00 blob",
+    ]
+
+
+def test_a_value_with_a_wrong_crc_is_not_held() -> None:
+    frames = ("605#C600200007000000", "585#A40020007F000000", "605#8101020304050607", "585#A2017F0000000000")
+    *_, right = shown(*frames, "605#C1B3260000000000", "585#A100000000000000")
+    *_, wrong = shown(*frames, "605#C1FFFF0000000000", "585#A100000000000000")
+    assert [each.value for each in (*right, *wrong)] == [bytes(range(1, 8))] * 2
+    assert [each.is_held for each in (*right, *wrong)] == [True, False]
+
+
 def test_block_download() -> None:
     assert sdo(
         ">C2 00 20 00 0A 00 00 00",
@@ -415,6 +431,16 @@ def test_any_frames_have_a_meaning(frames: list[Frame]) -> None:
         assert meaning.service
         assert 0 <= meaning.node_id <= 127
         assert len(meaning.text) < 300
+
+
+@needs_recordings
+def test_words_do_not_depend_on_when_they_are_read() -> None:
+    for path in sorted(FOLDER.glob("*.log")):
+        frames = [Frame.parse(line.split()[2]) for line in path.read_text().splitlines()]
+        first, second = Observer(), Observer()
+        at_once = [(meaning.text, meaning.objects) for meaning in (first.observe(frame, 0).meaning for frame in frames)]
+        later = [second.observe(frame, 0).meaning for frame in frames]
+        assert [(meaning.text, meaning.objects) for meaning in later] == at_once
 
 
 @needs_recordings
