@@ -39,7 +39,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame_bits import duration, least_bits
 from canopen_proto.machine import SECOND, Event, RequestId, Time
 from canopen_proto.nmt import NmtMaster
-from canopen_proto.procedures.program_objects import POLL, NotReached, ProgramObjects, is_lost
+from canopen_proto.procedures.program_objects import LEFTOVER_TIME, POLL, NotReached, ProgramFound, ProgramObjects, is_lost
 from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
@@ -64,8 +64,6 @@ WRITES: Final = 3
 """How often the data are written at most, each time after a clear."""
 MAX_PROGRAM: Final = 254
 """The highest number of a program: its subindex."""
-LEFTOVER_TIME: Final = 2 * SECOND
-"""For a flash that is busy at the beginning: some stay so after a broken transfer until they are cleared."""
 CONFIRM_ADVICE: Final = "confirm it (0x80 in 0x1F51), else the program before comes back at the next reset"
 ELSEWHERE_ADVICE: Final = "canopen scan, since its boot loader may have another node-ID; canopen lss scan, since it may have none"
 
@@ -122,22 +120,25 @@ class Limits:
 class ProgramDownload:
     """The progress of a program download. It may be read while that runs, and after a failure or a cancel.
 
-    size: of the program, in bytes; delivered: how many of them the device has acknowledged. found: 0x1F51 at the beginning;
-    id_before, id_after: 0x1F56 then and at the end, None if unreadable. writes: how often the data were written. is_needed: False
-    if the device had the program, and ran it. is_done: all went well. remark: something to know then, or "".
+    size: of the program, in bytes; delivered: how many of them the device has acknowledged. found: what it had. id_after: 0x1F56
+    at the end, None if it cannot be read. writes: how often the data were written. is_needed: False if the device had the
+    program, and ran it. is_done: all went well. remark: something to know then, or "".
     """
 
     size: int
     step: Step = Step.LOOK
     delivered: int = 0
-    found: int | None = None
-    status_before: FlashStatus | None = None
-    id_before: int | None = None
+    found: ProgramFound | None = None
     id_after: int | None = None
     writes: int = 0
     is_needed: bool = True
     is_done: bool = False
     remark: str = ""
+
+    @property
+    def id_before(self) -> int | None:
+        """0x1F56 at the beginning; None if it cannot be read."""
+        return None if self.found is None else self.found.identification
 
     @property
     def left(self) -> str:
@@ -228,6 +229,23 @@ def download_program(
     return so_far
 
 
+def look(
+    node: RemoteNode, program: int = 1, so_far: ProgramDownload | None = None, limits: Limits | None = None
+) -> Procedure[ProgramFound]:
+    """Return what a device has; nothing is written. Raises ProgramDownloadFailed, also if it takes no program this way."""
+    so_far = ProgramDownload(0) if so_far is None else so_far
+    patience = TRIES * (Limits() if limits is None else limits).answer
+    try:
+        so_far.found = found = yield from ProgramObjects(node, program).found(patience)
+    except (SdoFailed, NotReached) as error:
+        silent = isinstance(error, NotReached)
+        raise ProgramDownloadFailed(node.node_id, so_far, str(error), "canopen scan" * silent, is_silent=silent) from error
+    if found.control is None:
+        seen = f"it has no program control (0x1F51:{program:02X}): it takes no program this way"
+        raise ProgramDownloadFailed(node.node_id, so_far, seen)
+    return found
+
+
 class WantsSoftware(Protocol):
     """An entry of the network list that names the software of a node: a BootEntry of canopen_proto.boot."""
 
@@ -281,9 +299,9 @@ class _Flashing:
     def run(self) -> Procedure[None]:
         so_far = self.so_far
         yield from self._begin(Step.LOOK)
-        yield from self._look()
-        is_valid = so_far.status_before in (None, FlashStatus(False))
-        is_there = is_valid and not self.force and self.expected is not None and so_far.id_before == self.expected
+        found = yield from look(self.objects.node, self.objects.program, so_far, self.limits)
+        self.state = found.control
+        is_there = found.is_valid and not self.force and self.expected is not None and found.identification == self.expected
         so_far.is_needed = not is_there or self.state not in _RUNNING or (self.confirm and self.state == ProgramControl.CONFIRM)
         if not so_far.is_needed:
             so_far.id_after = so_far.id_before
@@ -305,18 +323,6 @@ class _Flashing:
             yield from self._confirm()
 
     # ---- the steps ----
-
-    def _look(self) -> Procedure[None]:
-        """Find out what the device has."""
-        so_far = self.so_far
-        patience = self.limits.answer * TRIES
-        so_far.status_before = yield from self.objects.settled(max(LEFTOVER_TIME, patience))
-        self.state = so_far.found = yield from self.objects.control(patience)
-        if so_far.found is None:
-            raise self.failed(
-                f"it has no program control (0x1F51:{self.objects.program:02X}), so no program can be written to it this way"
-            )
-        so_far.id_before = yield from self.objects.identification(self.limits.start)
 
     def _load(self) -> Procedure[None]:
         """Stop, clear and write; all of it again if the transfer breaks."""
@@ -390,11 +396,11 @@ class _Flashing:
         """Compare the identification before the program is started."""
         found = yield from self.objects.identification(self.limits.start)
         if self.expected is not None and found != self.expected:
-            shown = "it shows none" if found is None else f"it shows 0x{found:08X}"
+            shown = "it shows none" if not found else f"it shows 0x{found:08X}"
+            remedy = f"; 0x{found:08X} as the expected one, if that is right: then it is only started" if found else ""
             raise self.failed(
-                f"the program that it has now should have the identification 0x{self.expected:08X}, and {shown}; "
-                "it was not started",
-                "is it the right file? The device computes the identification from what it received",
+                f"its new program should have the identification 0x{self.expected:08X}, and {shown}; it was not started",
+                f"the right file{remedy}",
                 is_mismatch=True,
             )
 
@@ -477,10 +483,8 @@ class _Flashing:
 
     def ended_by(self, error: SdoFailed | NotReached) -> ProgramDownloadFailed:
         """Return the error for one of a step."""
-        if isinstance(error, NotReached) and error.is_silent:
-            is_begun = self.so_far.step not in (Step.LOOK, Step.PREPARE)
-            return self.failed(str(error), ELSEWHERE_ADVICE if is_begun else "canopen scan", is_silent=True)
-        return self.failed(str(error))
+        is_silent = isinstance(error, NotReached) and error.is_silent
+        return self.failed(str(error), ELSEWHERE_ADVICE if is_silent else "", is_silent=is_silent)
 
     def _refusal(self, failed: SdoFailed, status: FlashStatus | None) -> ProgramDownloadFailed:
         """Return the error for a refusal, with the cause that 0x1F57 names."""

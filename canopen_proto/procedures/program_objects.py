@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Final, NamedTuple
 
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode, AbortOrigin
@@ -17,10 +17,10 @@ from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed,
 from canopen_proto.programs import FlashStatus, flash_status
 from canopen_proto.remote_node import RemoteNode
 
-T = TypeVar("T")
-
 POLL: Final = 100 * MILLISECOND
 """Between two looks at a state that is awaited."""
+LEFTOVER_TIME: Final = 2 * SECOND
+"""For a flash that is busy at the beginning: some stay so after a broken transfer until they are cleared."""
 _OF_A_LOSS: Final = (
     AbortCode.TOGGLE_NOT_ALTERNATED,
     AbortCode.TIMED_OUT,
@@ -46,12 +46,31 @@ def is_lost(failed: SdoFailed) -> bool:
     return failed.origin is not AbortOrigin.CANCELLED and failed.abort_code != AbortCode.CANNOT_TRANSFER
 
 
+class ProgramFound(NamedTuple):
+    """What a device has: 0x1F51, 0x1F56, 0x1F57. None for an object that it does not have, or that cannot be read."""
+
+    control: int | None
+    identification: int | None
+    status: FlashStatus | None
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the flash status says nothing against the program."""
+        return self.status in (None, FlashStatus(False))
+
+
 @dataclass(frozen=True, slots=True)
 class ProgramObjects:
     """The objects of one program of a node. Limits are in ns; at the limit, NotReached is raised."""
 
     node: RemoteNode
     program: int
+
+    def found(self, patience: Time) -> Procedure[ProgramFound]:
+        """Return what the device has. patience: for each object."""
+        status = yield from self.settled(max(LEFTOVER_TIME, patience))
+        control = yield from self.control(patience)
+        return ProgramFound(control, (yield from self.identification(patience)), status)
 
     def control(self, limit: Time, wanted: Collection[int | None] = ()) -> Procedure[int | None]:
         """Return 0x1F51, None if the device does not have it. wanted: wait until it is one of these."""

@@ -39,6 +39,7 @@ COMMANDS: Final = {
     "home": ("home", "Home drives (CiA 402), all at the same time."),
     "backup": ("backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),
     "restore": ("restore", "Write those settings of a DCF or XDC to a node that differ from its own."),
+    "flash": ("flash", "Write a new program (firmware) into a device that takes it by CiA 302-3, and start it."),
     "compare": ("compare", "Compare the values of a node, or of a file, with those of another file."),
     "dump": ("dump", "Read all objects of a node, and show them."),
     "check": ("check", "Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone."),

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 import click
 import trio
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
 
 from canopen_cli.options import Kind
 from canopen_cli.problem import usage
@@ -82,15 +82,23 @@ async def read_all(session: Session, screen: Screen, node_id: int, indices: tupl
     return await shown(session, screen, label, back_up(node, domains=domains), ObjectRead)
 
 
-async def shown(session: Session, screen: Screen, label: str, procedure: Procedure[T], *kinds: type[Event]) -> T:
-    """Run a procedure, with a bar on a terminal. kinds: its progress events, which have `done` and `total`."""
+async def shown(
+    session: Session,
+    screen: Screen,
+    label: str,
+    procedure: Procedure[T],
+    *kinds: type[Event],
+    columns: Sequence[type[ProgressColumn]] = (MofNCompleteColumn,),
+) -> T:
+    """Run a procedure, with a bar on a terminal. kinds: its progress events, which have `done` and `total`, and perhaps a `step`.
+    columns: behind the bar."""
     if not screen.draws:
         return await session.master.run(procedure)
     results: list[T] = []
     failure: Exception | None = None
     async with trio.open_nursery() as nursery:
         with session.master.events(*kinds) as news:
-            nursery.start_soon(_draw, screen, label, news)
+            nursery.start_soon(_draw, screen, label, news, columns)
             try:
                 results.append(await session.master.run(procedure))
             except Exception as error:  # noqa: BLE001 - raised below: the nursery would wrap it in a group
@@ -101,13 +109,15 @@ async def shown(session: Session, screen: Screen, label: str, procedure: Procedu
     return results[0]
 
 
-async def _draw(screen: Screen, label: str, news: Subscription[Any]) -> None:
-    columns = (TextColumn(escape(label)), BarColumn(30), MofNCompleteColumn())
+async def _draw(screen: Screen, label: str, news: Subscription[Any], kinds: Sequence[type[ProgressColumn]]) -> None:
+    columns = (TextColumn("{task.description}"), BarColumn(30), *(kind() for kind in kinds))
     with Progress(*columns, console=screen.err, transient=True, auto_refresh=False, get_time=trio.current_time) as progress:
-        task = progress.add_task("", total=None)
+        task = progress.add_task(escape(label), total=None)
         while True:
             for each in news.take()[-1:]:
-                progress.update(task, completed=each.done, total=each.total)
+                step = getattr(each, "step", None)
+                description = escape(label if step is None else f"{label}: {step}")
+                progress.update(task, completed=each.done, total=each.total, description=description)
             progress.refresh()
             await trio.sleep(REDRAW)
 

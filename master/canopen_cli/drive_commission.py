@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +15,9 @@ from canopen_cli.fleet import DEMO_LOCATOR
 from canopen_cli.new_files import check_new_file, write_file
 from canopen_cli.options import DEMO, Settings, common, enabling
 from canopen_cli.problem import ExitCode, usage
-from canopen_cli.questions import Questions
+from canopen_cli.questions import Questions, is_asked
 from canopen_cli.running import all_stand, run
-from canopen_cli.screen import Screen, escape
+from canopen_cli.screen import escape
 from canopen_cli.session import open_session
 from canopen_master.machine_file import JointEntry, MachineFile, NodeEntry, machine_of_chains, machine_text
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
@@ -94,11 +93,6 @@ def commission(settings: Settings, output: str | None, dcf: str | None, name: st
     else:
         screen.say(f"\nNo machine file was written: its scale is not proven. {escape(dcf)} has its values as they were")
     return ExitCode.OK if result.is_confirmed else ExitCode.PARTIAL
-
-
-def is_asked(screen: Screen) -> bool:
-    """Return whether there is a person to ask."""
-    return screen.err.is_terminal and sys.stdin.isatty()
 
 
 def _machine(settings: Settings, locator: str, node_id: int, name: str, result: Result, file: str, output: str) -> MachineFile:

@@ -23,6 +23,7 @@ from canopen_proto.drive import DriveError, DriveFault, HomingFailed, ModeUnsupp
 from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import UnexpectedLength
+from canopen_proto.procedures.program_download import ProgramDownloadFailed
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_transports import TransportError
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
@@ -216,6 +217,20 @@ def _of_sdo(error: SdoFailed) -> Problem:
     )
 
 
+def _of_flash(error: ProgramDownloadFailed) -> Problem:
+    failed = f'the program download to node {error.node_id} ended at "{error.so_far.step}"'
+    status = ExitCode.NO_ANSWER if error.is_silent else ExitCode.DRIVE_FAULT
+    return Problem(
+        ExitCode.VERIFY_MISMATCH if error.is_mismatch else status,
+        "CO214",
+        failed,
+        seen=error.seen,
+        also=(f"the device: {error.so_far.left}",),
+        tries=error.remedy.split("; ") if error.remedy else (),
+        node=error.node_id,
+    )
+
+
 _OF_DRIVE = {
     DriveFault: errors.CHAIN_FAULT,
     HomingFailed: errors.HOMING_FAILED,
@@ -228,6 +243,8 @@ def _of_procedure(error: ProcedureError) -> Problem:
     what, _, seen = failed.partition(": ")
     tries = (hint,) if hint else ()
     match error:
+        case ProgramDownloadFailed():
+            return _of_flash(error)
         case UnexpectedLength():
             what, _, cause = failed.partition("; ")
             return Problem(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)

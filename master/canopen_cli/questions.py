@@ -77,6 +77,11 @@ class Questions:
         return line.decode(errors="replace")
 
 
+def is_asked(screen: Screen) -> bool:
+    """Return whether there is a person to ask."""
+    return screen.err.is_terminal and sys.stdin.isatty()
+
+
 async def read_input() -> bytes:
     """Wait for input, and return what is there; nothing at its end."""
     # Not by sys.stdin: a thread that waits in it keeps its lock, and the process could not end after a Ctrl-C

@@ -14,17 +14,20 @@ import trio
 
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
 from canopen_cli.options import DEMO, FiniteRange, Settings, common
+from canopen_cli.problem import usage
 from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.sim_devices import SHAPES, SimulatedIds, devices_of, machine_of, models, wanted
 from canopen_master.machine_file import MachineFile
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import PROFILES, DeviceEntry
+from canopen_proto.boot_loader import BootLoader, ProgramErased, ProgramStarted, ProgramWritten
 from canopen_proto.error_codes import error_text
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.lss.slave import LssNodeIdSet
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtStateChanged
+from canopen_proto.programs import FlashStatus
 from canopen_proto.simulated_drive.events import DriveFault, DriveStateChanged
 
 DEFAULT_IDS: Final = DEMO_NODES
@@ -51,6 +54,7 @@ DEFAULT_IDS: Final = DEMO_NODES
 @click.option("--script", metavar="FILE.py", default="", help="A Python file that animates the devices.")
 @click.option("--state", metavar="FILE.json", help="Where what they store (1010) is kept; by default in memory.")
 @click.option("--defaults", is_flag=True, help="Of a DCF: the defaults, not what it has configured.")
+@click.option("--boot-loader", is_flag=True, help="Devices that take a program by `canopen flash`, in place of drives.")
 @click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
 @common
 @click.pass_obj
@@ -63,6 +67,7 @@ def sim(
     script: str,
     state: str | None,
     defaults: bool,
+    boot_loader: bool,
     seconds: float | None,
 ) -> None:
     """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.
@@ -77,11 +82,16 @@ def sim(
     canopen sim drive.eds --id 5 -b can0
     canopen sim 5=drive.eds 6,7=io.eds --script animate.py -b can0
     canopen sim --id 255,255,255 -b tcp    three drives that wait for their node-IDs: see canopen lss
+    canopen sim 5 --boot-loader -b can0    a device that `canopen flash` writes programs into
     canopen sim plant.toml
     canopen sim cell.toml                  each device of a machine file, on all of its buses; with -b NAME on that one
     """
     screen = settings.screen()
     files += settings.eds  # -e means the same here: the file of a device
+    if boot_loader and files:
+        if node_ids:
+            raise usage("CO127", "--boot-loader takes node-IDs only", tries=("canopen sim 5 --boot-loader",))
+        node_ids, files = SimulatedIds().convert(",".join(files), None, None), ()
     machine = None if node_ids else machine_of(files, settings)
     if machine is not None:
         _serve_machine(settings, screen, machine, state, seconds)
@@ -97,6 +107,9 @@ def sim(
     def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
         if plant is None:
             ids = node_ids or DEFAULT_IDS
+            if boot_loader:
+                loaders = [partial(BootLoader, node_id=node_id) for node_id in ids]
+                return counted(len(ids), "boot loader"), simulated_devices({locator: loaders}, tell)
             drives = [(locator, node_id) for node_id in ids]
             fleet = simulated_fleet(drives, SHAPES[shape or "schunk"], tell, keeper=_keeper(state or ""))
             return counted(len(ids), "simulated drive"), fleet
@@ -149,6 +162,13 @@ def _teller(screen: Screen) -> Callable[[Event], None]:
                 who = node_text(node_id) if node_id else "a device without a node-ID"
                 given = "none" if pending == UNCONFIGURED else str(pending)
                 screen.say(f"{who}  LSS gives it the node-ID {given}")
+            case ProgramErased(node_id=node_id):
+                screen.say(f"{node_text(node_id)}  erases its program")
+            case ProgramWritten(node_id=node_id, error=error, size=size):
+                verdict = f"[red]{FlashStatus(False, error).text}[/]" if error else "it is right"
+                screen.say(f"{node_text(node_id)}  has got a program of {size} bytes: {verdict}")
+            case ProgramStarted(node_id=node_id, identification=identification):
+                screen.say(f"{node_text(node_id)}  runs the program 0x{identification:08X}")
             case DriveStateChanged(node_id=node_id, state=state):
                 screen.say(f"{node_text(node_id)}  {state}")
             case DriveFault(node_id=node_id, error_code=code):

@@ -129,6 +129,7 @@ COMMANDS = [
     ("restore", "5", "device.dcf", *DEMO, "--dry-run", "-v"),
     ("restore", "5", "device.dcf", *DEMO, "--yes", "--verify"),
     ("restore", "6", NAMED_DCF, *DEMO, "--yes"),
+    ("flash", "5", EVIL, "--yes", *DEMO),
     ("check", NAMED_EDS),
     ("check", "odd.eds"),
     ("check", "5", "-e", "device.eds", *DEMO, "--case", "1", "--case", "4", "--case", "9.1", "--yes"),

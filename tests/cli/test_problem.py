@@ -35,6 +35,7 @@ from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
 from canopen_proto.drive.axis import Axis
 from canopen_proto.machine import LocalProtocolError, Outbox
 from canopen_proto.procedures.objects import UnexpectedLength
+from canopen_proto.procedures.program_download import ProgramDownload, ProgramDownloadFailed
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
@@ -81,6 +82,9 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (HomingFailed(AXIS, "reports a homing error"), ExitCode.DRIVE_FAULT, "CO406"),
         (ModeUnsupported(AXIS, "does not support it"), ExitCode.DRIVE_FAULT, "CO405"),
         (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
+        (ProgramDownloadFailed(5, ProgramDownload(1), "secured"), ExitCode.DRIVE_FAULT, "CO214"),
+        (ProgramDownloadFailed(5, ProgramDownload(1), "other", is_mismatch=True), ExitCode.VERIFY_MISMATCH, "CO214"),
+        (ProgramDownloadFailed(5, ProgramDownload(1), "silent", is_silent=True), ExitCode.NO_ANSWER, "CO214"),
         (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
         (RecordError("CO344", "cannot read the recording x"), ExitCode.BAD_FILE, "CO344"),
         (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),
