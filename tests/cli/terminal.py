@@ -86,8 +86,14 @@ class Terminal:
 
     def wait_for_end(self) -> int:
         """Wait until the command has ended; return its exit status."""
-        self._wait(lambda: self._about("#{pane_dead_status}#{pane_dead_signal}"), "the end of the command")
+        self._wait(self._has_ended, "the end of the command")
         return int(self._about("#{pane_dead_status}") or -1)
+
+    def _has_ended(self) -> bool:
+        if self._about("#{pane_dead}") != "1":
+            return False
+        self._tmux("run-shell", "true")  # tmux 3.3a may miss the end of a process until another one ends
+        return self._about("#{pane_dead_status}#{pane_dead_signal}") != ""
 
     def press(self, *keys: str) -> None:
         """Press keys, by tmux's names: q, Enter, C-c, Left."""
@@ -103,7 +109,7 @@ class Terminal:
         os.close(self._pipe)
         shutil.rmtree(self._own, ignore_errors=True)
 
-    def _wait(self, is_so: Callable[[], object], what: str) -> None:
+    def _wait(self, is_so: Callable[[], bool], what: str) -> None:
         end = time.monotonic() + LIMIT
         while not is_so():
             if time.monotonic() > end:
