@@ -33,6 +33,7 @@ COMMANDS: Final = {
     "lss": ("lss", "Give devices their node-ID and bit rate over the bus itself (CiA 305)."),
     "top": ("top", "Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong."),
     "watch": ("watch", "Show the values of a node's objects, live."),
+    "net": ("net", "The network of a machine file: check it, boot it, watch it (CiA 302-2)."),
     "drive": ("drive", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
     "move": ("move", "Move chains to a target, or along a path."),
     "jog": ("jog", "Move joints of a chain by keys, as long as a key is held."),

@@ -38,7 +38,7 @@ def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Scr
         return files
     from canopen_data.descriptions import with_names  # the readers are imported only if there is a file
 
-    named = [_split(text) for text in texts]
+    named = [split_file(text) for text in texts]
     without = sum(1 for node_id, _ in named if node_id is None)
     for node_id, path in named:
         description = with_names(_read(path, screen, encoding), names)
@@ -54,7 +54,8 @@ def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Scr
     return files
 
 
-def _split(text: str) -> tuple[int | None, str]:
+def split_file(text: str) -> tuple[int | None, str]:
+    """Return node-ID and path of a text such as "5=drive.eds"; None if it names no node-ID."""
     match = _OF_NODE.fullmatch(text)
     return (None, text) if match is None else (node_id_of(match[1]), match[2])
 

@@ -104,7 +104,8 @@ def usage(code: str, failed: str, **more: Any) -> Problem:
 
 
 _ON_A_BUS = re.compile(
-    r"canopen (?:lss [a-z-]+|scan|info|read|write|nmt|home|drive|sim|backup|restore|flash|dump|(?:check|compare) [0-9])\b"
+    r"canopen (?:lss [a-z-]+|net (?:check|boot|watch)|scan|info|read|write|nmt|home|drive|sim|backup|restore|flash|dump"
+    r"|(?:check|compare) [0-9])\b"
 )
 _BEFORE_BUS = re.compile(r"(?=    | -- |$)")  # before a remark, or before arguments that must stand last
 

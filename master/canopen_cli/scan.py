@@ -40,7 +40,7 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
     """
     screen = settings.screen()
     asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
-    found, remark = run(settings, screen, lambda: _scan(settings, screen, asked, listen))
+    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, listen))
     machine, bus = settings.machine_on_bus()
     names = {} if machine is None else {each.node_id: each.name for each in machine.nodes.values() if each.bus == bus}
     if settings.json:
@@ -82,7 +82,8 @@ def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
     )
 
 
-async def _scan(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
+async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
+    """Scan the bus of the options, with a bar on a terminal; return the nodes, and what else was heard. node_ids: whom to ask."""
     async with open_session(settings, screen) as session:
         master = session.master
         scanner = Scanner(session.network.out)

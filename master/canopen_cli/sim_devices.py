@@ -98,14 +98,21 @@ def machine_of(files: Sequence[str], settings: Settings) -> MachineFile | None:
 
 
 def devices_of(machine: MachineFile, settings: Settings, screen: Screen) -> dict[str, tuple[str, list[DeviceMaker]]]:
-    """Return the locator of each bus of a machine, and the simulated devices on it; with -b of that bus only.
-
-    A node without a file is a joint of the manual's arm. Raises Problem.
-    """
+    """Return the locator of each bus of a machine, and the simulated devices on it; with -b of that bus only. Raises Problem."""
     buses = {bus.name: bus.locator for bus in machine.buses.values()}
     if settings.bus is not None:
         locator = settings.required_bus()
         buses = {settings.chosen.bus: locator}
+    return devices_on(buses, machine, settings, screen)
+
+
+def devices_on(
+    buses: Mapping[str, str], machine: MachineFile, settings: Settings, screen: Screen
+) -> dict[str, tuple[str, list[DeviceMaker]]]:
+    """Return the locator of each of these buses that has nodes, and the simulated devices on it. buses: locators by name.
+
+    A node without a file is a joint of the manual's arm. Raises Problem.
+    """
     made: dict[str, tuple[str, list[DeviceMaker]]] = {}
     for name, locator in buses.items():
         nodes = [node for node in machine.nodes.values() if node.bus == name]

@@ -35,6 +35,8 @@ EVIL = "\x1b]0;gone\x07\x1b[2J\x9b31m\x08\x7f\u202e[bold]x[/]"
 """A title, a cleared screen, colours, a step back, text from right to left; and markup of the library that draws."""
 EVIL_TEXT = EVIL.encode().decode("latin-1")
 """The same as a device sends it, in UTF-8."""
+MARKED = "\x1b[bold]x[/]"
+"""A name without blanks."""
 DEMO = ("-b", "demo")
 TIMING = ("--cycle", "10ms", "--bitrate", "500k")
 NAMED_EDS, NAMED_DCF = f"{EVIL[:-3]}.eds", f"{EVIL[:-3]}.dcf"
@@ -94,6 +96,7 @@ def evil_files() -> dict[str, str]:
         "units.toml": '[objects.2003]\nunit = "\\u001b[2J"\naliases = ["\\u001b[2J"]\ndescription = "\\u009b"\n',
         "odd.toml": '[objects."\\u001b[2J"]\nunit = "\\u001b"\n[objects.2003]\n"\\u001b" = 1\n',
         "odd_cell.toml": '[buses."\\u001b[2J"]\nlocator = "\\u009b"\n[nodes.a]\nid = 5\nfile = "\\u001b.eds"\n"\\u001b" = 1\n',
+        "named.toml": f"[buses.can0]\n[nodes.{json.dumps(MARKED)}]\nid = 5\nfile = 'device.eds'\nboot = {{ vendor = 1 }}\n",
         "odd.yaml": 'name: "\\e[2J"\nnodes: {"\\e[1m": {id: 5, "\\e]0": 1, pos_to_device: "\\e[2J", eds_file: "\\e.eds"}}\n',
         "odd.py": f"raise ValueError({EVIL!r})\n",
     }
@@ -162,6 +165,11 @@ COMMANDS = [
     *[("lss", word, EVIL, *DEMO) for word in ("inquire", "store", "set-bitrate")],
     ("lss", "set-id", EVIL, "5", *DEMO),
     ("lss", "assign", "--table", EVIL, *DEMO),
+    ("net", "init", "-o", "net.toml", "-e", EVIL, *DEMO),
+    ("net", "init", "-o", "net.toml", "-e", "odd.eds", "-e", "5=odd.eds", "-b", "broken:x"),
+    ("net", "check", "named.toml", *DEMO),
+    ("net", "boot", "named.toml", "--yes", *DEMO),
+    ("net", "watch", EVIL, "--yes", *DEMO),
     ("ros", "init", "new_package", "-m", "odd_cell.toml"),
     ("drive", "5", "commission", "--yes", "-e", NAMED_EDS, "--name", EVIL, *DEMO),
     ("drive", "5", "commission", "--yes", "-e", NAMED_EDS, *DEMO),

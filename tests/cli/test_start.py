@@ -15,7 +15,7 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 
-from canopen_cli import app, drive, eds
+from canopen_cli import app, drive, eds, lss, net
 from canopen_cli.lazy import LazyGroup
 from canopen_cli.problem import ExitCode
 
@@ -61,7 +61,7 @@ def test_version_and_help_need_no_library_but_click(option: str) -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.parametrize("group", [app.cli, eds.eds, drive.drive], ids=["canopen", "canopen eds", "canopen drive"])
+@pytest.mark.parametrize("group", [app.cli, eds.eds, drive.drive, lss.lss, net.net], ids=str)
 def test_each_line_of_the_list_is_what_the_command_says_of_itself(group: click.Command) -> None:
     assert isinstance(group, LazyGroup)
     context = click.Context(group)

@@ -22,7 +22,7 @@ def machine_of_chains(chains: Sequence[ChainDescription], locators: Mapping[str,
     named: dict[str, str] = {}  # our name by that of the chain file
     for name in dict.fromkeys(joint.bus for chain in chains for joint in chain.joints):
         locator = (locators or {}).get(name, name)
-        ours = _free(re.split("[:/]", name.partition("@")[0].partition("?")[0])[-1] or name, buses)
+        ours = _free(bus_name(name), buses)
         named[name], buses[ours] = ours, BusEntry(ours, locator)
     count = Counter(joint.name for chain in chains for joint in chain.joints)
     nodes: dict[str, NodeEntry] = {}
@@ -37,6 +37,11 @@ def machine_of_chains(chains: Sequence[ChainDescription], locators: Mapping[str,
             names.append(name)
         made[chain.name] = ChainEntry(chain.name, tuple(names))
     return MachineFile(buses, nodes, joints, made)
+
+
+def bus_name(locator: str) -> str:
+    """Return a name for the bus with this locator: "can0" for socketcan:can0, "PCAN_USBBUS1" for pcan:PCAN_USBBUS1@500k."""
+    return re.split("[:/]", locator.partition("@")[0].partition("?")[0])[-1] or locator
 
 
 def _free(name: str, taken: Mapping[str, object]) -> str:

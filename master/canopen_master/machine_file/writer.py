@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import re
+from typing import Any, Final
 
 from canopen_data.durations import duration_text
 from canopen_master.machine_file.kinds import settings_table
@@ -17,7 +18,11 @@ def machine_text(machine: MachineFile) -> str:
     """Return the text of a machine file. Raises ModuleNotFoundError without `tomli-w` (the extra `master` has it)."""
     import tomli_w  # only for those that write
 
-    return tomli_w.dumps(machine_tables(machine))
+    return _NUMBERS.sub(lambda found: f"{found[1]} = 0x{int(found[2]):08X}", tomli_w.dumps(machine_tables(machine)))
+
+
+_NUMBERS: Final = re.compile(r"^(device_type|vendor|product|revision|serial|software) = (\d+)$", re.MULTILINE)
+"""Numbers of a node's identity, which people know in hexadecimal."""
 
 
 def machine_tables(machine: MachineFile) -> dict[str, Any]:

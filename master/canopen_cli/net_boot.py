@@ -1,0 +1,286 @@
+"""`canopen net boot` and `net watch`: boot the network of a machine file, and look after it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import click
+import trio
+
+from canopen_cli.net_support import ChosenNetwork, OpenNetwork, choose_network, machine_argument, open_network
+from canopen_cli.nmt import confirm
+from canopen_cli.options import Settings, common
+from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.running import run, run_until_interrupted
+from canopen_cli.screen import Screen, counted, escape
+from canopen_master.machine_file.boot_entries import BusNetwork
+from canopen_master.network_booting import network_boot
+from canopen_master.plain_text import json_text
+from canopen_master.subscription import Subscription
+from canopen_proto.boot.network_boot import BootReport, NetworkBoot, NetworkStarted, NodeLost
+from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
+from canopen_proto.machine import SECOND, Event
+from canopen_proto.procedures.steps import all_of
+
+COLUMNS: Final = ("bus", "node", "name", "result", "meaning", "seconds", "state")
+SILENT: Final = (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING, BootLetter.NO_ERROR_CONTROL)
+"""Results of nodes that do not answer, or fall silent."""
+_NEXT: Final = {
+    BootLetter.SILENT: "canopen scan    (which nodes are there?)",
+    BootLetter.OTHER_PROGRAM: 'program = "FILE" in the machine file, or canopen flash',
+    BootLetter.NOT_CONFIGURED: "canopen net check -v    (each setting beside that of the node)",
+    BootLetter.NO_ERROR_CONTROL: 'heartbeat = "200ms" in the machine file',
+}
+"""Advice by result; for the others `canopen net check`."""
+
+
+@dataclass
+class Booted:
+    """The boots of a command, by bus."""
+
+    chosen: ChosenNetwork
+    boots: dict[str, NetworkBoot] = field(default_factory=dict)
+
+    def report(self, network: BusNetwork) -> BootReport:
+        """Return how the boot of a bus went so far."""
+        return self.boots[network.bus].report(0)
+
+    def story(self) -> list[str]:
+        """Tell the state of each node, for an interruption."""
+        if not self.boots:
+            return ["nothing was sent"]
+        states: dict[str, list[str]] = {"running": [], "ready, not started": [], "failed": [], UNFINISHED: []}
+        for network in self.chosen.networks:
+            report = self.report(network)
+            for node_id in network.names:
+                states[_state(report, node_id)].append(self.chosen.place(network, node_id))
+        return [f"{state}: {', '.join(names)}" for state, names in states.items() if names]
+
+
+UNFINISHED: Final = "not finished: reset, perhaps configured in part, and not started"
+
+
+def _state(report: BootReport, node_id: int) -> str:
+    outcome = report.outcomes.get(node_id)
+    if node_id in report.running:
+        return "running"
+    if outcome is None:
+        return UNFINISHED
+    return "failed" if outcome.is_failure else "ready, not started"
+
+
+@click.command()
+@machine_argument
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@common
+@click.pass_obj
+def boot(settings: Settings, file: Path | None, yes: bool) -> int:
+    """Reset, check, configure and start the nodes of a machine file.
+
+    No node that failed is started. Exit status: 0 all nodes are ready, 7 some are not, 5 a mandatory one does not answer.
+
+    \b
+    canopen net boot cell.toml -b demo --yes     simulated
+    canopen net boot cell.toml
+    """
+    screen = settings.screen()
+    booted = Booted(choose_network(settings, screen, file))
+    _confirm(screen, booted.chosen, yes)
+    run(settings, screen, lambda: _boot(settings, screen, booted), story=lambda confirmed: booted.story())
+    _show(settings, screen, booted)
+    _warn_of_guarding(screen, booted.chosen)
+    problem = _problem_of(booted)
+    if problem is not None:
+        raise problem
+    screen.say(f"[green]{counted(booted.chosen.size, 'node')} ready[/]")
+    return ExitCode.OK
+
+
+@click.command()
+@machine_argument
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@common
+@click.pass_obj
+def watch(settings: Settings, file: Path | None, yes: bool) -> None:
+    """Boot the nodes, then boot those that come back, and react to lost ones, until Ctrl-C.
+
+    Reactions are those of the machine file: mandatory_lost in [network]. With --json each event is a line.
+
+    \b
+    canopen net watch cell.toml -b demo --yes
+    """
+    screen = settings.screen()
+    booted = Booted(choose_network(settings, screen, file))
+    _confirm(screen, booted.chosen, yes)
+    lost: list[NodeLost] = []
+    run_until_interrupted(settings, screen, lambda: _watch(settings, screen, booted, lost))
+    screen.say("the nodes are left as they are, and nobody watches them now")
+    if lost:
+        raise Problem(
+            ExitCode.NO_ANSWER,
+            "CO217",
+            f"node {lost[0].node_id} is mandatory and was lost; all nodes of its bus were stopped",
+            cause="no power, or a cable",
+            tries=("canopen net watch, once it is back",),
+            node=lost[0].node_id,
+        )
+
+
+def _confirm(screen: Screen, chosen: ChosenNetwork, yes: bool) -> None:
+    kept = [node for network in chosen.networks for node in network.entry.nodes.values() if node.assignment.keep_alive]
+    whom = f"reset {'all nodes' if not kept else 'the nodes that are not kept alive'} of {' and '.join(chosen.locators)}"
+    confirm(screen, f"{whom}, configure and start them: drives that move stop, or coast; PDOs go live", yes, needed=True)
+
+
+@asynccontextmanager
+async def _opened(
+    settings: Settings, screen: Screen, booted: Booted, tell: Callable[[BusNetwork, Event], None]
+) -> AsyncIterator[OpenNetwork]:
+    """Open the buses, and tell events of their nodes while the block runs, and at its end those that came last."""
+    chosen = booted.chosen
+    async with open_network(settings, screen, chosen) as opened, trio.open_nursery() as nursery:
+        master = opened.master
+        heard: list[tuple[BusNetwork, Subscription[Any]]] = []
+        for network in chosen.networks:
+            booted.boots[network.bus] = network_boot(master, chosen.machine, network, chosen.dictionaries)
+            heard.append((network, master.events(BootEnded, NetworkStarted, NodeLost, bus=network.bus)))
+            nursery.start_soon(_tell_all, *heard[-1], tell)
+        yield opened
+        for network, events in heard:
+            for event in events.take():
+                tell(network, event)
+        nursery.cancel_scope.cancel()
+
+
+async def _tell_all(network: BusNetwork, events: Subscription[Any], tell: Callable[[BusNetwork, Event], None]) -> None:
+    async for event in events:
+        tell(network, event)
+
+
+async def _boot(settings: Settings, screen: Screen, booted: Booted) -> None:
+    def tell(network: BusNetwork, event: Event) -> None:
+        if isinstance(event, BootEnded):
+            screen.say(escape(_line(booted.chosen, network, event.outcome)))
+
+    async with _opened(settings, screen, booted, tell) as opened:
+        await opened.master.run(all_of(*(each.start() for each in booted.boots.values())))
+
+
+async def _watch(settings: Settings, screen: Screen, booted: Booted, lost: list[NodeLost]) -> None:
+    begun = trio.current_time()
+
+    def tell(network: BusNetwork, event: Event) -> None:
+        seconds = trio.current_time() - begun
+        if settings.json:
+            document = {"seconds": round(seconds, 6), "bus": network.bus, **_event_as_json(event)}
+            screen.out.out(json_text(document), highlight=False)
+        else:
+            screen.data(f"{seconds:9.3f}  {escape(_event_text(booted.chosen, network, event))}")
+
+    async with _opened(settings, screen, booted, tell) as opened:
+        await opened.master.run(all_of(*(each.start() for each in booted.boots.values())))
+        problem = _problem_of(booted)
+        if problem is not None:
+            screen.say(f"[yellow]{escape(problem.failed)}; going on: they are booted when they come[/]")
+        lost += await opened.master.run(all_of(*(each.supervise() for each in booted.boots.values())))
+
+
+def _line(chosen: ChosenNetwork, network: BusNetwork, outcome: BootOutcome) -> str:
+    return f"{chosen.place(network, outcome.node_id)}: {outcome}"
+
+
+def _event_text(chosen: ChosenNetwork, network: BusNetwork, event: Event) -> str:
+    match event:
+        case BootEnded(outcome=outcome):
+            return _line(chosen, network, outcome)
+        case NodeLost(node_id=node_id, reaction=reaction):
+            return f"{chosen.place(network, node_id)}: node {node_id} is lost; {reaction}"
+        case NetworkStarted(running=running):
+            return f"{network.bus}: all mandatory nodes are ready; running: {', '.join(map(str, running)) or 'none'}"
+    return repr(event)
+
+
+def _event_as_json(event: Event) -> dict[str, Any]:
+    match event:
+        case BootEnded(outcome=outcome):
+            return {"event": "booted", **_as_json(outcome)}
+        case NodeLost(node_id=node_id, reaction=reaction):
+            return {"event": "lost", "node": node_id, "reaction": reaction.value}
+        case NetworkStarted(running=running):
+            return {"event": "started", "running": list(running)}
+    return {"event": repr(event)}
+
+
+def _as_json(outcome: BootOutcome) -> dict[str, Any]:
+    return {
+        "node": outcome.node_id,
+        "letter": outcome.letter.value,
+        "meaning": outcome.letter.meaning,
+        "failed": outcome.is_failure,
+        "step": outcome.step.value,
+        "index": None if outcome.object is None else outcome.object[0],
+        "sub": None if outcome.object is None else outcome.object[1],
+        "expected": outcome.expected,
+        "found": outcome.found,
+        "abort": outcome.abort_code,
+        "elapsed": outcome.elapsed / SECOND,
+        "remark": outcome.remark or None,
+    }
+
+
+def _show(settings: Settings, screen: Screen, booted: Booted) -> None:
+    rows: list[dict[str, str]] = []
+    documents: list[dict[str, Any]] = []
+    for network in booted.chosen.networks:
+        report = booted.report(network)
+        for node_id, outcome in report.outcomes.items():
+            name, running = network.names[node_id], node_id in report.running
+            documents.append({"bus": network.bus, "name": name, **_as_json(outcome), "running": running})
+            style = "[red]" if outcome.is_failure else ""
+            cells = (
+                escape(network.bus), str(node_id), escape(name), f"{style}{outcome.letter}{'[/]' if style else ''}",
+                escape(outcome.letter.meaning), f"{outcome.elapsed / SECOND:.3f}", _state(report, node_id),
+            )  # fmt: skip
+            rows.append(dict(zip(COLUMNS, cells, strict=True)))
+    if settings.json:
+        screen.json(documents)
+        return
+    columns = [name for name in COLUMNS if name != "bus" or len(booted.chosen.networks) > 1]
+    screen.table(columns, [[row[name] for name in columns] for row in rows], right=("node", "seconds"))
+
+
+def _warn_of_guarding(screen: Screen, chosen: ChosenNetwork) -> None:
+    guarded = ", ".join(
+        chosen.place(network, node_id)
+        for network in chosen.networks
+        for node_id, entry in network.entry.nodes.items()
+        if entry.assignment.guards
+    )
+    if guarded:
+        screen.say(f"[yellow]nobody guards {escape(guarded)} any more: `canopen net watch` does, as long as it runs[/]")
+
+
+def _problem_of(booted: Booted) -> Problem | None:
+    """Return the Problem of nodes that are not ready; None if all are."""
+    chosen = booted.chosen
+    reports = [(network, booted.report(network)) for network in chosen.networks]
+    failed = [(network, each) for network, report in reports for each in report.outcomes.values() if each.is_failure]
+    missing = {(network.bus, node_id) for network, report in reports for node_id in report.missing}
+    if not failed and not missing:
+        return None
+    failed.sort(key=lambda each: (each[0].bus, each[1].node_id) not in missing)
+    first = next(iter(failed), None)
+    seen = "" if first is None else _line(chosen, *first)
+    tries = ("canopen net check",) if first is None else (_NEXT.get(first[1].letter, "canopen net check"),)
+    node = None if first is None else first[1].node_id
+    if not missing:
+        what = f"{counted(len(failed), 'node')} of {chosen.size} failed and {'was' if len(failed) == 1 else 'were'} not started"
+        return Problem(ExitCode.PARTIAL, "CO216", what, seen=seen, tries=tries, node=node)
+    what = f"{counted(len(missing), 'mandatory node')} not ready: the network is not started"
+    if first is not None and first[1].letter in SILENT:
+        return Problem(ExitCode.NO_ANSWER, "CO215", what, seen=seen, tries=tries, node=node)
+    return Problem(ExitCode.PARTIAL, "CO215", what, seen=seen, tries=tries, node=node)

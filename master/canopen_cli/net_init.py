@@ -1,0 +1,144 @@
+"""`canopen net init`: write a machine file of the nodes that a scan finds. Nothing is written to the nodes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import click
+
+from canopen_cli.device_files import split_file
+from canopen_cli.device_types import device_type_text
+from canopen_cli.fleet import DEMO_LOCATOR
+from canopen_cli.new_files import check_new_file, write_file
+from canopen_cli.options import DEMO, NodeIds, Settings, common
+from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.running import run
+from canopen_cli.scan import find_nodes
+from canopen_cli.screen import Screen, counted, escape
+from canopen_data import DataError
+from canopen_data.describing import identified
+from canopen_data.descriptions import SUFFIXES, load_description
+from canopen_data.findings import DictionaryError
+from canopen_master.machine_file import BootSettings, BusEntry, MachineFile, NodeEntry, machine_text
+from canopen_master.machine_file.from_chains import bus_name
+from canopen_master.plant import DeviceEntry
+from canopen_proto import indices
+from canopen_proto.procedures.scan import ALL_NODE_IDS, LISTEN, NodeFound
+
+COLUMNS: Final = ("node", "name", "device", "vendor-ID", "product code", "file")
+
+
+class DeviceFile(NamedTuple):
+    """A file of a device, and the identity in it: vendor-ID, product code, revision."""
+
+    path: str
+    identity: tuple[int, int, int]
+
+
+@click.command()
+@click.option("-o", "--output", metavar="FILE.toml", required=True, help="The machine file to write.")
+@click.option(
+    "--files", "folder", metavar="FOLDER", type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Device files (EDS, DCF, XDD, XDC): each node gets the one with its identity. -e FILE names single ones.",
+)  # fmt: skip
+@click.option("--serials", is_flag=True, help="Expect the serial numbers, too: devices that were swapped are noticed.")
+@click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
+@common
+@click.pass_obj
+def init(settings: Settings, output: str, folder: Path | None, serials: bool, node_ids: tuple[int, ...] | None) -> None:
+    """Write a machine file of the nodes that a scan finds.
+
+    Each node is in the network list, and mandatory: edit what is not so. Its identity is that of its file, else the one that it
+    shows. Nothing is written to the nodes.
+
+    \b
+    canopen net init -o cell.toml -b can0
+    canopen net init -o cell.toml -b can0 --files eds --serials
+    """
+    screen = settings.screen()
+    bus = settings.required_bus()
+    check_new_file(settings, screen, output)
+    files = list(_files(screen, folder, settings.eds))
+    named = {node_id: path for node_id, path in map(split_file, settings.eds) if node_id is not None}
+    settings.eds = ()  # they are for the new file; the scan needs none
+    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, node_ids or tuple(ALL_NODE_IDS), LISTEN))
+    found = [node for node in found if node_ids is None or node.node_id in node_ids]
+    if not found:
+        raise Problem(ExitCode.NO_ANSWER, "CO201", "no node was found; nothing was written", seen=remark.strip(" .;"))
+    locator = DEMO_LOCATOR if bus == DEMO else bus
+    name = settings.chosen.bus or bus_name(locator)
+    chosen = {node.node_id: named.get(node.node_id) or _file_of(screen, node, files) for node in found}
+    nodes = {f"node{node.node_id}": _entry(node, name, _beside(chosen[node.node_id], output), serials=serials) for node in found}
+    machine = MachineFile({name: BusEntry(name, locator)}, nodes)
+    write_file(output, machine_text(machine).encode())
+    _show(settings, screen, found, chosen, output)
+
+
+def _files(screen: Screen, folder: Path | None, given: Sequence[str]) -> Iterator[DeviceFile]:
+    """Read the files of a folder, and those that are given without a node-ID. One of the folder may be no device file."""
+    listed = [] if folder is None else sorted(each for each in folder.iterdir() if each.suffix.lower() in SUFFIXES)
+    for path in (*map(str, listed), *(path for node_id, path in map(split_file, given) if node_id is None)):
+        try:
+            dictionary = identified(load_description(path))
+        except (DataError, DictionaryError) as error:
+            if path in given:
+                raise
+            screen.say(f"[yellow]{escape(path)} cannot be read: {escape(str(error).splitlines()[0])}[/]")
+            continue
+        numbers = []
+        for subindex in (1, 2, 3):
+            variable = dictionary.get(indices.IDENTITY_OBJECT, subindex)
+            value = 0 if variable is None else variable.initial_of(1)
+            numbers.append(value if isinstance(value, int) else 0)
+        yield DeviceFile(path, (numbers[0], numbers[1], numbers[2]))
+
+
+def _file_of(screen: Screen, node: NodeFound, files: Sequence[DeviceFile]) -> str:
+    """Return the file with the identity of a node: vendor-ID and product code, and the revision if several have these."""
+    vendor, product, revision, _ = node.identity
+    if not vendor or product is None:
+        return ""
+    fitting = [each for each in files if each.identity[:2] == (vendor, product)]
+    if len(fitting) > 1:
+        fitting = [each for each in fitting if each.identity[2] == revision] or fitting
+    if len(fitting) > 1:
+        names = ", ".join(escape(each.path) for each in fitting)
+        screen.say(f"[yellow]node {node.node_id}: several files have its identity, so none is taken: {names}[/]")
+        return ""
+    return fitting[0].path if fitting else ""
+
+
+def _beside(path: str, output: str) -> str:
+    """Return a path relative to the folder of the machine file; a sample's name stays as it is."""
+    return os.path.relpath(path, Path(output).parent) if path and Path(path).exists() else path
+
+
+def _entry(node: NodeFound, bus: str, file: str, *, serials: bool) -> NodeEntry:
+    vendor, product, _, serial = node.identity
+    own: dict[str, Any] = {} if file else {"device_type": node.device_type, "vendor": vendor, "product": product}
+    if serials:
+        own["serial"] = serial
+    boot = BootSettings(mandatory=True, **{key: value for key, value in own.items() if value})
+    return NodeEntry(f"node{node.node_id}", bus, DeviceEntry(file, (node.node_id,)), boot)
+
+
+def _show(settings: Settings, screen: Screen, found: Sequence[NodeFound], chosen: Mapping[int, str], output: str) -> None:
+    if settings.json:
+        nodes = [{"node": node.node_id, "name": f"node{node.node_id}", "file": chosen[node.node_id] or None} for node in found]
+        screen.json({"file": output, "nodes": nodes})
+        return
+    rows = []
+    for node in found:
+        vendor, product, _, _ = node.identity
+        device = device_type_text(node.device_type) if node.device_type is not None else "?"
+        numbers = ("?" if number is None else f"0x{number:08X}" for number in (vendor, product))
+        rows.append((str(node.node_id), f"node{node.node_id}", device, *numbers, escape(chosen[node.node_id])))
+    screen.table(COLUMNS, rows, right=("node",))
+    for node in found:
+        if node.device_type is None:
+            screen.say(f"[yellow]node {node.node_id} was only heard: {escape(node.remark)}[/]")
+    screen.say(f"{escape(output)}: {counted(len(found), 'node')}, all in the network list and mandatory")
+    screen.say(f"next: canopen net check {escape(output)}")

@@ -1,0 +1,334 @@
+"""`canopen net`: what is checked, booted and watched, what is never sent, and what is said when it fails."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import trio
+
+from canopen_cli import net_support
+from canopen_cli.fleet import Fleet, simulated_devices
+from canopen_cli.problem import ExitCode
+from canopen_data.configured import with_configured
+from canopen_data.describing import describe
+from canopen_data.description import Commissioning
+from canopen_data.descriptions import load_description
+from canopen_data.eds.writer import write_eds
+from canopen_master.machine_file import BootSettings, read_machine
+from canopen_master.simulation import DeviceMaker
+from canopen_proto.datatypes import Value
+from canopen_proto.frame import Frame
+from canopen_proto.multiplexer import Mux, mux
+from canopen_proto.nmt import NmtCommand
+from canopen_transports.log_files import LogReader
+from tests.cli.cli_support import Alarm, Run, runner_in_folder
+from tests.proto.full_device import full_device
+
+DEMO = ("-b", "demo")
+CELL = """
+[buses.can0]
+
+[defaults.nodes]
+boot = { mandatory = true, heartbeat = "100ms" }
+
+[nodes]
+left = { id = 3 }
+right = { id = 4 }
+lamp = { id = 9, file = "sample_io.eds", boot = { mandatory = false } }
+"""
+SERIAL_OF_LEFT = "left = { id = 3, boot = { serial = 99 } }"
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    return runner_in_folder(capsys, monkeypatch, tmp_path)
+
+
+class Sent(NamedTuple):
+    """What passed on the bus while a command ran."""
+
+    frames: list[Frame]
+
+    @property
+    def nmt(self) -> list[str]:
+        return [frame.data.hex() for frame in self.frames if frame.can_id == 0]
+
+    @property
+    def downloads(self) -> list[tuple[int, int]]:
+        """Node-ID and index of each SDO download that was begun."""
+        sdo = (frame for frame in self.frames if 0x600 < frame.can_id < 0x680 and frame.data[0] >> 5 in (1, 6))
+        return [(frame.can_id - 0x600, int.from_bytes(frame.data[1:3], "little")) for frame in sdo]
+
+
+def cell(old: str = "", new: str = "") -> str:
+    """Write the machine file, with something else in place of a part of it; return its name."""
+    assert old in CELL
+    Path("cell.toml").write_text(CELL.replace(old, new, 1))
+    return "cell.toml"
+
+
+def sent(trace: str = "trace.log") -> Sent:
+    return Sent([record.frame for record in LogReader(Path(trace))])
+
+
+TRACE = ("--trace", "trace.log", "--force")
+
+
+def without(monkeypatch: pytest.MonkeyPatch, *node_ids: int) -> None:
+    """Let simulated devices be away: they are not made."""
+    made = net_support.devices_on
+
+    def fewer(*arguments: Any) -> dict[str, tuple[str, list[DeviceMaker]]]:
+        from canopen_proto.machine import Outbox
+
+        return {
+            bus: (locator, [maker for maker in makers if maker(Outbox()).node_id not in node_ids])
+            for bus, (locator, makers) in made(*arguments).items()
+        }
+
+    monkeypatch.setattr(net_support, "devices_on", fewer)
+
+
+@pytest.fixture
+def rung(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> Alarm:
+    """An alarm that rings while a command has simulated devices."""
+
+    @asynccontextmanager
+    async def watched(*arguments: Any, **options: Any) -> AsyncIterator[Fleet]:
+        async with simulated_devices(*arguments, **options) as fleet:
+            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
+            yield fleet
+
+    monkeypatch.setattr(net_support, "simulated_devices", watched)
+    return alarm
+
+
+# ---- check ----
+
+
+def test_check_writes_nothing_and_tells_what_differs(run: Run) -> None:
+    outcome = run("net", "check", cell("right = { id = 4 }", "right = { id = 4, boot = { serial = 99 } }"), *DEMO, *TRACE)
+    assert outcome.status == ExitCode.DIFFERENT
+    assert "   4  right  0x1018:04 identity_object:serial_number  0x00000063  0x00000002" in outcome.out
+    assert "   3  left   0x1017:00 producer_heartbeat_time        0x0064      0x01F4" in outcome.out
+    assert "0 of 3 nodes as in the file" in outcome.err
+    master = [frame for frame in sent().frames if frame.can_id < 0x80 or 0x600 < frame.can_id < 0x680]
+    assert len(master) > 10
+    assert {frame.data[0] & 0xE0 for frame in master if frame.can_id > 0x600} <= {0x40, 0x60}  # initiate upload, its segments
+    assert [frame for frame in master if frame.can_id < 0x80] == []  # no NMT, no SYNC, no LSS
+
+
+def test_check_in_json_and_only_the_identity(run: Run) -> None:
+    outcome = run("net", "check", cell(), "--identity", "--json", *DEMO)
+    assert outcome.status == ExitCode.OK
+    assert [(each["name"], each["answers"], each["right"]) for each in outcome.json] == [
+        ("left", True, True), ("right", True, True), ("lamp", True, True),
+    ]  # fmt: skip
+    assert [each["index"] for each in outcome.json[0]["objects"]] == [0x1000, *[0x1018] * 4]
+
+
+def test_check_of_nodes_that_are_away(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    without(monkeypatch, 3)
+    outcome = run("net", "check", cell(), "--identity", *DEMO)
+    assert outcome.status == ExitCode.DIFFERENT
+    assert outcome.out.splitlines()[2].split() == ["3", "left", "silent"]
+    without(monkeypatch, 4, 9)
+    outcome = run("net", "check", cell(), *DEMO)
+    assert (outcome.status, "CO201: no node of cell.toml answers" in outcome.err) == (ExitCode.NO_ANSWER, True)
+
+
+# ---- boot ----
+
+
+def test_boot_resets_configures_and_starts_each_node(run: Run) -> None:
+    outcome = run("net", "boot", cell(), "--yes", "--json", *DEMO, *TRACE)
+    assert outcome.status == ExitCode.OK
+    assert [(each["node"], each["letter"], each["running"]) for each in outcome.json] == [
+        (3, "0", True),
+        (4, "0", True),
+        (9, "0", True),
+    ]
+    assert sent().nmt[0] == "8200"
+    assert sorted(sent().nmt[1:]) == ["0103", "0104", "0109"]
+    assert sorted(sent().downloads) == [(3, 0x1017), (4, 0x1017), (9, 0x1017)]
+    assert "3 nodes ready" in outcome.err
+
+
+def test_boot_must_be_confirmed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    outcome = run("net", "boot", cell(), *DEMO)
+    assert (outcome.status, "nothing was sent" in outcome.err) == (ExitCode.USAGE, True)
+    assert "reset all nodes of can0" in outcome.err
+    assert run("net", "watch", cell(), *DEMO).status == ExitCode.USAGE
+    kept = cell("mandatory = false", "keep_alive = true")
+    assert "reset the nodes that are not kept alive of can0" in run("net", "boot", kept, *DEMO).err
+
+
+def test_a_mandatory_node_that_fails_is_not_started(run: Run) -> None:
+    outcome = run("net", "boot", cell("left = { id = 3 }", SERIAL_OF_LEFT), "--yes", *DEMO, *TRACE)
+    assert outcome.status == ExitCode.PARTIAL
+    assert "CO215: 1 mandatory node not ready: the network is not started" in outcome.err
+    assert "0x1018:04 is 0x00000001, expected 0x00000063" in outcome.err
+    assert "canopen net check -m cell.toml -b demo" in outcome.err
+    assert sorted(sent().nmt) == ["0104", "0109", "8200"]
+    assert "   3  left   O       has another serial number" in outcome.out
+
+
+def test_nobody_is_started_by_all_if_a_mandatory_node_fails(run: Run) -> None:
+    cell("left = { id = 3 }", SERIAL_OF_LEFT)
+    path = Path("cell.toml")
+    path.write_text(path.read_text() + "[network]\nstart = 'all'\n")
+    outcome = run("net", "boot", "cell.toml", "--yes", "--json", *DEMO, *TRACE)
+    assert (outcome.status, outcome.error["code"], outcome.error["node"]) == (ExitCode.PARTIAL, "CO215", 3)
+    assert sent().nmt == ["8200"]
+    assert [each["running"] for each in outcome.json] == [False, False, False]
+
+
+def test_an_optional_node_that_fails_stops_nobody(run: Run) -> None:
+    outcome = run("net", "boot", cell("mandatory = false", "mandatory = false, serial = 9"), "--yes", *DEMO)
+    assert outcome.status == ExitCode.PARTIAL
+    assert "CO216: 1 node of 3 failed and was not started" in outcome.err
+
+
+def test_a_mandatory_node_that_is_away(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    without(monkeypatch, 4)
+    outcome = run("net", "boot", cell(), "--yes", *DEMO)
+    assert outcome.status == ExitCode.NO_ANSWER
+    assert "CO215" in outcome.err
+    assert "canopen scan -m cell.toml -b demo    (which nodes are there?)" in outcome.err
+
+
+def test_ctrl_c_says_the_state_of_each_node(run: Run, rung: Alarm) -> None:
+    rung.set((0.06, signal.SIGINT))  # after the first heartbeat of one node, before that of the others
+    outcome = run("net", "boot", cell(), "--yes", *DEMO, *TRACE)
+    assert outcome.status == ExitCode.INTERRUPTED
+    started = {command[2:] for command in sent().nmt if command.startswith("01")}
+    told = dict(line.strip().split(": ", 1) for line in outcome.err.splitlines() if ": " in line and "node " not in line)
+    names = {"03": "left", "04": "right", "09": "lamp"}
+    assert set(filter(None, told.get("running", "").split(", "))) == {names[each] for each in started}
+    assert started != set(names)
+    assert "not finished: reset, perhaps configured in part, and not started" in outcome.err
+
+
+# ---- a configuration that is stored ----
+
+
+def keeping_device() -> str:
+    """Write the file of a device with 0x1010 and 0x1020, and a DCF for it; return the machine file."""
+    description = describe(full_device())
+    Path("device.eds").write_text(write_eds(description))
+    configured = with_configured(description, {mux(0x1017): 100}, Commissioning(5))
+    Path("device.dcf").write_text(write_eds(configured))
+    Path("cell.toml").write_text(
+        "[buses.can0]\n[simulation]\nstate = 'state.json'\n[nodes.a]\nid = 5\nfile = 'device.eds'\n"
+        "boot = { mandatory = true, configuration = 'device.dcf', store = true }\n"
+    )
+    return "cell.toml"
+
+
+def test_a_stored_configuration_is_not_written_again(run: Run) -> None:
+    machine = keeping_device()
+    first = run("net", "boot", machine, "--yes", *DEMO, *TRACE)
+    assert first.status == ExitCode.OK, first.err
+    assert [index for _, index in sent().downloads] == [0x1017, 0x1020, 0x1020, 0x1010]
+    assert run("net", "boot", machine, "--yes", *DEMO, *TRACE).status == ExitCode.OK
+    assert sent().downloads == []
+    description = load_description("device.dcf")
+    Path("device.dcf").write_text(write_eds(with_configured(description, {mux(0x1017): 200})))
+    assert run("net", "boot", machine, "--yes", *DEMO, *TRACE).status == ExitCode.OK
+    assert len(sent().downloads) == 4
+
+
+# ---- watch ----
+
+
+def test_watch_boots_a_node_that_comes_back(run: Run, rung: Alarm) -> None:
+    async def reset(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        fleet.change(3, lambda drive, now: drive.execute(NmtCommand.RESET_NODE, now))
+
+    rung.task = reset
+    rung.set((4, signal.SIGINT))
+    outcome = run("net", "watch", cell(), "--yes", *DEMO, *TRACE)
+    assert outcome.status == ExitCode.OK
+    lines = [line.strip().split("  ", 1)[1] for line in outcome.out.splitlines()]
+    assert sum(line.startswith("left: node 3: 0, booted") for line in lines) == 2
+    assert sent().nmt.count("0103") == 2
+    assert sent().nmt.count("0104") == 1
+    assert "the nodes are left as they are, and nobody watches them now" in outcome.err
+
+
+def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
+    async def silence(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        fleet.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+
+    rung.task = silence
+    rung.set((4, signal.SIGINT))
+    outcome = run("net", "watch", cell(), "--yes", "--json", *DEMO)
+    assert '"event": "lost", "node": 4, "reaction": "it was reset"' in outcome.out
+
+
+# ---- init ----
+
+
+def test_init_writes_what_a_scan_finds(run: Run) -> None:
+    outcome = run("net", "init", "-o", "new.toml", "--serials", *DEMO)
+    assert outcome.status == ExitCode.OK
+    machine = read_machine("new.toml")
+    assert [node.node_id for node in machine.nodes.values()] == [3, 4, 5, 6, 7, 8]
+    assert machine.nodes["node4"].boot == BootSettings(mandatory=True, device_type=0x20192, vendor=0x332, product=0x43, serial=2)
+    assert "vendor = 0x00000332\n" in Path("new.toml").read_text()
+    assert run("net", "check", "new.toml", *DEMO).status == ExitCode.OK
+    assert "CO135" in run("net", "init", "-o", "new.toml", *DEMO).err
+
+
+def test_init_takes_the_file_with_the_identity(run: Run) -> None:
+    Path("eds").mkdir()
+    description = load_description("sample_io.eds")
+    identity: dict[Mux, Value] = {mux(0x1018, 1): 0x332, mux(0x1018, 2): 0x43}
+    Path("eds/own.dcf").write_text(write_eds(with_configured(description, identity, Commissioning(4))))
+    Path("eds/other.eds").write_text(write_eds(description))
+    Path("eds/broken.eds").write_text("nothing")
+    outcome = run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "3", "-e", "3=sample_drive.eds", *DEMO, "--json")
+    assert outcome.json["nodes"] == [{"node": 3, "name": "node3", "file": "sample_drive.eds"}]
+    run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "4", *DEMO, "--force")
+    node = read_machine("new.toml").nodes["node4"]
+    assert (node.device.file, node.boot) == ("eds/own.dcf", BootSettings(mandatory=True))
+
+
+# ---- mistakes ----
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (("check",), "CO121", "no machine file was named"),
+        (("check", "bus.yml"), "CO123", "canopen machine import bus.yml -o cell.toml"),
+        (("boot", "bare.toml"), "CO322", "bare.toml has no node with boot"),
+        (("check", "two.toml", "-b", "can9"), "CO121", "the nodes are on the buses can0, can1"),
+        (("check", "two.toml", "-b", "can2"), "CO322", "no node on can2 has boot"),
+    ],
+)
+def test_mistakes(run: Run, arguments: tuple[str, ...], code: str, text: str) -> None:
+    Path("bare.toml").write_text("[buses.can0]\n[nodes.a]\nid = 5\n")
+    nodes = "".join(f"[nodes.n{number}]\nid = 5\nbus = 'can{number}'\nboot = {{}}\n" for number in (0, 1))
+    Path("two.toml").write_text(f"[buses.can0]\n[buses.can1]\n[buses.can2]\n{nodes}")
+    outcome = run("net", *arguments)
+    assert outcome.status == ExitCode.USAGE
+    assert code in outcome.err
+    assert text in outcome.err
+
+
+def test_two_buses_are_booted_at_once(run: Run) -> None:
+    nodes = "a = { id = 5, bus = 'can0' }\nb = { id = 5, bus = 'can1' }\n"
+    Path("two.toml").write_text(f"[buses.can0]\n[buses.can1]\n[defaults.nodes]\nboot = {{}}\n[nodes]\n{nodes}")
+    outcome = run("net", "boot", "two.toml", "--yes", *DEMO)
+    assert outcome.status == ExitCode.OK, outcome.err
+    assert "can0     5  a" in outcome.out
+    assert "can1     5  b" in outcome.out
+    assert [each["bus"] for each in run("net", "check", "two.toml", *DEMO, "--json").json] == ["can0", "can1"]
