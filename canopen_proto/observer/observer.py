@@ -12,7 +12,7 @@ RULES says what it looks for. Each finding comes with the frame that shows it. N
 recording does not show (the beginning of a transfer, a mapping, the state of a node) is silent. Memory is bounded: the state and
 the parameters of 127 nodes, and one transfer for each SDO channel.
 
-Left out: services of other standards but LSS.
+Left out: services of other standards but LSS and the flying master (CiA 302-2).
 """
 
 from __future__ import annotations
@@ -232,6 +232,8 @@ class Observer:
             return self._time
         if key in (lss.FROM_MASTER, lss.FROM_SLAVE):
             return self._lss
+        if key in words.NEGOTIATION:
+            return partial(_plain, "NMT master", 0, words.of_negotiation)
         if node_id:
             if function == EMCY:
                 return partial(self._emergency, node_id)

@@ -3,6 +3,7 @@
 Two sources say which value a device has, the surer one first:
 
 1. the recording: what was written to the device, or read from it. A boot-up ends that: the device has its power-on values again.
+   These are those that it had when they were stored (0x1010), if the recording has shown that, and no restoring (0x1011) since.
 2. the device's own file: the defaults of an EDS, the values of a DCF.
 """
 
@@ -14,25 +15,31 @@ from typing import Final
 from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.multiplexer import Mux, index_of, mux
+from canopen_proto.parameter_storage import SIGNATURES, STORE
 from canopen_proto.pdo.settings import place_of
 
 COB_IDS: Final = (indices.COB_ID_SYNC, indices.COB_ID_TIME_STAMP, indices.COB_ID_EMERGENCY)
 MAX_RECORDED: Final = 1 << 14
 """Values of one device: more than 127 SDO channels and 200 PDOs with all their entries."""
 _MAX_BYTES: Final = 4
+_COMMUNICATION: Final = (1, 2)
+"""Subindices of 0x1010 and 0x1011: all parameters, and those of communication."""
 
 
 class Parameters:
     """See this module's text. dictionaries: by node-ID, one for each device that a bus may have."""
 
-    __slots__ = ("_recorded", "dictionaries")
+    __slots__ = ("_recorded", "_stored", "dictionaries")
 
     def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
         self.dictionaries = dictionaries
         self._recorded: dict[int, dict[Mux, int]] = {}  # by node-ID
+        self._stored: dict[int, dict[Mux, int]] = {}  # by node-ID: those that a boot-up leaves
 
     def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> bool:
         """Take note that a device holds this value. Return whether it is a communication parameter that had another value."""
+        if index in SIGNATURES and subindex in _COMMUNICATION:
+            self._store(node_id, index, data)
         if not is_parameter(index) or len(data) > _MAX_BYTES:
             return False
         recorded, key = self._recorded.setdefault(node_id, {}), mux(index, subindex)
@@ -43,8 +50,20 @@ class Parameters:
         return True
 
     def booted(self, node_id: int) -> bool:
-        """Take note of a boot-up. Return whether the device had other values than its file says."""
-        return bool(self._recorded.pop(node_id, None))
+        """Take note of a boot-up. Return whether the device had other values than it has now."""
+        before, stored = self._recorded.pop(node_id, {}), self._stored.get(node_id, {})
+        if stored:
+            self._recorded[node_id] = dict(stored)
+        return before != stored
+
+    def _store(self, node_id: int, index: int, data: bytes) -> None:
+        """Take note of a confirmed write that stores parameters, or restores them at the next boot-up. A read does nothing."""
+        if int.from_bytes(data, "little") != SIGNATURES[index]:
+            return
+        if index == STORE:
+            self._stored[node_id] = dict(self._recorded.get(node_id, {}))
+        else:
+            self._stored.pop(node_id, None)
 
     def value(self, node_id: int, index: int, subindex: int) -> int | None:
         """Return the number that a device has in an object; None if that is not known."""

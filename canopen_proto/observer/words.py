@@ -21,6 +21,17 @@ _COMMANDS: Final[dict[int, str]] = {
 }
 _STATE: Final = 0x7F
 
+ACTIVE_MASTER: Final = 0x71
+NEGOTIATION: Final[dict[int, str]] = {
+    ACTIVE_MASTER: "the active master answers",
+    0x72: "a negotiation of the flying masters begins",
+    0x73: "who is the active master?",
+    0x74: "a device that can be master answers",
+    0x75: "who can be master?",
+    0x76: "the flying masters have to negotiate again",
+}
+"""CAN-ID -> its meaning. CiA 302-2, as two stacks have it (emotas, and a master in Python); the standard was not at hand."""
+
 
 def of_nmt(frame: Frame) -> Words:
     data = frame.data
@@ -28,6 +39,14 @@ def of_nmt(frame: Frame) -> Words:
         return Words(f"too short: {hex_text(data)}")
     command = _COMMANDS.get(data[0]) or f"unknown command 0x{data[0]:02X}"
     return Words(f"{command}: {'all nodes' if data[1] == 0 else f'node {data[1]}'}")
+
+
+def of_negotiation(frame: Frame) -> Words:
+    """The negotiation of flying masters. The answer of the active one has its priority and its node-ID."""
+    if frame.can_id == ACTIVE_MASTER and len(frame.data) == 2:
+        priority, node_id = frame.data
+        return Words(f"node {node_id} is the active master, priority {priority}")
+    return Words(NEGOTIATION[frame.can_id] + (f": {hex_text(frame.data)}" if frame.data else ""))
 
 
 def of_error_control(frame: Frame) -> Words:

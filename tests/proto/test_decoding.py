@@ -83,6 +83,9 @@ def meanings(*frames: str, of: int | None = 5) -> list[str]:
         ("7E5#0401000000000000", "LSS 0 all slaves: configuration"),
         ("7E4#0401", "LSS 0 slave: 04 01"),
         ("7E0#0401", "? 0 04 01"),
+        ("071#0005", "NMT master 0 node 5 is the active master, priority 0"),
+        ("072#", "NMT master 0 a negotiation of the flying masters begins"),
+        ("076#01", "NMT master 0 the flying masters have to negotiate again: 01"),
         ("780#", "? 0 nothing"),
         ("18FF0001#00", "? 0 29-bit identifier, which no file here assigns"),
         ("605#", "SDO 5 too short for its command: no data"),
@@ -141,6 +144,19 @@ def test_cob_ids_of_services_that_the_recording_shows() -> None:
     assert extended.startswith("EMCY 5 0x8110")
     *_, after = meanings(*written(5, 0x1014, 0, 0x120), "705#00", frames[1])
     assert after.startswith("? 0"), "a boot-up: the power-on value counts again"
+
+
+def test_stored_parameters_outlive_a_boot_up() -> None:
+    moved = written(5, 0x1014, 0, 0x120)
+    save, load = int.from_bytes(b"save", "little"), int.from_bytes(b"load", "little")
+    *_, stored = meanings(*moved, *written(5, 0x1010, 1, save), "705#00", "120#1081010000000000")
+    assert stored.startswith("EMCY 5 0x8110")
+    *_, restored = meanings(*moved, *written(5, 0x1010, 1, save), *written(5, 0x1011, 1, load), "705#00", "120#1081010000000000")
+    assert restored.startswith("? 0")
+    *_, other = meanings(*moved, *written(5, 0x1010, 3, save), "705#00", "120#1081010000000000")
+    assert other.startswith("? 0"), "only parameters of the application were stored"
+    *_, refused = meanings(*moved, written(5, 0x1010, 1, save)[0], "585#8010100120000008", "705#00", "120#1081010000000000")
+    assert refused.startswith("? 0")
 
 
 CHANNEL = ["6E1#4041600000000000", "6E2#4B4160006F000000"]
