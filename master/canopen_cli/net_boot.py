@@ -61,7 +61,7 @@ class Booted:
         return [f"{state}: {', '.join(names)}" for state, names in states.items() if names]
 
 
-UNFINISHED: Final = "not finished: reset, perhaps configured in part, and not started"
+UNFINISHED: Final = "not finished: reset, perhaps configured, or its program written, in part; not started"
 
 
 def _state(report: BootReport, node_id: int) -> str:
@@ -133,7 +133,10 @@ def watch(settings: Settings, file: Path | None, yes: bool) -> None:
 def _confirm(screen: Screen, chosen: ChosenNetwork, yes: bool) -> None:
     kept = [node for network in chosen.networks for node in network.entry.nodes.values() if node.assignment.keep_alive]
     whom = f"reset {'all nodes' if not kept else 'the nodes that are not kept alive'} of {' and '.join(chosen.locators)}"
-    confirm(screen, f"{whom}, configure and start them: drives that move stop, or coast; PDOs go live", yes, needed=True)
+    programs = [chosen.place(network, node_id) for network in chosen.networks for node_id in network.programs]
+    written = f"; {', '.join(programs)} may get another program" if programs else ""
+    question = f"{whom}, configure and start them: drives that move stop, or coast; PDOs go live{written}"
+    confirm(screen, question, yes, needed=True)
 
 
 @asynccontextmanager

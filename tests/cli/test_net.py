@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import signal
+from binascii import crc32
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +23,7 @@ from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import write_eds
 from canopen_master.machine_file import BootSettings, read_machine
 from canopen_master.simulation import DeviceMaker
+from canopen_proto.boot_loader import BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_proto.datatypes import Value
 from canopen_proto.frame import Frame
 from canopen_proto.multiplexer import Mux, mux
@@ -211,7 +214,7 @@ def test_ctrl_c_says_the_state_of_each_node(run: Run, rung: Alarm) -> None:
     names = {"03": "left", "04": "right", "09": "lamp"}
     assert set(filter(None, told.get("running", "").split(", "))) == {names[each] for each in started}
     assert started != set(names)
-    assert "not finished: reset, perhaps configured in part, and not started" in outcome.err
+    assert "not finished: reset, perhaps configured, or its program written, in part; not started" in outcome.err
 
 
 # ---- a configuration that is stored ----
@@ -241,6 +244,24 @@ def test_a_stored_configuration_is_not_written_again(run: Run) -> None:
     Path("device.dcf").write_text(write_eds(with_configured(description, {mux(0x1017): 200})))
     assert run("net", "boot", machine, "--yes", *DEMO, *TRACE).status == ExitCode.OK
     assert len(sent().downloads) == 4
+
+
+# ---- a program ----
+
+
+def test_a_node_with_another_program_gets_the_right_one(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    memory, image = ProgramMemory(), bytes(range(200))
+    Path("new.bin").write_bytes(image)
+    loader = partial(BootLoader, node_id=5, settings=BootLoaderSettings(trial=True), memory=memory)
+    monkeypatch.setattr(net_support, "devices_on", lambda *arguments: {"can0": ("virtual:demo", [loader])})
+    boot = f"boot = {{ mandatory = true, software = {crc32(image)}, program = 'new.bin', confirm_program = true }}"
+    Path("cell.toml").write_text(f"[buses.can0]\n[nodes.a]\nid = 5\n{boot}\n")
+    assert "a may get another program" in run("net", "boot", "cell.toml", *DEMO).err
+    outcome = run("net", "boot", "cell.toml", "--yes", "--json", *DEMO)
+    assert outcome.status == ExitCode.OK, outcome.err
+    assert (memory.program, memory.previous) == (image, None)
+    assert run("net", "boot", "cell.toml", "--yes", *DEMO, *TRACE).status == ExitCode.OK
+    assert sent().downloads == []
 
 
 # ---- watch ----

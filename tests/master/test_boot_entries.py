@@ -12,7 +12,7 @@ from canopen_data.description import Commissioning
 from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_master.machine_file import read_machine
-from canopen_master.machine_file.boot_entries import BusNetwork, network_of, stamp_of
+from canopen_master.machine_file.boot_entries import BusNetwork, Program, network_of, stamp_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_proto.boot.assignment import Assignment, Startup
 from canopen_proto.boot.entry import BootEntry, NetworkEntry
@@ -59,13 +59,13 @@ def test_the_identity_is_that_of_the_file_unless_the_machine_says_another_one(tm
 
 def test_the_network_and_the_assignment(tmp_path: Path) -> None:
     text = HEAD + "boot = { mandatory = true, keep_alive = true, start = false, restore = 1, software = 7, program = 'a.bin' }\n"
-    (tmp_path / "a.bin").write_bytes(b"")
+    (tmp_path / "a.bin").write_bytes(b"program")
     made = network(
         tmp_path, text + "[network]\nstart = 'all'\nmandatory_lost = 'stop all'\nnmt_pause = '2ms'\nboot_time = '1s'\n"
     )
     assert made.entry.startup == Startup(start_all=True, stop_all_on_loss=True)
     assert (made.entry.boot_time, made.entry.pause) == (SECOND, 2 * MILLISECOND)
-    assert made.programs == {5: str(tmp_path / "a.bin")}
+    assert made.programs == {5: Program(str(tmp_path / "a.bin"), b"program")}
     assignment = Assignment(
         boots=False, is_mandatory=True, keep_alive=True, check_software=True, update_software=True, restore=True
     )
@@ -134,12 +134,14 @@ def test_another_configuration_has_another_stamp() -> None:
         ("configuration = 'sample_io.eds'", "", "sets nothing: it has no ParameterValue"),
         ("configuration = 'other.dcf'", "", "is of node 6, not of node 5"),
         ("configuration = 'cut.bin'", "", "is no concise DCF"),
+        ("software = 5, program = 'empty'", "", "is no program"),
     ],
 )
 def test_settings_that_a_node_cannot_have(tmp_path: Path, boot: str, file: str, said: str) -> None:
     write_dcf(tmp_path, {FILTER: 20}, 6)
     (tmp_path / "lamp.dcf").rename(tmp_path / "other.dcf")
     (tmp_path / "cut.bin").write_bytes(b"\x01")
+    (tmp_path / "empty").write_bytes(b"")
     (tmp_path / "sample_io.eds").write_text(write_eds(load_description("sample_io.eds")))
     with pytest.raises(DataError) as raised:
         entry(tmp_path, boot, file)

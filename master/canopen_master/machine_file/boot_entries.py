@@ -42,14 +42,23 @@ _MILLISECONDS_A_DAY: Final = 86_400_000
 
 
 @dataclass(frozen=True, slots=True)
+class Program:
+    """The program that a node has to have. confirm: it runs on trial until it is confirmed (MCUboot)."""
+
+    path: str
+    image: bytes
+    confirm: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class BusNetwork:
-    """What the master of one bus knows. names, programs: the names of its nodes, and the paths of their images, by node-ID.
-    notes: what is not written of their DCFs, for people."""
+    """What the master of one bus knows. names, programs: of its nodes, by node-ID. notes: what is not written of their DCFs, for
+    people."""
 
     bus: str
     entry: NetworkEntry
     names: Mapping[int, str]
-    programs: Mapping[int, str]
+    programs: Mapping[int, Program]
     notes: tuple[str, ...]
 
 
@@ -64,13 +73,13 @@ def network_of(
     notes: list[str] = []
     nodes: dict[int, BootEntry] = {}
     names: dict[int, str] = {}
-    programs: dict[int, str] = {}
+    programs: dict[int, Program] = {}
     for node in machine.nodes.values():
         if node.boot is None or node.bus != bus:
             continue
         names[node.node_id] = node.name
         if node.boot.program:
-            programs[node.node_id] = machine.path(node.boot.program)
+            programs[node.node_id] = _program_of(machine, node.name, node.boot)
         made = _Entry(machine, node, node.boot, dictionaries.description_of(node), notes)
         nodes[node.node_id] = made.entry((links or {}).get(node.name, ()))
     told = machine.network
@@ -81,6 +90,14 @@ def network_of(
         stop_all_on_loss=told.mandatory_lost is LossReaction.STOP_ALL,
     )
     return BusNetwork(bus, NetworkEntry(startup, nodes, told.boot_time, told.nmt_pause), names, programs, tuple(notes))
+
+
+def _program_of(machine: MachineFile, name: str, boot: BootSettings) -> Program:
+    path = machine.path(boot.program)
+    image = content_of(Path(path), path)
+    if not image:
+        raise DataError(f"{machine.source}: nodes.{name}.boot: {path!r} is no program", "check the path")
+    return Program(path, image, boot.confirm_program)
 
 
 def stamp_of(writes: Sequence[Write]) -> tuple[int, int]:

@@ -57,7 +57,7 @@ class BootSettings:
     node's file, the others any. heartbeat: ns, written to 0x1017; None: the node's own. heartbeat_timeout: ns after which the
     node is lost; None: three times its heartbeat. guard_time: ns, 0 = no guarding. configuration: the DCF or concise DCF that is
     written. store: the node keeps it, and is not configured again while it has it. restore: subindex of 0x1011, 0 = none.
-    software: the number in 0x1F56; None: not checked. program: the image that brings it.
+    software: the number in 0x1F56; None: not checked. program: the image that brings it. confirm_program: it has to be confirmed.
     """
 
     mandatory: bool = False
@@ -77,6 +77,7 @@ class BootSettings:
     restore: int = 0
     software: int | None = None
     program: str = ""
+    confirm_program: bool = False
 
     def __post_init__(self) -> None:
         for name in ("device_type", "vendor", "product", "revision", "serial", "software"):
