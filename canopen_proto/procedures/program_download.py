@@ -38,7 +38,7 @@ from canopen_proto import indices
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame_bits import duration, least_bits
 from canopen_proto.machine import SECOND, Event, RequestId, Time
-from canopen_proto.nmt import NmtMaster
+from canopen_proto.nmt import NmtMaster, NmtState
 from canopen_proto.procedures.program_objects import LEFTOVER_TIME, POLL, NotReached, ProgramFound, ProgramObjects, is_lost
 from canopen_proto.procedures.steps import (
     Cancelled,
@@ -65,6 +65,7 @@ WRITES: Final = 3
 MAX_PROGRAM: Final = 254
 """The highest number of a program: its subindex."""
 CONFIRM_ADVICE: Final = "confirm it (0x80 in 0x1F51), else the program before comes back at the next reset"
+PRE_OPERATIONAL_ADVICE: Final = "canopen nmt preop, since it is Stopped, where a device has no SDO"
 ELSEWHERE_ADVICE: Final = "canopen scan, since its boot loader may have another node-ID; canopen lss scan, since it may have none"
 
 _RUNNING: Final = (ProgramControl.START, ProgramControl.CONFIRM)
@@ -239,7 +240,8 @@ def look(
         so_far.found = found = yield from ProgramObjects(node, program).found(patience)
     except (SdoFailed, NotReached) as error:
         silent = isinstance(error, NotReached)
-        raise ProgramDownloadFailed(node.node_id, so_far, str(error), "canopen scan" * silent, is_silent=silent) from error
+        remedy = PRE_OPERATIONAL_ADVICE if node.nmt_state is NmtState.STOPPED else "canopen scan" if silent else ""
+        raise ProgramDownloadFailed(node.node_id, so_far, str(error), remedy, is_silent=silent) from error
     if found.control is None:
         seen = f"it has no program control (0x1F51:{program:02X}): it takes no program this way"
         raise ProgramDownloadFailed(node.node_id, so_far, seen)
@@ -305,6 +307,7 @@ class _Flashing:
         so_far.is_needed = not is_there or self.state not in _RUNNING or (self.confirm and self.state == ProgramControl.CONFIRM)
         if not so_far.is_needed:
             so_far.id_after = so_far.id_before
+            self._remark()
             return
         yield from self._begin(Step.PREPARE)
         yield from self._pre_operational()
@@ -412,8 +415,7 @@ class _Flashing:
         if self.expected is not None and so_far.id_after not in (None, self.expected):
             old = ", as before: its boot loader has refused the new program" if so_far.id_after == so_far.id_before else ""
             raise self.failed(f"the program that runs has the identification 0x{so_far.id_after:08X}{old}", is_mismatch=True)
-        if self.state == ProgramControl.CONFIRM and not self.confirm:
-            so_far.remark = f"the program runs on trial; {CONFIRM_ADVICE}"
+        self._remark()
 
     def _confirm(self) -> Procedure[None]:
         yield from self._begin(Step.CONFIRM)
@@ -422,6 +424,10 @@ class _Flashing:
         self.state = ProgramControl.START
 
     # ---- their parts ----
+
+    def _remark(self) -> None:
+        if self.state == ProgramControl.CONFIRM and not self.confirm:
+            self.so_far.remark = f"the program runs on trial; {CONFIRM_ADVICE}"
 
     def _begin(self, step: Step) -> Procedure[None]:
         so_far = self.so_far

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import functools
 from collections import deque
+from dataclasses import replace
 from enum import Enum
 from typing import Final
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.boot_loader import BootLoader, BootLoaderSettings
 from canopen_proto.dictionary import Direction, Object, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -133,6 +135,18 @@ class Subject:
 
     def forget_trace(self) -> None:
         self.trace.clear()
+
+
+class BootLoaderSubject(Subject):
+    """A device with a boot loader, whose flash is small."""
+
+    def __init__(self, settings: BootLoaderSettings) -> None:
+        super().__init__()
+        self.node = BootLoader(self.network.out, NODE, replace(settings, size=LARGEST_TRANSFER))
+        self.node.sdo.max_download = LARGEST_TRANSFER
+        self.network.attach(self.node)
+        self.node.boot(0)
+        self.drain()
 
 
 class LocalSubject(Subject):

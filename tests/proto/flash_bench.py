@@ -45,8 +45,9 @@ class FlashBench:
         limits: Limits | None = None,
         heartbeat: bool = False,
         frame_time: Time = 0,
+        seed: int = 0,
     ) -> None:
-        self.bus = LossyBus(frame_time=frame_time)
+        self.bus = LossyBus(seed, frame_time=frame_time)
         self.master = self.bus.attach(Network())
         self.remote = RemoteNode(self.master.out, NODE, whole_device())
         self.nmt = NmtMaster(self.master.out)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import zlib
+from binascii import crc32
 from itertools import pairwise
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.boot.assignment import Assignment
@@ -28,13 +30,13 @@ from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinishe
 from canopen_proto.programs import FlashError, FlashStatus, ProgramControl
 from canopen_proto.sdo.access import Pending
 from canopen_proto.sdo.events import SdoServerAborted
-from tests.examples import takes_all
+from tests.examples import examples, takes_all
 from tests.proto import flash_bench
 from tests.proto.block_pair import pattern
 from tests.proto.flash_bench import NODE, FlashBench
 
 IMAGE = pattern(100)
-ID = zlib.crc32(IMAGE)
+ID = crc32(IMAGE)
 ALL_STEPS = [Step.LOOK, Step.PREPARE, Step.STOP, Step.CLEAR, Step.WRITE, Step.PROGRAM, Step.VERIFY, Step.START, Step.CHECK]
 
 
@@ -43,10 +45,10 @@ ALL_STEPS = [Step.LOOK, Step.PREPARE, Step.STOP, Step.CLEAR, Step.WRITE, Step.PR
 def test_a_program_is_written_and_runs(size: int, blocks: bool) -> None:
     image = pattern(size)
     bench = FlashBench(BootLoaderSettings(blocks=blocks))
-    result = bench.flash(image, expected_id=zlib.crc32(image))
+    result = bench.flash(image, expected_id=crc32(image))
     assert (bench.memory.program, bench.device.runs) == (image, True)
     assert (result.is_done, result.is_needed, result.delivered, result.writes) == (True, True, size, 1)
-    assert (result.id_before, result.id_after) == (zlib.crc32(b"the program of the factory"), zlib.crc32(image))
+    assert (result.id_before, result.id_after) == (crc32(b"the program of the factory"), crc32(image))
     assert bench.steps == ALL_STEPS
     assert bench.progress[-1].done == size
     done = [each.done for each in bench.progress]
@@ -101,6 +103,37 @@ def test_each_frame_may_get_lost() -> None:
         assert (bench.memory.program, bench.device.runs) == (IMAGE, True), number
     assert failures == 0
     assert total == 50
+
+
+@examples(20)
+@given(seed=st.integers(0, 1 << 32), loss=st.sampled_from([0.02, 0.1]), blocks=st.booleans(), deaf=st.booleans())
+def test_however_much_gets_lost_some_call_ends_well(seed: int, loss: float, blocks: bool, deaf: bool) -> None:
+    bench = FlashBench(BootLoaderSettings(blocks=blocks, is_deaf=deaf, erase_time=SECOND), seed=seed)
+    bench.bus.disturb((MILLISECOND // 10, 3 * MILLISECOND), loss=loss)
+    for _ in range(20):
+        try:
+            bench.flash(IMAGE, expected_id=ID)
+        except ProgramDownloadFailed:
+            continue
+        assert (bench.memory.program, bench.device.runs) == (IMAGE, True)
+        return
+    raise AssertionError("20 calls did not end well")
+
+
+@examples(20)
+@given(seed=st.integers(0, 1 << 32), blocks=st.booleans())
+def test_answers_that_come_late(seed: int, blocks: bool) -> None:
+    """Up to one and a half time-outs each: a late answer must not count for another request."""
+    bench = FlashBench(BootLoaderSettings(blocks=blocks), seed=seed)
+    bench.bus.disturb((MILLISECOND, 700 * MILLISECOND))
+    for _ in range(20):
+        try:
+            bench.flash(pattern(30), expected_id=crc32(pattern(30)))
+        except ProgramDownloadFailed:
+            continue
+        assert (bench.memory.program, bench.device.runs) == (pattern(30), True)
+        return
+    raise AssertionError("20 calls did not end well")
 
 
 @pytest.mark.parametrize("settings", [BootLoaderSettings(), BootLoaderSettings(blocks=False), BootLoaderSettings(trial=True)])
@@ -335,8 +368,17 @@ def test_confirm_keeps_the_program() -> None:
 def test_confirm_alone_where_only_that_is_missing() -> None:
     bench = FlashBench(BootLoaderSettings(trial=True))
     bench.flash(IMAGE, expected_id=ID)
+    assert "on trial" in bench.flash(IMAGE, expected_id=ID).remark
     assert bench.flash(IMAGE, expected_id=ID, confirm=True).writes == 0
     assert bench.device.control == ProgramControl.START
+
+
+def test_a_device_that_is_stopped_is_told_as_such() -> None:
+    bench = FlashBench(heartbeat=True)
+    bench.nmt.stop(NODE, bench.bus.now)
+    bench.bus.run(SECOND)
+    with pytest.raises(ProgramDownloadFailed, match="canopen nmt preop"):
+        bench.flash(IMAGE)
 
 
 # ---- large programs, and one that is cancelled ----
@@ -346,7 +388,7 @@ def test_a_large_program_with_progress() -> None:
     """1 MiB, in part every day; the bus carries a frame in 0.1 ms."""
     image = pattern(1 << 20 if takes_all() else 1 << 16)
     bench = FlashBench(frame_time=100 * MICROSECOND)
-    bench.flash(image, expected_id=zlib.crc32(image))
+    bench.flash(image, expected_id=crc32(image))
     assert bench.memory.program == image
     written = [each for each in bench.progress if each.step is Step.WRITE]
     assert len(written) > 5
@@ -365,7 +407,7 @@ def test_a_cancel_leaves_what_the_next_call_repairs(step: Step) -> None:
     assert (so_far.step, so_far.is_done) == (step, False)
     assert bench.remote.sdo.timeout == 500 * MILLISECOND
     bench.bus.run(SECOND)
-    bench.flash(pattern(5000), expected_id=zlib.crc32(pattern(5000)))
+    bench.flash(pattern(5000), expected_id=crc32(pattern(5000)))
     assert (bench.memory.program, bench.device.runs) == (pattern(5000), True)
 
 
