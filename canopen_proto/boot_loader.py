@@ -110,12 +110,12 @@ class ProgramMemory:
 class BootLoaderSettings:
     """How the device behaves. Times in ns.
 
-    erase_time, program_time: how long the flash is busy after "clear", and after the last byte. boot_time: from a reset to the
-    boot-up. is_deaf: the processor does nothing else while the flash is busy: answers come late. jumps: the commands that it
-    executes by a reset without an answer. resets: a start resets the device into its program; else the answer is all. blocks: has
-    block transfer. identify: returns the identification of a program; None: its CRC-32. judge: returns the FlashError of a
-    whole program; None: any but an empty one is right. is_secured: it may not be written. trial: a new program runs on trial
-    until it is confirmed by 0x80, as with MCUboot. size: of the memory, in bytes.
+    erase_time, program_time: how long the flash is busy after "clear", and after the last byte. boot_time: from a reset to
+    the boot-up. is_deaf: the processor does nothing else while the flash is busy: answers come late, and no heartbeat. jumps:
+    the commands that it executes by a reset without an answer. resets: a start resets the device into its program; else the
+    answer is all. blocks: has block transfer. identify: returns the identification of a program; None: its CRC-32. judge:
+    returns the FlashError of a whole program; None: any but an empty one is right. is_secured: it may not be written. trial:
+    a new program runs on trial until it is confirmed by 0x80, as with MCUboot. size: of the memory, in bytes.
     """
 
     erase_time: Time = 300 * MILLISECOND
@@ -407,15 +407,17 @@ class BootLoader(LocalNode):
             return AbortCode.DEVICE_STATE
         self.memory.begin(keeps=self.settings.trial)
         self.error = FlashError.NONE
-        self._be_busy(Slot.ERASED, now + self.settings.erase_time)
+        self._be_busy(Slot.ERASED, self.settings.erase_time, now)
         self.inner.events.append(ProgramErased(self.node_id))
         return PENDING if self.settings.is_deaf else None
 
     # ---- the flash ----
 
-    def _be_busy(self, result: Slot, until: Time) -> None:
+    def _be_busy(self, result: Slot, duration: Time, now: Time) -> None:
         self._done = result
-        self._flash.set(until)
+        self._flash.set(now + duration)
+        if self.settings.is_deaf:
+            self.communication.set_state(NmtState.INITIALISING, now)  # no heartbeat either
 
     def _on_flash_done(self, done: FlashDone, now: Time) -> None:
         if self._done is None:
@@ -423,6 +425,8 @@ class BootLoader(LocalNode):
         self.memory.finish(self._done)
         self._is_cleared = self._done is Slot.ERASED
         self._done = None
+        if self.settings.is_deaf:
+            self.communication.set_state(self.state, now)
         if self._held:
             self.channels.complete(self._held, None, now)
             self._held = 0
@@ -454,7 +458,7 @@ class BootLoader(LocalNode):
             self.channels.complete(access.access_id, None, now)
             return
         self.error = self._judgement()
-        self._be_busy(Slot.TORN if self.error else Slot.VALID, now + self.settings.program_time)
+        self._be_busy(Slot.TORN if self.error else Slot.VALID, self.settings.program_time, now)
         self.inner.events.append(ProgramWritten(self.node_id, self.error, len(memory.content)))
         if self.settings.is_deaf:
             self._held = access.access_id

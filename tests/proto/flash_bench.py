@@ -10,7 +10,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outcome, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
-from canopen_proto.nmt import NmtMaster
+from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.procedures.program_download import Limits, ProgramDownload, ProgramProgress, Step, download_program
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
@@ -65,6 +65,7 @@ class FlashBench:
         self.has_heartbeat = heartbeat
         self.power_on()
         self.bus.run(MILLISECOND)
+        self.device.execute(NmtCommand.START, self.bus.now)
         self.bus.sent.clear()
         self.bus.lose = frozenset(lose)
         self.bus.count = 0
