@@ -27,9 +27,13 @@ class NmtCommands:
 
         condition: asked right before; if it does not hold any more, nothing is sent. Returns whether the command was sent.
         """
-        while wait := (yield from act(self._time_left)):
-            yield from sleep(wait)
+        yield from self.wait()
         return (yield from act(lambda now: self._send_now(command, node_id, condition, now)))
+
+    def wait(self) -> Procedure[None]:
+        """Wait until the pause is over."""
+        while left := (yield from act(self._time_left)):
+            yield from sleep(left)
 
     def _time_left(self, now: Time) -> Time:
         return max(self._free_at - now, 0)

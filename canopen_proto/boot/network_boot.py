@@ -13,7 +13,8 @@ not start: with bit 1 no node runs then, else those that are ready. `supervise` 
 
 **No failed node is ever started.** Right before a start command, the node still has to be as its boot-up has left it: not lost,
 not booted again. The command to all nodes (bit 1) is sent only if each listed node is ready; else the ready ones are started one
-by one. A node that is kept alive is reset only if it is not Operational.
+by one. A node that is kept alive is reset only if it is not Operational. A node that boots just when it is started runs without
+its settings until its boot-up is heard; then it is reset.
 
 Each loss has one reaction: while a node is lost or boots, nobody waits for its heartbeats. The host may `suspend` a node while it
 gets a program.
@@ -39,7 +40,7 @@ from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
 from canopen_proto.procedures.steps import Procedure, Wait, act, all_of, current_time
-from canopen_proto.remote_node import RemoteNode
+from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
 
 ROUNDS: Final = 3
 """How often `start` boots a node that boots again while others are not ready yet."""
@@ -112,7 +113,8 @@ class BootReport:
 class _Member:
     """A node of the network. outcome: of its last boot-up. boots: the node's count of boot-ups that were seen to.
 
-    absent_since: since when it is known to be away; NEVER if it is not. reset: how it is reset when it is heard again.
+    started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. reset: how it is
+    reset when it is heard again.
     """
 
     def __init__(self, entry: BootEntry, node: RemoteNode) -> None:
@@ -121,11 +123,16 @@ class _Member:
         self.outcome: BootOutcome | None = None
         self.boots = node.boots
         self.reset = NmtCommand.RESET_COMMUNICATION
+        self.started_at: Time = -NEVER
         self.absent_since: Time = NEVER
         self.is_booting = False
         self.is_running = False
         self.is_requested = False
         self.is_suspended = False
+
+    def take_start(self, now: Time) -> None:
+        """Take note of a start command."""
+        self.is_running, self.started_at = True, now
 
     @property
     def is_good(self) -> bool:
@@ -215,6 +222,7 @@ class NetworkBoot:
     def suspend(self, node_id: int, now: Time) -> None:
         """Leave a node alone until `boot_again`: something is done to it, such as a program download, that looks like a loss.
 
+        Only a command to all nodes still concerns it: a new start of the network, and the loss of another mandatory node.
         Raises LocalProtocolError for a node that is not in the network, or boots at present.
         """
         member = self._member(node_id)
@@ -285,13 +293,11 @@ class NetworkBoot:
             again = [member for member in self._listed if member.is_good and member.node.boots != member.boots]
             if not again:
                 break
-            yield from all_of(*(self._boot(member, self._begun) for member in again))
+            yield from all_of(*(self._on_boot_up(member) for member in again))
         return (yield from act(self.report))
 
     def _first_boot(self, member: _Member, until: Time) -> Procedure[None]:
         assignment = member.entry.assignment
-        if member.is_suspended:
-            return
         if assignment.is_listed and not assignment.keep_alive:
             yield from self._await_boot_up(member)
         yield from self._boot(member, self._begun, until if assignment.is_mandatory else 0)
@@ -303,6 +309,8 @@ class NetworkBoot:
 
     def _boot(self, member: _Member, since: Time, until: Time = 0) -> Procedure[None]:
         """Boot a node, report its outcome, and start what is ready now. since: a node that was not heard since then is away."""
+        if member.is_suspended:
+            return
         member.is_booting, member.is_running, member.is_requested, member.outcome = True, False, False, None
         try:
             outcome = yield from boot_node(
@@ -327,17 +335,16 @@ class NetworkBoot:
 
     def _start(self, member: _Member) -> Procedure[None]:
         """Start a node, if that is allowed."""
-        if self.startup.application_starts or not member.may_start:
+        if self.startup.application_starts:
             return
         if (yield from self.commands.send(NmtCommand.START, member.node.node_id, lambda: member.may_start)):
-            member.is_running = True
+            yield from act(member.take_start)
 
     def _start_network(self) -> Procedure[None]:
-        """Start the network once all mandatory nodes are ready; without any, once all nodes have booted or failed."""
-        mandatory = [member for member in self._members.values() if member.entry.assignment.is_mandatory]
-        if self.is_started or not all(member.is_ready for member in mandatory):
-            return
-        if not mandatory and any(member.outcome is None and not member.is_suspended for member in self._members.values()):
+        """Start the network, if the time for it has come. What is right before a pause may be wrong after it."""
+        if self.startup.start_all and self._may_start_network():
+            yield from self.commands.wait()
+        if not self._may_start_network():
             return
         self.is_started = True
         if not self.startup.waits:
@@ -347,18 +354,26 @@ class NetworkBoot:
         running = tuple(node_id for node_id, member in self._members.items() if member.is_running)
         yield from act(lambda now: self.network.out.events.append(NetworkStarted(0, running)))
 
+    def _may_start_network(self) -> bool:
+        """Return whether all mandatory nodes are ready; without any, whether all nodes have booted or failed."""
+        members = self._members.values()
+        mandatory = [member for member in members if member.entry.assignment.is_mandatory]
+        if mandatory:
+            return not self.is_started and all(member.is_ready for member in mandatory)
+        return not self.is_started and all(member.outcome is not None or member.is_suspended for member in members)
+
     def _start_all(self) -> Procedure[None]:
         members = self._members.values()
 
         def all_may_start() -> bool:
             return all(member.may_start or (member.is_ready and member.is_running) for member in members)
 
-        if all_may_start() and (yield from self.commands.send(NmtCommand.START, ALL_NODES, all_may_start)):
+        if (yield from self.commands.send(NmtCommand.START, ALL_NODES, all_may_start)):
             for member in members:
-                member.is_running = True
-            return
-        for member in members:
-            yield from self._start(member)
+                yield from act(member.take_start)
+        else:
+            for member in members:
+                yield from self._start(member)
 
     # ---- afterwards ----
 
@@ -395,7 +410,7 @@ class NetworkBoot:
             elif member.is_requested:
                 yield from self._reset_and_boot(member)
             elif member.node.boots != member.boots:
-                yield from self._boot(member, (yield from current_time()))
+                yield from self._on_boot_up(member)
             elif member.is_lost:
                 yield from self._on_lost(member)
             elif member.has_come_back:
@@ -403,6 +418,14 @@ class NetworkBoot:
             else:
                 sign_of_life = (HeartbeatReceived,) if member.absent_since < NEVER else ()
                 yield Wait(None, member.node, _is_of(member), (*_TROUBLE, *sign_of_life))
+
+    def _on_boot_up(self, member: _Member) -> Procedure[None]:
+        """Boot a node that has booted. If a start command has passed its boot-up, it runs without its settings: it is reset."""
+        now = yield from current_time()
+        if now - member.started_at < NMT_REACTION_TIME:
+            yield from self._reset_node(NmtCommand.RESET_COMMUNICATION, member.node.node_id)
+            yield from self._await_boot_up(member)
+        yield from self._boot(member, now)
 
     def _on_lost(self, member: _Member) -> Procedure[None]:
         assignment = member.entry.assignment

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import pytest
 
-from canopen_proto.boot.network_boot import LossReaction, NetworkStarted, NodeLost
+from canopen_proto.boot.network_boot import BootReport, LossReaction, NetworkBoot, NetworkStarted, NodeLost
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError
+from canopen_proto.procedures.steps import Procedure
 from tests.proto.boot_bench import (
     DEVICE_TYPE,
     HEARTBEAT,
@@ -137,10 +137,11 @@ def test_a_lost_mandatory_node_concerns_all(startup: int, sent: list[str], own: 
     assert commands == own
 
 
-def test_a_node_comes_later() -> None:
+@pytest.mark.parametrize("startup", [1, 3])
+def test_a_node_comes_later(startup: int) -> None:
     bench = BootBench([2, 3])
     bench.nodes[3].switch_off()
-    bench.supervise(bench.network_boot(1, entry(2, MANDATORY), entry(3, OPTIONAL)), SECOND)
+    bench.supervise(bench.network_boot(startup, entry(2, MANDATORY), entry(3, OPTIONAL)), SECOND)
     assert bench.letters() == "0B"
     bench.nodes[3].boot(bench.bus.now)
     bench.bus.run(SECOND)
@@ -167,7 +168,7 @@ def test_a_node_that_boots_again_before_all_are_started_is_booted_once_more() ->
     bench.bus.run(500 * MILLISECOND)
     assert bench.letters() == "0"
     bench.nodes[2].boot(bench.bus.now)
-    report: Any = bench.outcome(request_id)
+    report: BootReport = bench.outcome(request_id)
     assert bench.letters() == "000"
     assert (report.is_started, bench.commands_sent()) == (True, ["000#8200", "000#0100"])
 
@@ -178,7 +179,7 @@ def test_a_node_that_was_lost_before_all_are_started_is_not_started() -> None:
     request_id = bench.master.run(bench.network_boot(3).start(), bench.bus.now)
     bench.bus.run(SECOND)
     bench.nodes[2].switch_off()
-    report: Any = bench.outcome(request_id)
+    report: BootReport = bench.outcome(request_id)
     assert (report.is_started, report.missing) == (False, (2,))
     assert bench.commands_sent() == ["000#8200"]
 
@@ -404,3 +405,81 @@ def test_a_node_without_sdo_is_not_reset_over_and_over() -> None:
     bench.supervise(bench.network_boot(), 20 * SECOND)
     assert bench.letters() == "B"
     assert bench.commands_sent() == ["000#8200"]
+
+
+@pytest.mark.parametrize("startup", [1, 3])
+@pytest.mark.parametrize("assignment", [MANDATORY, KEPT])
+def test_a_boot_up_that_passes_the_start_command(startup: int, assignment: int) -> None:
+    """The node runs without its settings then: it is reset, and booted again."""
+
+    def bench_of_two() -> BootBench:
+        bench = BootBench([2, 3])
+        for node in bench.nodes.values():
+            node.defaults[HEARTBEAT] = node.table[HEARTBEAT] = b"\x64\0"
+            node.boot(bench.bus.now)
+        bench.bus.run(MILLISECOND)
+        bench.master.run(
+            started_and_supervised(bench.network_boot(startup, entry(2, MANDATORY), entry(3, assignment))), bench.bus.now
+        )
+        return bench
+
+    bench = bench_of_two()
+    bench.bus.run(SECOND)
+    started_at = next(moment for moment, frame in bench.bus.sent if str(frame) in ("000#0103", "000#0100"))
+    bench = bench_of_two()
+    bench.bus.run(started_at - 50 * MICROSECOND - bench.bus.now)
+    bench.nodes[3].writes.clear()
+    bench.nodes[3].boot(bench.bus.now)
+    bench.bus.run(160 * MICROSECOND)
+    assert bench.nodes[3].state == 5, "the command has passed the boot-up"
+    assert bench.nodes[3].writes == []
+    bench.bus.run(SECOND)
+    assert "000#8203" in bench.commands_sent()
+    assert [place for place, _ in bench.nodes[3].writes] == [HEARTBEAT, SETTING]
+    assert bench.nodes[3].state == 5
+
+
+def started_and_supervised(boot: NetworkBoot) -> Procedure[NodeLost]:
+    yield from boot.start()
+    return (yield from boot.supervise())
+
+
+@pytest.mark.parametrize("startup", [1, 3])
+def test_a_node_that_boots_while_its_start_command_waits_is_not_started(startup: int) -> None:
+    """The pause of 0x102A lies between: what was right before it is judged again after it."""
+    bench = BootBench([2, 3], pause=300 * MILLISECOND)
+    bench.master.run(bench.network_boot(startup).start(), bench.bus.now)
+    bench.bus.run_until(lambda: bench.letters() == "00")
+    assert bench.commands_sent() == ["000#8200"]
+    bench.nodes[3].boot(bench.bus.now)
+    bench.bus.run(160 * MILLISECOND)
+    assert [node.state for node in bench.nodes.values()] == [5 if startup == 1 else 0x7F, 0x7F]
+    bench.bus.run(2 * SECOND)
+    assert [node.state for node in bench.nodes.values()] == [5, 5]
+
+
+@pytest.mark.parametrize("startup", [1, 3])
+def test_a_suspended_node_is_not_started(startup: int) -> None:
+    bench = BootBench([2, 3])
+    bench.nodes[3].boot_delay = SECOND
+    boot = bench.network_boot(3)
+    request_id = bench.master.run(boot.start(), bench.bus.now)
+    bench.bus.run(500 * MILLISECOND)
+    boot.suspend(2, bench.bus.now)
+    report: BootReport = bench.outcome(request_id)
+    assert (report.missing, report.running) == ((2,), ())
+    assert bench.commands_sent() == ["000#8200"]
+
+
+def test_a_suspended_node_is_not_booted_by_a_reset_of_before() -> None:
+    """It was lost and reset, and is suspended before its boot-up has come."""
+    bench = BootBench([2, 3])
+    boot = bench.network_boot()
+    bench.supervise(boot, SECOND)
+    bench.nodes[3].boot_delay = SECOND
+    bench.nodes[3].table[HEARTBEAT] = bytes(2)
+    bench.nodes[3]._begin_heartbeat(bench.bus.now)
+    bench.bus.run_until(lambda: "000#8103" in bench.commands_sent())
+    boot.suspend(3, bench.bus.now)
+    bench.bus.run(5 * SECOND)
+    assert bench.letters() == "00"

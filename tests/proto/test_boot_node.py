@@ -11,6 +11,7 @@ from canopen_proto.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, ProcedureError, sleep
 from tests.proto.boot_bench import (
     DATE,
@@ -252,6 +253,24 @@ def test_a_configuration_that_writes_the_date_itself_is_written_as_it_is() -> No
     assert [place for place, _ in bench.node.writes] == [DATE, TIME]
 
 
+def test_a_node_may_take_its_time_to_store() -> None:
+    bench = BootBench()
+
+    def on_write(place: Object, data: bytes) -> None:
+        bench.node.answer_delay = 5 * SECOND if place == SAVE else 0
+
+    bench.node.on_write = on_write
+    assert bench.run(boot_node(bench.remote, bench.commands, entry(save=True))).letter == "0"
+
+
+def test_a_node_that_does_not_answer_guarding_is_not_asked_any_more() -> None:
+    bench, outcome = booted({}, 0x0064_0305, configuration=(), consumer_time=0)
+    assert outcome.letter == "K"
+    bench.bus.sent.clear()
+    bench.bus.run(SECOND)
+    assert bench.bus.trace() == []
+
+
 # ---- boot-ups in the middle ----
 
 STEPS = [*(frame for frame in (*IDENTITY_READ, *CONFIGURED) if frame.startswith("606"))]
@@ -283,14 +302,16 @@ def test_a_node_that_boots_in_the_middle_is_booted_from_the_beginning(request_nu
         assert "4 times in the middle" in outcome.remark
 
 
-def test_a_boot_up_right_behind_the_heartbeat_is_not_missed() -> None:
-    """A driver may hand over both before it drains."""
+@pytest.mark.parametrize("assignment", [BOOTS, KEEP_ALIVE])
+def test_a_boot_up_behind_the_last_heartbeat(assignment: int) -> None:
     bench = BootBench()
-    request_id = bench.master.run(boot_node(bench.remote, bench.commands, entry(configuration=())), bench.bus.now)
+    request_id = bench.master.run(boot_node(bench.remote, bench.commands, entry(assignment=assignment)), bench.bus.now)
+    for _ in range(2 if assignment == KEEP_ALIVE else 1):
+        bench.bus.run(10 * MILLISECOND)
+        bench.master.receive(Frame.parse("706#05"), bench.bus.now)
+    bench.master.receive(Frame.parse("706#00"), bench.bus.now)
     bench.bus.run(10 * MILLISECOND)
-    for frame in ("706#7F", "706#00"):
-        bench.master.receive(Frame.parse(frame), bench.bus.now)
-    bench.bus.run(10 * MILLISECOND)
+    assert not bench.bus.take_events(ProcedureFinished)
     assert bench.bus.trace().count("606#4000100000000000") == 2
     bench.master.cancel(request_id, bench.bus.now)
 
