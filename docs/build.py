@@ -7,6 +7,9 @@ one drive whose unit is the degree (1000 counts). PICTURES has what belongs to e
 
 docs/move-an-arm.md: each function of its Python blocks runs alone; ARM_EXAMPLE is drawn from its own recording.
 
+docs/live.md: a demonstration in which a drive breaks down is recorded, and its frames are shown as `canopen watch` and
+`canopen top` show them at one moment.
+
 Needs the extras `plot` and `motion`.
 """
 
@@ -14,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import io
 import re
 import tempfile
 from collections.abc import Awaitable, Callable, Mapping, Sequence
@@ -26,10 +30,18 @@ import trio
 import trio.testing
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from rich.console import Console, RenderableType
 
+from canopen_cli.app import main as run_command
 from canopen_cli.courses import courses_of_record
 from canopen_cli.fleet import simulated_devices
 from canopen_cli.motion_plot import write_motion_plot
+from canopen_cli.top_view import BusShown, TopView
+from canopen_cli.top_view import picture as draw_top
+from canopen_cli.watch_view import Around
+from canopen_cli.watch_view import picture as draw_watch
+from canopen_cli.watched import Watched
+from canopen_data import load_dictionary
 from canopen_data.configured import configure
 from canopen_master import Chain, ChainSettings, Master, open_master, read_record
 from canopen_master.motion.device import Device
@@ -39,12 +51,17 @@ from canopen_proto.cia402.states import POWERED, state_of
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.drive.units import Unit
-from canopen_proto.machine import MILLISECOND
+from canopen_proto.frame import EMCY
+from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import Mux
+from canopen_proto.observer.bus_view import BusView
+from canopen_proto.observer.observer import Observer
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.plant import Mechanics
 from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_transports.log_files import LogReader
+from canopen_transports.record import Record
 
 PAGES: Final = Path(__file__).parent / "modes"
 ARM_PAGE: Final = Path(__file__).parent / "move-an-arm.md"
@@ -279,6 +296,66 @@ def draw_arm(path: Path) -> str:
     return ", ".join(f"{each.name} up to {max(map(abs, each.actual)):.1f} {each.unit}" for each in courses.joints)
 
 
+FAULT: Final = "5@3.0"
+LIVE_PAGE: Final = Path(__file__).parent / "live.md"
+LIVE_TITLES: Final = {
+    "watch": "canopen watch 3 --402 --plot --from arm.log",
+    "top": "canopen top arm.log --bitrate 1M",
+}
+LIVE_SIZE: Final = (80, 24)
+LIVE_SPAN: Final = 10.0
+LIVE_BITRATE: Final = 1_000_000
+
+
+def record_demonstration(path: Path) -> list[Record]:
+    """Record the frames of a demonstration in which a drive breaks down, in virtual time. Times count from the first frame."""
+    arguments = ["demo", "--seconds", "4", "--fault", FAULT, "--trace", str(path), "--quiet", "--force"]
+    run_command(arguments, clock=trio.testing.MockClock(autojump_threshold=0))
+    records = list(LogReader(path))
+    return [record._replace(time=record.time - records[0].time) for record in records]
+
+
+def live_pictures(records: Sequence[Record]) -> dict[str, RenderableType]:
+    """Return what `canopen watch` and `canopen top` show when a drive has just broken down."""
+    dictionary = load_dictionary()[0]
+    variables = [dictionary.variable(key) for key in ("6041", "6061", "6064", "6077", "60F4")]
+    watched = Watched(3, dictionary, variables, span=round(LIVE_SPAN * SECOND))
+    observer, view = Observer(lambda node_id: dictionary, bitrate=LIVE_BITRATE), BusView(bitrate=LIVE_BITRATE)
+    emergency = next(each.time for each in records if each.frame.can_id == EMCY + 5)
+    end = 0
+    for record in records:
+        if record.time > emergency + SECOND // 20:
+            break
+        observation = observer.observe(record.frame, record.time)
+        watched.take(observation.meaning, record.time)
+        view.add(record.frame, observation, record.time)
+        end = record.time
+    around = Around("arm.log", "a recording")
+    shown = TopView("arm.log", (BusShown("can0", view.figures(end), end, end, LIVE_BITRATE),))
+    return {
+        "watch": draw_watch(watched.view(end), around, *LIVE_SIZE, span=LIVE_SPAN),
+        "top": draw_top(shown, *LIVE_SIZE),
+    }
+
+
+def draw_live(folder: Path) -> None:
+    """Draw the pictures of the page."""
+    with tempfile.TemporaryDirectory() as temporary:
+        pictures = live_pictures(record_demonstration(Path(temporary) / "demo.log"))
+    for name, shown in pictures.items():
+        path = folder / f"{name}.svg"
+        write_svg(path, shown, LIVE_TITLES[name])
+        print(path)
+
+
+def write_svg(path: Path, shown: RenderableType, title: str) -> None:
+    """Write what a terminal shows as a picture, which loads no fonts from elsewhere."""
+    console = Console(record=True, width=LIVE_SIZE[0], file=io.StringIO(), force_terminal=True, color_system="truecolor")
+    console.print(shown)
+    svg = console.export_svg(title=title, unique_id=path.stem)
+    path.write_text(re.sub(r"\s*@font-face \{.*?\}", "", svg, flags=re.DOTALL), encoding="utf-8")
+
+
 def draw(picture: Picture, samples: Sequence[Sample], path: Path) -> None:
     """Draw the motion, from the moment at which the drive has power."""
     powered = [each for each in samples if state_of(each.values[objects.STATUSWORD]) in POWERED]
@@ -317,11 +394,17 @@ def _dress(axes: Axes) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument(
-        "pages", metavar="PAGE", nargs="*", help=f"one of {', '.join((*PICTURES, ARM_PAGE.stem))}; by default all"
+        "pages",
+        metavar="PAGE",
+        nargs="*",
+        help=f"one of {', '.join((*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem))}; by default all",
     )
     parser.add_argument("--into", type=Path, metavar="FOLDER", help="by default beside each page")
     arguments = parser.parse_args()
-    for page in arguments.pages or (*PICTURES, ARM_PAGE.stem):
+    for page in arguments.pages or (*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem):
+        if page == LIVE_PAGE.stem:
+            draw_live(arguments.into or LIVE_PAGE.parent / "live")
+            continue
         if page == ARM_PAGE.stem:
             path = (arguments.into or ARM_PAGE.parent) / f"{page}.png"
             print(f"{path}: {draw_arm(path)}")

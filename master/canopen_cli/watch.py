@@ -46,6 +46,7 @@ SPAN: Final = 30.0
 KEYS: Final = "q end   p pause   r begin min and max again"
 FLUSH: Final = 1.0
 """Seconds after which a CSV is written through."""
+OTHERS: Final = "another program asks this node by SDO: nothing is asked until it is quiet"
 STALE_AFTER: Final = 3
 """Periods of --every without a new value after which a value is stale."""
 
@@ -159,6 +160,7 @@ class _Watching:
         self._zero: Time | None = None  # from trio's clock to that of the frames
         self._first: Time | None = None
         self._load = Load()
+        self._polling: Polling | None = None
         self._bitrate: int | None = None
         self._where = ""
         self._how = ""
@@ -186,6 +188,8 @@ class _Watching:
         self._first = now if self._first is None else self._first
         if record.frame.can_id in (SDO_CLIENT_TO_SERVER + self._watched.node_id, SDO_SERVER_TO_CLIENT + self._watched.node_id):
             self._load.add(record.frame, now)
+            if self._polling is not None and not record.sent and record.frame.can_id >= SDO_CLIENT_TO_SERVER:
+                self._polling.make_way()
         for sample in self._watched.take(self._observer.observe(record.frame, now).meaning, now):
             self._has_value = True
             for sink in self.sinks:
@@ -219,7 +223,8 @@ class _Watching:
             self._bitrate = session.master.bus().bitrate
             session.master.watch((FramesLost, BusChanged), self._bus_event)
             node = session.node(self._watched.node_id)
-            await Polling(session, node, self._watched, self.now, every, self._bitrate).run()
+            self._polling = Polling(session, node, self._watched, self.now, every, self._bitrate)
+            await self._polling.run()
 
     def _report(self, report: Report) -> None:
         if isinstance(report, ReceiveOverrun):
@@ -262,6 +267,8 @@ class _Watching:
         if self._lost:
             notes.append(f"{counted(self._lost, 'frame')} were lost before they were seen: this computer is too slow")
         how = self._how or load_text(self._load.last_second(self.now()), self._bitrate)
+        if self._polling is not None and self._polling.makes_way:
+            notes.append(OTHERS)
         return Around(self._where, how, KEYS, tuple(notes), paused)
 
     def tell(self, sample: Sample) -> None:
@@ -288,6 +295,10 @@ class _Watching:
         while True:
             await trio.sleep(REFRESH)
             self._screen.check_reader()
+            others = OTHERS if self._polling is not None and self._polling.makes_way else ""
+            if others and others != told.get(""):
+                self._screen.say(f"[yellow]{others}[/]")
+            told[""] = others
             for row in self._view().rows:
                 trouble = row.trouble or ("stale: nothing has brought it again" if row.is_stale else "")
                 if trouble != told.get(row.place, ""):

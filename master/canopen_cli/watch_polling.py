@@ -3,6 +3,9 @@
 One request at a time, and a pause after each: all of them take at most MAX_SHARE of the bus. The answers are not used here; the
 command hears them on the bus, as it hears PDOs.
 
+An SDO server has one client at a time (CiA 301 v4.2.0, 7.2.4.1). So nothing is asked while another program asks the node, until
+OTHERS_QUIET after its last request; what it reads is shown meanwhile.
+
 At first, and after each boot-up, the device's TPDO parameters are read: so its PDOs are understood by the mapping that they have.
 """
 
@@ -39,6 +42,8 @@ SILENT_AGAIN: Final = 1.0
 """Seconds until a node that did not answer is asked again."""
 REFUSED_AGAIN: Final = 5.0
 """Seconds until a node is asked again for an object that it refused: some are refused in one state only."""
+OTHERS_QUIET: Final = 2.0
+"""Seconds without a request of another client until the node is asked again."""
 MAX_PDOS: Final = 8
 """PDOs of each direction whose parameters are read."""
 MAX_READS: Final = 6
@@ -93,6 +98,16 @@ class Polling:
         self._pause = READ_BITS / (MAX_SHARE * (bitrate or SLOW_BUS))
         self._unknown: list[tuple[Direction, int]] = []  # PDOs whose parameters are to be read
         self._boots = 0  # of the node, before that began
+        self._others: float | None = None  # trio's clock: when another client asked last
+
+    def make_way(self) -> None:
+        """Ask for nothing for a while: another client asks."""
+        self._others = trio.current_time()
+
+    @property
+    def makes_way(self) -> bool:
+        """Whether nothing is asked, since another client asks."""
+        return self._others is not None and trio.current_time() - self._others < OTHERS_QUIET
 
     async def run(self) -> NoReturn:
         """Ask for ever. Raises BusError."""
@@ -104,6 +119,9 @@ class Polling:
                 self._unknown, self._boots, due[None] = [], self._watched.boots, trio.current_time()
             each = min(due, key=lambda each: due[each])
             await trio.sleep_until(due[each])
+            if self.makes_way:
+                await trio.sleep(OTHERS_QUIET / 4)
+                continue
             if each is None:
                 pause = await self._learn_mapping()
             elif self._watched.pdo_age(each, self._now()) < FRESH // 2:

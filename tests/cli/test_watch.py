@@ -15,10 +15,12 @@ import pytest
 import trio
 
 from canopen_cli import live_source
-from canopen_cli.fleet import Fleet, simulated_fleet
+from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_fleet
+from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulated_drive.node import DriveNode
+from canopen_transports import open_transport
 from canopen_transports.log_files import LogReader
 from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
 
@@ -119,6 +121,36 @@ def test_the_mappings_are_read_again_after_a_boot_up(run: Run, monkeypatch: pyte
     outcome = run("watch", "3", "6064", "--seconds", "5", *DEMO, "--trace", "t.log")
     assert outcome.status == 0
     assert asked("t.log")["1A00"] == 2 * 4  # the number of objects, and the objects
+
+
+THEIRS = bytes.fromhex("4064600000000001")
+"""A request of another program: its last byte, which is reserved, tells it from ours."""
+
+
+def test_the_node_is_left_to_another_program_that_asks_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    alarm = Alarm()
+
+    async def ask(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        async with await open_transport(DEMO_LOCATOR) as other:
+            for _ in range(8):
+                await other.send(Frame(0x603, THEIRS))
+                await trio.sleep(0.5)
+
+    alarm.task = ask
+    watched_fleets(monkeypatch, alarm)
+    outcome = run("watch", "3", "6041", "6064", "--seconds", "10", *DEMO, "--trace", "t.log", "--json")
+    assert outcome.status == 0
+    assert outcome.err.count("another program asks this node by SDO") == 1
+    requests = [record for record in LogReader(Path("t.log")) if record.frame.can_id == 0x603]
+    theirs = [record.time for record in requests if record.frame.data == THEIRS]
+    ours = [record.time for record in requests if record.frame.data != THEIRS]
+    assert not [time for time in ours if theirs[0] < time < theirs[-1] + 2 * SECOND]
+    assert min(ours) < theirs[0]
+    assert max(ours) > theirs[-1]
+    values = [each["time"] for each in map(json.loads, outcome.out.splitlines()) if each["index"] == 0x6064]
+    shown = [time for time in values if theirs[0] < time < theirs[-1] + SECOND]
+    assert len(shown) in (7, 8), "theirs are shown (the trace has a clock of its own)"
 
 
 def test_passive_sends_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,51 @@
+"""docs/live.md: its pictures are there, and are drawn from a demonstration in virtual time; its commands have the options."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from types import ModuleType
+from xml.etree import ElementTree
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from canopen_cli import app
+from tests.docs_build import DOCS, load_build
+
+PAGE = (DOCS / "live.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def build() -> ModuleType:
+    return load_build()
+
+
+def words_of(path: Path) -> str:
+    """The text of an SVG, one line for each line of the terminal."""
+    root = ElementTree.parse(path).getroot()
+    return "\n".join("".join(each.itertext()) for each in root.iter() if each.tag.endswith("text")).replace("\u00a0", " ")
+
+
+def test_the_pictures_are_drawn(build: ModuleType, tmp_path: Path) -> None:
+    build.draw_live(tmp_path)
+    for name, texts in {
+        "watch": ("operation enabled", "6064:00", "position_actual_value, the last 10 s", "⠤"),
+        "top": ("SYNC each 10.00 ms", "0x2310", "continuous over-current", "127 (0x7F)"),
+    }.items():
+        assert f"](live/{name}.svg)" in PAGE
+        for path in (tmp_path / f"{name}.svg", DOCS / "live" / f"{name}.svg"):
+            words = words_of(path)
+            assert all(text in words for text in texts), (path, words)
+            assert "font-face" not in path.read_text(encoding="utf-8"), "a picture loads nothing from elsewhere"
+
+
+def test_each_option_on_the_page_exists() -> None:
+    for name in ("watch", "top"):
+        section = PAGE.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
+        shown = CliRunner().invoke(app.cli, [name, "--help"]).output
+        for option in set(re.findall(r"(?<![\w-])--[a-z0-9]+", section)):
+            assert option in shown, f"{name} {option}"
+        command = app.cli.get_command(click.Context(app.cli), name)
+        assert command is not None
