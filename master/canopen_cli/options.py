@@ -106,6 +106,11 @@ class Settings:
             self.chosen.locator(machine, self.bus)
         return machine, self.chosen.bus
 
+    def told_bitrate(self) -> int | None:
+        """Return the bit rate that the machine file gives the bus of this command, bit/s; None if it gives none."""
+        machine, bus = self.machine_on_bus()
+        return machine.buses[bus].bitrate if machine is not None and bus in machine.buses else None
+
     def joint(self, node_id: int, axis: int = 0) -> JointEntry | None:
         """Return the joint of an axis of a node on the bus that this command is about, or None."""
         machine, bus = self.machine_on_bus()

@@ -96,7 +96,7 @@ class _Top:
         """Take in what comes from a bus or a file, to its end."""
         async with open_live_source(self._settings, source) as live:
             self._source = live.name
-            self._bitrate = self._bitrate or live.bitrate or 0
+            self._bitrate = self._bitrate or live.bitrate or self._settings.told_bitrate() or 0
             self._set_clock(live)
             async for each in live:
                 if isinstance(each, Record):

@@ -220,7 +220,7 @@ class _Watching:
         """Take in what is on the bus, and ask for the rest; for ever."""
         async with open_session(self._settings, self._screen, heard=self.heard) as session:
             self._where = self._settings.required_bus()
-            self._bitrate = session.master.bus().bitrate
+            self._bitrate = session.master.bus().bitrate or self._settings.told_bitrate()
             session.master.watch((FramesLost, BusChanged), self._bus_event)
             node = session.node(self._watched.node_id)
             self._polling = Polling(session, node, self._watched, self.now, every, self._bitrate)

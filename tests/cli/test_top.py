@@ -211,6 +211,13 @@ def test_a_bus_is_listened_to_for_three_heartbeats(run: Run) -> None:
     assert not [line for line in Path("out.log").read_text().splitlines() if line.endswith("T")], "nothing is sent"
 
 
+def test_the_machine_file_tells_the_bit_rate(run: Run) -> None:
+    Path("cell.toml").write_text('[buses.arm]\nlocator = "file:t.log?speed=max"\nbitrate = "250k"\n')
+    outcome = run("top", "-m", "cell.toml")
+    assert outcome.status == 0, outcome.err
+    assert "% of 250k" in outcome.out
+
+
 def test_nothing_came(run: Run) -> None:
     Path("empty.log").write_text("")
     assert run("top", "empty.log").status == 6
