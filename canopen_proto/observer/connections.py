@@ -52,7 +52,7 @@ def services_of(parameters: Parameters, node_id: int) -> Iterator[tuple[RoutingK
 
 def channels_of(parameters: Parameters, node_id: int) -> Iterator[Channel]:
     """Return the SDO channels beyond the first that a device's records describe."""
-    for index in sorted(set(parameters.indices(node_id))):
+    for index in sorted(parameters.indices(node_id)):
         is_client = index in indices.SDO_CLIENTS
         if not is_client and index not in indices.SDO_SERVERS[1:]:
             continue

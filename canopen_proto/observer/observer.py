@@ -56,6 +56,7 @@ from canopen_proto.observer.pdo_rules import PdoRules
 from canopen_proto.observer.sdo import SdoFollower, Settled
 from canopen_proto.observer.sequences import Sequences, Summary
 from canopen_proto.observer.service_rules import ServiceRules
+from canopen_proto.pdo.settings import place_of
 
 RULES: Final = {
     "toggle": "the toggle bit of a segment, or of a guarding answer, does not alternate",
@@ -247,14 +248,16 @@ class Observer:
                 return partial(_plain, _pdo_name(function), node_id, words.of_bytes)
         return partial(_plain, "?", 0, words.of_bytes)
 
-    def _renew(self, node_id: int) -> None:
-        """Take note that communication parameters of a device may have changed."""
-        self._cob_ids[node_id] = tuple(services_of(self._parameters, node_id))
-        self._channels[node_id] = tuple(channels_of(self._parameters, node_id))
-        self._pdos.renew(node_id)
+    def _renew(self, node_id: int, index: int | None = None) -> None:
+        """Take note that communication parameters of a device may have changed; index: only those of this object."""
+        if index is None or place_of(index) is not None:
+            self._pdos.renew(node_id, index)
+            self._is_shared_told = False
+        if index is None or place_of(index) is None:
+            self._cob_ids[node_id] = tuple(services_of(self._parameters, node_id))
+            self._channels[node_id] = tuple(channels_of(self._parameters, node_id))
+            self._assigned = None
         self._routes.clear()
-        self._assigned = None
-        self._is_shared_told = False
 
     # ---- the services ----
 
@@ -359,7 +362,7 @@ class Observer:
             self._nodes.producer(node_id, value * MILLISECOND)
         self._timings.settle(node_id, index, subindex, value)
         if self._parameters.settle(node_id, index, subindex, data):
-            self._renew(node_id)
+            self._renew(node_id, index)
         return self._services.settle(node_id, index, value)
 
     def _lives(self, node_id: int) -> None:

@@ -9,7 +9,7 @@ Two sources say which value a device has, the surer one first:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 from canopen_proto import indices
@@ -19,8 +19,8 @@ from canopen_proto.parameter_storage import SIGNATURES, STORE
 from canopen_proto.pdo.settings import place_of
 
 COB_IDS: Final = (indices.COB_ID_SYNC, indices.COB_ID_TIME_STAMP, indices.COB_ID_EMERGENCY)
-MAX_RECORDED: Final = 1 << 14
-"""Values of one device: more than 127 SDO channels and 200 PDOs with all their entries."""
+MAX_RECORDED: Final = 4096
+"""Values of one device: more than 127 SDO channels and 64 PDOs with 50 entries each."""
 _MAX_BYTES: Final = 4
 _COMMUNICATION: Final = (1, 2)
 """Subindices of 0x1010 and 0x1011: all parameters, and those of communication."""
@@ -29,12 +29,18 @@ _COMMUNICATION: Final = (1, 2)
 class Parameters:
     """See this module's text. dictionaries: by node-ID, one for each device that a bus may have."""
 
-    __slots__ = ("_recorded", "_stored", "dictionaries")
+    __slots__ = ("_in_file", "_recorded", "_shown", "_stored", "dictionaries")
 
     def __init__(self, dictionaries: Mapping[int, ObjectDictionary]) -> None:
         self.dictionaries = dictionaries
         self._recorded: dict[int, dict[Mux, int]] = {}  # by node-ID
+        self._shown: dict[int, set[int]] = {}  # by node-ID: the indices of these
         self._stored: dict[int, dict[Mux, int]] = {}  # by node-ID: those that a boot-up leaves
+        of_files: dict[int, tuple[int, ...]] = {}  # many devices may share one dictionary
+        for dictionary in dictionaries.values():
+            if id(dictionary) not in of_files:
+                of_files[id(dictionary)] = tuple(index for index in dictionary.objects if is_parameter(index))
+        self._in_file = {node_id: of_files[id(dictionary)] for node_id, dictionary in dictionaries.items()}
 
     def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> bool:
         """Take note that a device holds this value. Return whether it is a communication parameter that had another value."""
@@ -47,13 +53,14 @@ class Parameters:
         if recorded.get(key) == value or len(recorded) >= MAX_RECORDED:
             return False
         recorded[key] = value
+        self._shown.setdefault(node_id, set()).add(index)
         return True
 
     def booted(self, node_id: int) -> bool:
         """Take note of a boot-up. Return whether the device had other values than it has now."""
         before, stored = self._recorded.pop(node_id, {}), self._stored.get(node_id, {})
-        if stored:
-            self._recorded[node_id] = dict(stored)
+        self._recorded[node_id] = dict(stored)
+        self._shown[node_id] = {index_of(key) for key in stored}
         return before != stored
 
     def _store(self, node_id: int, index: int, data: bytes) -> None:
@@ -76,16 +83,13 @@ class Parameters:
         initial = None if variable is None else variable.initial_of(node_id)
         return initial if isinstance(initial, int) else None
 
-    def recorded(self, node_id: int) -> set[int]:
-        """Return the indices of the objects that the recording has shown."""
-        return {index_of(key) for key in self._recorded.get(node_id, ())}
+    def is_recorded(self, node_id: int, index: int) -> bool:
+        """Return whether the recording has shown a value of an object."""
+        return index in self._shown.get(node_id, ())
 
-    def indices(self, node_id: int) -> Iterator[int]:
-        """Return the indices of the parameters that the device has, by either source; some of them twice."""
-        yield from self.recorded(node_id)
-        for index in self.dictionaries[node_id].objects:
-            if is_parameter(index):
-                yield index
+    def indices(self, node_id: int) -> set[int]:
+        """Return the indices of the parameters that the device has, by either source."""
+        return self._shown.get(node_id, set()).union(self._in_file[node_id])
 
 
 def is_parameter(index: int) -> bool:

@@ -12,7 +12,7 @@ node-ID. A frame of a multiplexed PDO names its object itself.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Final
+from typing import Final, TypeAlias
 
 from canopen_proto.datatypes import ValueRangeError, bit_length_of
 from canopen_proto.dictionary import Direction, ObjectDictionary
@@ -27,6 +27,10 @@ from canopen_proto.pdo.settings import COB_ID, communication_index, mapping_inde
 PREDEFINED_PDOS: Final = 4
 _FIRST_COB_ID: Final = {Direction.TPDO: TPDO1, Direction.RPDO: RPDO1}
 _NEXT_PDO: Final = 0x100  # from the function code of a PDO to that of the next in its direction
+
+
+_Place: TypeAlias = tuple[Direction, int]
+"""Direction and number of a PDO of a device."""
 
 
 class OverheardPdo:
@@ -99,35 +103,49 @@ class OverheardPdos:
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
-        self._of_node: dict[int, list[tuple[RoutingKey, OverheardPdo]]] = {}
-        self._by_key: dict[RoutingKey, OverheardPdo] | None = None
-        self._shared: list[tuple[RoutingKey, OverheardPdo, OverheardPdo]] = []
+        self._of_node: dict[int, dict[_Place, tuple[RoutingKey, OverheardPdo]]] = {}
+        self._by_key: dict[RoutingKey, list[OverheardPdo]] = {}  # the surest one first
+        self._crowded: set[RoutingKey] = set()  # those of several PDOs
 
-    def renew(self, node_id: int) -> None:
-        """Take note that the parameters of a device have changed."""
-        self._of_node[node_id] = self._pdos_of(node_id)
-        self._by_key = None
+    def renew(self, node_id: int, index: int | None = None) -> None:
+        """Take note that the parameters of a device have changed; index: only those of this object."""
+        places = self._of_node.setdefault(node_id, {})
+        changed = set(_pdos_at(self._parameters.indices(node_id))).union(places) if index is None else _pdos_at((index,))
+        for place in changed:
+            before = places.pop(place, None)
+            if before is not None:
+                self._by_key[before[0]].remove(before[1])
+                self._sort(before[0])
+            found = self._pdo_of(node_id, *place)
+            if found is not None:
+                places[place] = found
+                self._by_key.setdefault(found[0], []).append(found[1])
+                self._sort(found[0])
+
+    def _sort(self, key: RoutingKey) -> None:
+        pdos = self._by_key[key]
+        if len(pdos) > 1:
+            pdos.sort(key=_rank)
+            self._crowded.add(key)
+        else:
+            self._crowded.discard(key)
+            if not pdos:
+                del self._by_key[key]
 
     def find(self, key: RoutingKey) -> OverheardPdo | None:
         """Return the PDO with a routing key by the recording or by a file, or None."""
-        return self._in_order().get(key)
+        pdos = self._by_key.get(key)
+        return pdos[0] if pdos else None
 
     def shared(self) -> list[tuple[RoutingKey, OverheardPdo, OverheardPdo]]:
         """Return the PDOs that two nodes send with one COB-ID, with its routing key."""
-        self._in_order()
-        return self._shared
-
-    def _in_order(self) -> dict[RoutingKey, OverheardPdo]:
-        if self._by_key is None:
-            self._by_key = {}
-            self._shared = []
-            known = [pair for pairs in self._of_node.values() for pair in pairs]
-            known.sort(key=lambda pair: (not pair[1].is_recorded, pair[1].direction is Direction.RPDO))
-            for key, pdo in known:
-                first = self._by_key.setdefault(key, pdo)
-                if first.node_id != pdo.node_id and Direction.RPDO not in (first.direction, pdo.direction):
-                    self._shared.append((key, first, pdo))
-        return self._by_key
+        crowded = [(key, self._by_key[key]) for key in sorted(self._crowded)]
+        return [
+            (key, pdos[0], pdo)
+            for key, pdos in crowded
+            for pdo in pdos[1:]
+            if pdos[0].node_id != pdo.node_id and Direction.RPDO not in (pdos[0].direction, pdo.direction)
+        ]
 
     def guesses(self, key: RoutingKey) -> tuple[OverheardPdo, ...]:
         """Return the PDOs that PDOs.csv describes with a routing key, for a device that has shown none itself."""
@@ -145,21 +163,19 @@ class OverheardPdos:
                 found.append(OverheardPdo(node_id, each.name, each.direction, mapping, dictionaries, is_guess=True))
         return tuple(found)
 
-    def _pdos_of(self, node_id: int) -> list[tuple[RoutingKey, OverheardPdo]]:
-        """Return the valid PDOs of a device by the recording and by its file, with their routing keys."""
-        recorded = set(_pdos_at(self._parameters.recorded(node_id)))
-        found = []
-        for direction, number in sorted(set(_pdos_at(self._parameters.indices(node_id)))):
-            cob_id = self._cob_id(node_id, direction, number)
-            if not cob_id or cob_id & COB_ID_INVALID:
-                continue
-            mapping, is_multiplexed = self._mapping(node_id, direction, number)
-            if mapping is not None or is_multiplexed:
-                known = self._parameters.dictionaries
-                is_recorded = (direction, number) in recorded
-                pdo = OverheardPdo(node_id, f"{direction} {number}", direction, mapping, known, is_recorded=is_recorded)
-                found.append((key_of_cob_id(cob_id), pdo))
-        return found
+    def _pdo_of(self, node_id: int, direction: Direction, number: int) -> tuple[RoutingKey, OverheardPdo] | None:
+        """Return a PDO by the recording and by the device's file, with its routing key; None if it is not valid."""
+        cob_id = self._cob_id(node_id, direction, number)
+        if not cob_id or cob_id & COB_ID_INVALID:
+            return None
+        mapping, is_multiplexed = self._mapping(node_id, direction, number)
+        if mapping is None and not is_multiplexed:
+            return None
+        places = communication_index(direction, number), mapping_index(direction, number)
+        is_recorded = any(self._parameters.is_recorded(node_id, index) for index in places)
+        dictionaries = self._parameters.dictionaries
+        pdo = OverheardPdo(node_id, f"{direction} {number}", direction, mapping, dictionaries, is_recorded=is_recorded)
+        return key_of_cob_id(cob_id), pdo
 
     def _cob_id(self, node_id: int, direction: Direction, number: int) -> int | None:
         stored = self._parameters.value(node_id, communication_index(direction, number), COB_ID)
@@ -192,7 +208,12 @@ def _name_of(entry: MappedEntry, label: str) -> str:
     return label if label == entry.name else f"{label} {entry.name}"
 
 
-def _pdos_at(indices: Iterable[int]) -> Iterator[tuple[Direction, int]]:
+def _rank(pdo: OverheardPdo) -> tuple[bool, bool, int, str]:
+    """Return by what PDOs with one COB-ID are ordered; see this module's text."""
+    return not pdo.is_recorded, pdo.direction is Direction.RPDO, pdo.node_id, pdo.name
+
+
+def _pdos_at(indices: Iterable[int]) -> Iterator[_Place]:
     """Return the PDOs whose parameters have these indices."""
     for index in indices:
         place = place_of(index)

@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Constant, Direction, Filler, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.dictionary.objects import Object, ObjectType
-from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame import EXTENDED, REMOTE, Frame, routing_key
 from canopen_proto.observer.meaning import Shown, bytes_text
 from canopen_proto.observer.observer import Observer
+from canopen_proto.observer.parameters import Parameters
+from canopen_proto.observer.pdo import OverheardPdos
 from canopen_proto.observer.sdo import MAX_KEPT
 from tests.examples import examples
 from tests.interop.recorded import FOLDER, needs_recordings
@@ -438,11 +440,49 @@ any_frames = st.one_of(
 )
 
 
-@given(st.lists(any_frames, max_size=40))
+parameters = st.tuples(
+    st.sampled_from([5, 6]),
+    st.sampled_from([0x1005, 0x1010, 0x1012, 0x1014, 0x1200, 0x1201, 0x1280, 0x1400, 0x1600, 0x1800, 0x1801, 0x1A00, 0x1A01]),
+    st.integers(0, 3),
+    st.sampled_from([0, 1, 2, 5, 0xFE, 0xFF, 0x85, 0x185, 0x605, 0x8000_0185, 0x2000_0185, 0x6041_0010, 0x6064_0020, 0x7573_6173])
+    | st.integers(0, 0xFFFF_FFFF),
+)
+
+
+@given(st.lists(parameters | st.none(), max_size=30))
+@examples(100)
+def test_pdos_that_change_one_by_one_are_those_that_are_read_at_once(steps: list[tuple[int, int, int, int] | None]) -> None:
+    """None: node 5 boots."""
+    known = Parameters({5: DICTIONARY, 6: ObjectDictionary(())})
+    pdos = OverheardPdos(known)
+    for node_id in (5, 6):
+        pdos.renew(node_id)
+    for step in steps:
+        if step is None:
+            known.booted(5)
+            pdos.renew(5)
+        elif known.settle(step[0], step[1], step[2], step[3].to_bytes(4, "little")):
+            pdos.renew(step[0], step[1])
+    fresh = OverheardPdos(known)
+    for node_id in (5, 6):
+        fresh.renew(node_id)
+
+    def seen(of: OverheardPdos) -> list[object]:
+        keys = [routing_key(can_id, flags) for can_id in range(0x800) for flags in (0, EXTENDED)]
+        found = [pdo and (pdo.node_id, pdo.name, pdo.mapping and pdo.mapping.parameters) for pdo in map(of.find, keys)]
+        return [*found, *[(key, first.name, second.name) for key, first, second in of.shared()]]
+
+    assert seen(pdos) == seen(fresh)
+
+
+changes = parameters.map(lambda change: [Frame.parse(text) for text in written(*change)])
+
+
+@given(st.lists(any_frames.map(lambda frame: [frame]) | changes, max_size=40))
 @examples(150)
-def test_any_frames_have_a_meaning(frames: list[Frame]) -> None:
+def test_any_frames_have_a_meaning(parts: list[list[Frame]]) -> None:
     observer = Observer(lambda node_id: DICTIONARY if node_id == 5 else None)
-    for frame in frames:
+    for frame in (frame for part in parts for frame in part):
         meaning = observer.observe(frame, 0).meaning
         assert meaning.service
         assert 0 <= meaning.node_id <= 127
