@@ -45,6 +45,7 @@ COMMANDS: Final = {
     "dump": ("dump", "Read all objects of a node, and show them."),
     "check": ("check", "Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone."),
     "bus": ("bus", "Run a bus in software, for several terminals or programs."),
+    "monitor": ("monitor", "Show what each frame on a bus means, until Ctrl-C."),
     "log": ("log", "Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng."),
     "sim": ("sim", "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own."),
     "plan": ("plan", "Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits."),

@@ -31,6 +31,7 @@ import trio
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_cli.options import DEMO, Settings
 from canopen_cli.problem import usage
+from canopen_cli.screen import Screen, escape
 from canopen_proto.machine import SECOND, Time
 from canopen_transports import open_transport
 from canopen_transports.errors import BusState, BusStateChanged, ReceiveOverrun, Report
@@ -127,6 +128,12 @@ async def open_live_source(settings: Settings, source: Path | None) -> AsyncIter
         if bus == DEMO:
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
         yield _Bus(bus, locator, transport)
+
+
+def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
+    """Tell how many entries of a recording were no frames, if any."""
+    if source.skipped:
+        screen.say(f"[yellow]{source.skipped} entries passed over, the last: {escape(source.last_skip)}[/]")
 
 
 class _Bus(LiveSource):

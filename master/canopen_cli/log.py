@@ -6,23 +6,25 @@ import sys
 from collections import Counter
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Final, cast
 
 import click
 import trio
 
+from canopen_cli.frame_lines import Buses, FrameChoice, choosing, finding_text
+from canopen_cli.live_source import FILE_OR_INPUT, tell_skipped
+from canopen_cli.monitor import Watch
 from canopen_cli.new_files import check_new_file
 from canopen_cli.node_files import NodeFiles
-from canopen_cli.options import NodeIds, Settings, common
+from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, usage
 from canopen_cli.running import run, same_file
-from canopen_cli.screen import Screen, counted, escape
+from canopen_cli.screen import counted, escape
 from canopen_cli.session import read_dictionary
-from canopen_master.plain_text import clean, json_text
+from canopen_master.plain_text import json_text
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND
-from canopen_proto.observer.finding import Finding
-from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observation, Observer
+from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observer
 from canopen_transports import open_transport
 from canopen_transports.locator import bitrate_text, parse_bitrate
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
@@ -30,10 +32,8 @@ from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_o
 if TYPE_CHECKING:
     from io import BufferedReader
 
-    from canopen_transports.record import Record
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
-FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=True)
 
 
 def _reader(source: Path) -> LogReader:
@@ -84,7 +84,7 @@ def convert(settings: Settings, source: Path, target: Path) -> int:
     screen.say(f"{count - writer.left_out} frames: [bold]{escape(str(target))}[/]")
     if LOSSES[kind]:
         screen.say(f"[dim]{kind}: {LOSSES[kind]}[/]")
-    _tell_skipped(screen, reader)
+    tell_skipped(screen, reader)
     if settings.json:
         counts = {"frames": count - writer.left_out, "left_out": writer.left_out, "skipped": reader.skipped}
         screen.json({"file": str(source), "output": str(target), **counts})
@@ -131,7 +131,7 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
 
     count = run(settings, screen, play, reads=source)
     screen.say(f"{count} frames sent on {escape(bus)}")
-    _tell_skipped(screen, reader)
+    tell_skipped(screen, reader)
     if settings.json:
         screen.json({"file": str(source), "bus": bus, "frames": count, "skipped": reader.skipped})
 
@@ -182,17 +182,23 @@ def stats(settings: Settings, source: Path, bitrate: str) -> None:
     screen.table(columns, texts, right=columns[2:])
     per_second = _text(_per(total, seconds))
     screen.data(f"{total} frames in {seconds:.6g} s, {per_second} a second, load {_text(load)} % at {bitrate_text(rate)}")
-    _tell_skipped(screen, reader)
+    tell_skipped(screen, reader)
 
 
 @log.command()
 @click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
-@click.option("--node", "nodes", type=NodeIds(), help="Only what is from or for these nodes: 5, or 3-8.")
-@click.option("--service", "services", multiple=True, metavar="NAME", help="Only these: nmt, sdo, pdo, emcy, sync, heartbeat ...")
+@choosing
 @common
 @click.pass_obj
-def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, services: tuple[str, ...]) -> None:
-    """Say what each frame in a file means; - is standard input.
+def decode(
+    settings: Settings,
+    source: Path,
+    nodes: tuple[int, ...] | None,
+    services: tuple[str, ...],
+    objects: tuple[str, ...],
+    changes: bool,
+) -> None:
+    """Say what each frame in a file means; - is standard input. `canopen monitor` shows a bus like this.
 
     PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. A line that begins
     with ! says what is wrong with the frame before it.
@@ -203,30 +209,10 @@ def decode(settings: Settings, source: Path, nodes: tuple[int, ...] | None, serv
     candump can0 | canopen log decode -
     """
     screen = settings.screen()
-    files = NodeFiles(settings, screen, read_dictionary(screen))
-    reader, buses = _reader(source), _Buses(files)
-    wanted = tuple(service.lower() for service in services)
-    for number, record in enumerate(reader):
-        seconds, observation = buses.observe(record)
-        meaning, findings = observation.meaning, observation.findings
-        kind = meaning.service.lower()
-        if (nodes and meaning.node_id not in nodes) or (wanted and not any(word in kind for word in wanted)):
-            continue
-        if number % 256 == 0:
-            screen.check_reader()
-        if settings.json:
-            line = {"time": record.time, "channel": record.channel, "frame": str(record.frame), "sent": record.sent}
-            line |= {"service": meaning.service, "node": meaning.node_id, "text": meaning.text}
-            line |= {"findings": [finding._asdict() for finding in findings]}
-            screen.out.out(json_text(line), highlight=False)
-        else:
-            node = str(meaning.node_id) if meaning.node_id else ""
-            screen.out.out(
-                f"{seconds:12.6f} {record.frame!s:<25} {meaning.service:<9} {node:>3}  {clean(meaning.text)}", highlight=False
-            )
-            for finding in findings:
-                screen.out.out(f"! {_finding_text(finding)}", highlight=False)
-    _tell_skipped(screen, reader)
+    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
+    watch = Watch(settings, screen, choice, source)
+    run(settings, screen, watch.show, reads=source)
+    watch.tell_skipped()
 
 
 @log.command()
@@ -255,7 +241,7 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
     except ValueError as error:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
     files = NodeFiles(settings, screen, read_dictionary(screen))
-    reader, buses = _reader(source), _Buses(files, bitrate=rate, load_limit=limit / 100)
+    reader, buses = _reader(source), Buses(files, bitrate=rate, load_limit=limit / 100)
     counts: Counter[str] = Counter()
     number = 0
     for number, record in enumerate(reader, 1):
@@ -268,41 +254,13 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
                 where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
                 screen.out.out(json_text(where | finding._asdict()), highlight=False)
             else:
-                screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {_finding_text(finding)}", highlight=False)
+                screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {finding_text(finding)}", highlight=False)
     for rule, count in sorted(counts.items()):
         screen.say(f"{count:>7} x [bold]{rule}[/]: {RULES[rule]}")
     total = sum(counts.values())
     screen.say(f"{counted(number, 'frame')}, {counted(total, 'finding') if total else 'no findings'}")
-    _tell_skipped(screen, reader)
+    tell_skipped(screen, reader)
     return ExitCode.DIFFERENT if counts else ExitCode.OK
-
-
-class _Buses:
-    """The observers of a file: each bus in it has its own."""
-
-    def __init__(self, files: NodeFiles, **settings: Any) -> None:
-        self._files = files
-        self._settings = settings
-        self._first: int | None = None
-        self._observers: dict[str, Observer] = {}
-
-    def observe(self, record: Record) -> tuple[float, Observation]:
-        """Return the seconds since the first record, and what is known of this one."""
-        if self._first is None:
-            self._first = record.time
-        if record.channel not in self._observers:
-            self._observers[record.channel] = Observer(self._files.dictionary_of, **self._settings)
-        now = record.time - self._first
-        return now / SECOND, self._observers[record.channel].observe(record.frame, now)
-
-
-def _finding_text(finding: Finding) -> str:
-    return f"{finding.rule}: {f'node {finding.node_id}: ' if finding.node_id else ''}{clean(finding.text)}"
-
-
-def _tell_skipped(screen: Screen, reader: LogReader) -> None:
-    if reader.skipped:
-        screen.say(f"[yellow]{reader.skipped} entries passed over, the last: {escape(reader.last_skip)}[/]")
 
 
 def _per(count: float, seconds: float) -> float:

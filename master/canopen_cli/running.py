@@ -74,11 +74,16 @@ def run(
 
 
 def run_until_interrupted(
-    settings: Settings, screen: Screen, command: Callable[[], Awaitable[None]], *, devices: bool = False
+    settings: Settings,
+    screen: Screen,
+    command: Callable[[], Awaitable[None]],
+    *,
+    devices: bool = False,
+    reads: Path | None = None,
 ) -> None:
-    """Run a command that is meant to end by Ctrl-C. devices: as for `run`."""
+    """Run a command that is meant to end by Ctrl-C. devices, reads: as for `run`."""
     try:
-        run(settings, screen, command, devices=devices)
+        run(settings, screen, command, devices=devices, reads=reads)
     except Problem as ended:
         if ended.exit_code is not ExitCode.INTERRUPTED:
             raise

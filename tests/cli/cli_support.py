@@ -13,7 +13,7 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_cli import chain_session, demonstration, session, sim
+from canopen_cli import chain_session, demonstration, live_source, session, sim
 from canopen_cli.app import main
 from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_devices, simulated_fleet
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
@@ -110,6 +110,7 @@ def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]
 
     monkeypatch.setattr(demonstration, "simulated_fleet", watched)
     monkeypatch.setattr(session, "simulated_fleet", watched)
+    monkeypatch.setattr(live_source, "simulated_fleet", watched)
     monkeypatch.setattr(sim, "simulated_fleet", watched)
     monkeypatch.setattr(chain_session, "simulated_fleet", watched)
     return fleets

@@ -41,8 +41,9 @@ set -g default-terminal tmux-256color
 set -g escape-time 0
 set -g history-limit 2000
 """
-_KEEPING_STATUS = "trap : INT; {}; exit $?"
-"""Ctrl-C reaches the shell too, which would end by it, and take the status of its command along."""
+_TELLING_STATUS = "trap : INT; {}; printf '\\033]2;status %s\\007' $?"
+"""The title of the terminal tells the exit status, once all before it is on the screen. The trap keeps the shell from ending
+by Ctrl-C itself."""
 _PROGRAM = "import sys; from canopen_cli.entry import main; sys.exit(main())"
 
 
@@ -62,7 +63,7 @@ class Terminal:
         self._pipe = os.open(self._written, os.O_RDWR | os.O_NONBLOCK)
         size = ("-x", str(columns), "-y", str(lines))
         begin = ("-f", str(self._own / "settings"), "new-session", "-d", *size, "-c", str(folder))
-        self._tmux(*begin, _KEEPING_STATUS.format(command))
+        self._tmux(*begin, _TELLING_STATUS.format(command))
         self._tmux("pipe-pane", "-O", f"exec cat > {shlex.quote(str(self._written))}")
 
     def screen(self, *, colours: bool = False) -> list[str]:
@@ -86,14 +87,8 @@ class Terminal:
 
     def wait_for_end(self) -> int:
         """Wait until the command has ended; return its exit status."""
-        self._wait(self._has_ended, "the end of the command")
-        return int(self._about("#{pane_dead_status}") or -1)
-
-    def _has_ended(self) -> bool:
-        if self._about("#{pane_dead}") != "1":
-            return False
-        self._tmux("run-shell", "true")  # tmux 3.3a may miss the end of a process until another one ends
-        return self._about("#{pane_dead_status}#{pane_dead_signal}") != ""
+        self._wait(lambda: self._title().startswith("status "), "the end of the command")
+        return int(self._title().removeprefix("status "))
 
     def press(self, *keys: str) -> None:
         """Press keys, by tmux's names: q, Enter, C-c, Left."""
@@ -119,8 +114,8 @@ class Terminal:
                 while os.read(self._pipe, 1 << 16):
                     pass
 
-    def _about(self, form: str) -> str:
-        return self._tmux("display-message", "-p", form).strip()
+    def _title(self) -> str:
+        return self._tmux("display-message", "-p", "#{pane_title}").strip()
 
     def _tmux(self, *words: str) -> str:
         command = ["tmux", "-u", "-S", str(self._own / "socket"), *words]

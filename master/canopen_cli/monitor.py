@@ -1,0 +1,134 @@
+"""`canopen monitor`: what is said on a bus, as it is said. `canopen log decode` shows a recording by the same function."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+import trio
+
+from canopen_cli.frame_lines import Buses, FrameChoice, FrameLines, choosing
+from canopen_cli.live_source import FILE_OR_INPUT, Heard, LiveSource, open_live_source, tell_skipped
+from canopen_cli.node_files import NodeFiles
+from canopen_cli.options import FiniteRange, Settings, common
+from canopen_cli.outlet import Outlet, open_outlet
+from canopen_cli.running import first_of, run_until_interrupted
+from canopen_cli.screen import Screen, counted, escape
+from canopen_cli.session import read_dictionary
+from canopen_proto.machine import SECOND, Time
+from canopen_transports.record import Record
+
+
+@click.command()
+@click.argument("source", metavar="[FILE]", type=FILE_OR_INPUT, required=False)
+@choosing
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@common
+@click.pass_obj
+def monitor(
+    settings: Settings,
+    source: Path | None,
+    nodes: tuple[int, ...] | None,
+    services: tuple[str, ...],
+    objects: tuple[str, ...],
+    changes: bool,
+    seconds: float | None,
+) -> None:
+    """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
+
+    With a FILE it shows a recording in place of a bus; - is standard input. PDOs are shown by the mapping that was heard, else by
+    the devices' own files, else by PDOs.csv. A line that begins with ! says what is wrong with the frame before it.
+
+    \b
+    canopen monitor -b demo
+    canopen monitor -b can0 --node 5 --service sdo,emcy
+    canopen monitor -b can0 -e 5=drive.eds --object statusword --changes
+    candump can0 | canopen monitor -
+    """
+    screen = settings.screen()
+    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
+    watch = Watch(settings, screen, choice, source)
+
+    async def show() -> None:
+        try:
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await watch.show()
+        finally:
+            watch.tell_counts()
+
+    run_until_interrupted(settings, screen, show, reads=source)
+
+
+class Watch:
+    """The frames of a source on the screen, and their counts. source: a recording; None: the bus of the options."""
+
+    def __init__(self, settings: Settings, screen: Screen, choice: FrameChoice, source: Path | None) -> None:
+        self._settings = settings
+        self._screen = screen
+        self._choice = choice
+        self._source = source
+        self._live: LiveSource | None = None
+        self._outlet: Outlet | None = None
+        self._begin: Time | None = None
+        self._frames = 0
+        self._shown = 0
+        self._findings = 0
+
+    async def show(self) -> None:
+        """Show a recording to its end, or a bus for ever.
+
+        Raises what LiveSource raises, and OSError if the reader of the output has gone.
+        """
+        lines = FrameLines(self._screen)
+        try:
+            async with (
+                open_live_source(self._settings, self._source) as live,
+                open_outlet(self._screen, lines.gap, waits=not live.is_live) as outlet,
+            ):
+                self._live, self._outlet = live, outlet
+                if live.is_live:
+                    self._begin = live.now()
+                    how = "the adapter only listens" if live.is_silent else "nothing is sent"
+                    self._screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; {how}")
+                buses = Buses(self._choice.files, bitrate=live.bitrate or 0)
+                while taken := await live.take():
+                    lines.measure()
+                    for heard in taken:
+                        await self._tell(heard, buses, lines, outlet)
+        except ExceptionGroup as group:
+            raise first_of(group) from None
+
+    async def _tell(self, heard: Heard, buses: Buses, lines: FrameLines, outlet: Outlet) -> None:
+        if isinstance(heard, Record):
+            if self._begin is None:
+                self._begin = heard.time
+            self._frames += 1
+            seconds, observation = buses.observe(heard)
+            self._findings += len(observation.findings)
+            if self._choice.shows(heard, observation):
+                self._shown += 1
+                await outlet.put(lines.frame(seconds, heard, observation))
+        elif self._live is not None:
+            await outlet.put(lines.report(buses.seconds(self._live.now()), self._live.now(), heard))
+
+    def tell_counts(self) -> None:
+        """Tell what was heard and shown, if anything was opened."""
+        if self._live is None or self._outlet is None:
+            return
+        seconds = 0.0 if self._begin is None else (self._live.now() - self._begin) / SECOND
+        parts = [f"{counted(self._frames, 'frame')} in {seconds:.1f} s"]
+        if self._shown != self._frames:
+            parts.append(f"{self._shown} shown")
+        parts.append(counted(self._findings, "finding") if self._findings else "no findings")
+        self._screen.say(", ".join(parts))
+        if self._outlet.left_out:
+            self._screen.say(f"[yellow]{self._outlet.left_out} of these are missing above: the reader was too slow[/]")
+        if self._live.lost:
+            self._screen.say(f"[yellow]{counted(self._live.lost, 'frame')} lost before they came here[/]")
+        self.tell_skipped()
+
+    def tell_skipped(self) -> None:
+        """Tell what in the recording was no frame."""
+        if self._live is not None:
+            tell_skipped(self._screen, self._live)
