@@ -71,7 +71,8 @@ class CanIds:
             ends = " and ".join(f"{each.slot.name} of {each.member.name}" for each in fixed)
             return f"{ends} have different CAN-IDs that cannot be written"
         for can_id in can_ids or self._candidates(owner):
-            if check_can_id(can_id) is None and can_id not in self._owners:
+            is_shared = owner.is_shared and can_id == owner.slot.cob_id & _CAN_ID
+            if check_can_id(can_id) is None and (is_shared or can_id not in self._owners):
                 self._owners[can_id] = f"{owner.slot.name} of {owner.member.name}"
                 return can_id
         if can_ids:

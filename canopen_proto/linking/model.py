@@ -168,7 +168,7 @@ class LinkError(LocalProtocolError):
 class LinkedPdo:
     """One PDO of one node, as the links want it. settings: COB-ID with its flags, entries with dummies. inhibit_time,
     event_timer: ns; 0: as the file has it. was: the PDO by the file; None if it was not valid. lost: objects that the file maps
-    to it, and that it does not carry any longer."""
+    to it, and that it does not carry any longer. is_shared: somebody else sets it up (`Member.used`); nothing is written."""
 
     node: str
     settings: PdoSettings
@@ -176,6 +176,7 @@ class LinkedPdo:
     event_timer: Time = 0
     was: PdoSettings | None = None
     lost: tuple[Mux, ...] = ()
+    is_shared: bool = False
 
     @property
     def name(self) -> str:
@@ -232,9 +233,10 @@ class LinkPlan:
     notes: tuple[str, ...]
 
     def pdos_of(self, node: str) -> list[LinkedPdo]:
-        """Return the PDOs of a node that the links use, RPDOs first."""
-        ends = [pdo for each in self.transfers for pdo in (*each.receivers, each.sender) if pdo is not None and pdo.node == node]
-        return sorted(ends, key=lambda pdo: (pdo.settings.direction is Direction.TPDO, pdo.settings.number))
+        """Return the PDOs of a node that the links set up, RPDOs first."""
+        ends = [pdo for each in self.transfers for pdo in (*each.receivers, each.sender) if pdo is not None]
+        ours = [pdo for pdo in ends if pdo.node == node and not pdo.is_shared]
+        return sorted(ours, key=lambda pdo: (pdo.settings.direction is Direction.TPDO, pdo.settings.number))
 
     def writes_of(self, node: str) -> list[Write]:
         """Return the downloads that set up the PDOs of a node, in order; none if no link needs the node. `pack_concise` makes a

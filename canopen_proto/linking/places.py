@@ -1,8 +1,9 @@
 """The PDOs of the nodes that carry the links: which one of a device, with which transmission type.
 
-A PDO that somebody else sets up (`Member.used`) is left alone. Of the others the best one loses nothing: it is not in use by the
-file, or all that it carries is wanted. Then come those that are lost anyway, because they would set an object that a link feeds,
-then the rest. A PDO that cannot be mapped anew is usable if it has just the entries that are wanted.
+A PDO that somebody else sets up (`Member.used`) stays as it is; if it sends what a link wants, the link's receivers listen to it.
+Of the others the best one loses nothing: it is not in use by the file, or all that it carries is wanted. Then come those that are
+lost anyway, because they would set an object that a link feeds, then the rest. A PDO that cannot be mapped anew is usable if it
+has just the entries that are wanted.
 
 Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 """
@@ -14,21 +15,22 @@ from typing import NamedTuple
 
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, Variable
-from canopen_proto.frame import COB_ID_EXTENDED
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
 from canopen_proto.linking.model import Member, Timing
 from canopen_proto.multiplexer import Mux
-from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, communication_index
+from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, PdoSettings, communication_index
 from canopen_proto.procedures.described_pdos import CYCLIC_TYPES, EACH_SYNC, muxes_of
 from canopen_proto.procedures.pdo_slots import EVENT_DRIVEN, Slot, has_sync, slots_of
 
 
 class Chosen(NamedTuple):
-    """A PDO of a node for a link."""
+    """A PDO of a node for a link. is_shared: somebody else sets it up."""
 
     member: Member
     slot: Slot
     transmission_type: int
     entries: tuple[int, ...]
+    is_shared: bool = False
 
 
 class Places:
@@ -38,6 +40,7 @@ class Places:
         self._fed = fed
         self._slots = {each.name: slots_of(each.dictionary, each.node_id) for each in members}
         self._taken = {(each.name, pdo.direction, pdo.number) for each in members for pdo in each.used}
+        self._shared: set[tuple[str, int]] = set()
 
     def room(self, node: str) -> int:
         """Return the most entries that a free RPDO of a node can have."""
@@ -48,9 +51,25 @@ class Places:
         slots = self._slots[node]
         return [slot for slot in slots if slot.direction is direction and (node, direction, slot.number) not in self._taken]
 
-    def has_fixed_mappings(self, node: str) -> bool:
-        """Return whether no free TPDO of a node can be mapped anew."""
-        return not any(slot.capacity for slot in self.free(node, Direction.TPDO))
+    def ready(self, member: Member, wanted: set[int], timing: Timing) -> Chosen | None:
+        """Take a TPDO that carries one of these entries as it is: one that somebody else sets up, or one of a device without any
+        TPDO that can be mapped anew. None if there is none."""
+        for pdo in member.used:
+            key = (member.name, pdo.number)
+            if (
+                pdo.direction is Direction.TPDO
+                and key not in self._shared
+                and wanted & set(pdo.entries)
+                and _has_timing(pdo, timing)
+            ):
+                self._shared.add(key)
+                slot = Slot(pdo.direction, pdo.number, pdo.cob_id, pdo.transmission_type, pdo.entries, 0, True, True, False)
+                return Chosen(member, slot, pdo.transmission_type, pdo.entries, is_shared=True)
+        free = self.free(member.name, Direction.TPDO)
+        for slot in () if any(slot.capacity for slot in free) else free:
+            if wanted & set(slot.entries) and isinstance(chosen := self.take(member, slot, slot.entries, timing), Chosen):
+                return chosen
+        return None
 
     def take(self, member: Member, slot: Slot, entries: tuple[int, ...], timing: Timing) -> Chosen | str:
         """Take a PDO. Returns its obstacle, if it cannot be used: "a fixed mapping"."""
@@ -92,6 +111,13 @@ class Places:
         else:
             rank = 3 if slot.is_ours else 2
         return rank, -len(slot.muxes & wanted), 0 if slot.can_move else 1, slot.number
+
+
+def _has_timing(pdo: PdoSettings, timing: Timing) -> bool:
+    """Return whether a PDO is sent as a link wants it, without a change."""
+    if pdo.cob_id & (COB_ID_INVALID | COB_ID_EXTENDED) or timing.inhibit_time or timing.event_timer:
+        return False
+    return pdo.transmission_type in (EVENT_DRIVEN if timing.is_event_driven else (timing.every,))
 
 
 def _obstacle(member: Member, slot: Slot, entries: tuple[int, ...], timing: Timing) -> str:

@@ -19,7 +19,7 @@ from canopen_proto.dictionary import Direction
 from canopen_proto.frame import COB_ID_NO_RTR
 from canopen_proto.linking.can_ids import CanIds
 from canopen_proto.linking.feeds import Feed, Feeds
-from canopen_proto.linking.model import MASTER, Link, LinkedPdo, LinkError, LinkPlan, LinkProblem, Member, Transfer
+from canopen_proto.linking.model import MASTER, Link, LinkedPdo, LinkError, LinkPlan, LinkProblem, Member, Timing, Transfer
 from canopen_proto.linking.packing import Bundle, bundles_of
 from canopen_proto.linking.places import Chosen, Places
 from canopen_proto.machine import LocalProtocolError
@@ -92,27 +92,17 @@ class _Planner:
         return sorted(found, key=lambda transfer: transfer.can_id)
 
     def _fixed_bundles(self) -> list[tuple[Bundle, Chosen]]:
-        """Return the PDOs of senders whose TPDOs cannot be mapped anew, as far as these carry what is wanted."""
+        """Return the PDOs that carry what is wanted, and stay as they are; see `Places.ready`."""
+        groups: dict[tuple[str, Timing], list[Feed]] = {}
+        for feed in self._feeds:
+            if feed.source is not None:
+                groups.setdefault((feed.source.member.name, feed.timing), []).append(feed)
         found = []
-        left = [
-            feed for feed in self._feeds if feed.source is not None and self._places.has_fixed_mappings(feed.source.member.name)
-        ]
-        while left:
-            feed = left[0]
-            assert feed.source is not None
-            member, timing = feed.source.member, feed.timing
-            alike = [each for each in left if each.source is not None and each.source.member is member and each.timing == timing]
-            for slot in self._places.free(member.name, Direction.TPDO):
-                carried = [each for each in alike if each.source is not None and each.source.entry in slot.entries]
-                if feed not in carried:
-                    continue
-                chosen = self._places.take(member, slot, slot.entries, timing)
-                if isinstance(chosen, Chosen):
-                    found.append((Bundle(member.name, timing, carried, slot.entries), chosen))
-                    left = [each for each in left if each not in carried]
-                    break
-            else:
-                left.remove(feed)
+        for (name, timing), feeds in groups.items():
+            entries = {feed.source.entry: feed for feed in reversed(feeds) if feed.source is not None}
+            while (chosen := self._places.ready(self._members[name], set(entries), timing)) is not None:
+                carried = [entries.pop(entry) for entry in chosen.entries if entry in entries]
+                found.append((Bundle(name, timing, carried, chosen.entries), chosen))
         return found
 
     def _ends(self, bundle: Bundle, sender: Chosen | None) -> _Ends | None:
@@ -179,4 +169,5 @@ def _linked(chosen: Chosen, can_id: int, bundle: Bundle) -> LinkedPdo:
     settings = PdoSettings(slot.number, slot.direction, cob_id, chosen.transmission_type, chosen.entries)
     lost = tuple(sorted(slot.muxes - muxes_of(chosen.entries))) if slot.is_valid else ()
     times = (timing.inhibit_time, timing.event_timer) if is_sender else (0, timing.timeout)
-    return LinkedPdo(chosen.member.name, settings, times[0], times[1], slot.settings if slot.is_valid else None, lost)
+    was = slot.settings if slot.is_valid else None
+    return LinkedPdo(chosen.member.name, settings, times[0], times[1], was, lost, chosen.is_shared)

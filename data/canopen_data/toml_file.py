@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -25,6 +26,7 @@ _PLACE: Final = re.compile(r".*\(at line ([0-9]+), column ([0-9]+)\)", re.DOTALL
 _KEY: Final = r"""(?:[A-Za-z0-9_-]+|"[^"\\]*"|'[^']*')"""
 _KEYS: Final = rf"{_KEY}(?:[ \t]*\.[ \t]*{_KEY})*"
 _HEADER: Final = re.compile(rf"[ \t]*\[[ \t]*({_KEYS})[ \t]*\][ \t]*(?:#.*)?")
+_ARRAY: Final = re.compile(rf"[ \t]*\[\[[ \t]*({_KEYS})[ \t]*\]\][ \t]*(?:#.*)?")
 _ENTRY: Final = re.compile(rf"[ \t]*({_KEYS})[ \t]*=")
 _SHOWN: Final = 40
 
@@ -48,7 +50,7 @@ def _failure(source: str, message: str, line: int = 0, column: int = 0) -> Dicti
 
 
 def places_of(text: str) -> dict[Path, tuple[int, int]]:
-    """Return line and column of the tables and keys that begin a line, by their paths.
+    """Return line and column of the tables and keys that begin a line, by their paths. The n-th [[table]] has n as its last key.
 
     A text with strings of several lines has no places: such a line may look like a key.
     """
@@ -56,8 +58,13 @@ def places_of(text: str) -> dict[Path, tuple[int, int]]:
     if '"""' in text or "'''" in text:
         return places
     table: Path = ()
+    count: Counter[Path] = Counter()
     for number, line in enumerate(text.split("\n"), start=1):
-        if (found := _HEADER.fullmatch(line.rstrip("\r"))) is not None:
+        if (found := _ARRAY.fullmatch(line.rstrip("\r"))) is not None:
+            name = _path(found[1])
+            count[name] += 1
+            path = table = (*name, str(count[name]))
+        elif (found := _HEADER.fullmatch(line.rstrip("\r"))) is not None:
             path = table = _path(found[1])
         elif (found := _ENTRY.match(line)) is not None:
             path = (*table, *_path(found[1]))

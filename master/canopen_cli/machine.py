@@ -25,6 +25,7 @@ from canopen_master.machine_file import (
     read_machine,
 )
 from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.machine_file.links import linked_buses, plan_bus
 from canopen_master.motion.chain_file import read_chains
 
 
@@ -58,8 +59,10 @@ def check(settings: Settings, file: Path | None) -> int:
         dictionaries = Dictionaries(found)
         for node in found.nodes.values():
             dictionaries.of(node)
+        for bus in linked_buses(found):
+            plan_bus(found, bus, dictionaries)
     except DictionaryError as error:
-        _show_findings(settings, screen, path, error.findings)
+        show_findings(settings, screen, path, error.findings)
         return ExitCode.DIFFERENT
     text = path.read_text(encoding="utf-8-sig")
     if settings.json:
@@ -71,7 +74,8 @@ def check(settings: Settings, file: Path | None) -> int:
     return ExitCode.OK
 
 
-def _show_findings(settings: Settings, screen: Screen, path: Path, findings: tuple[Finding, ...]) -> None:
+def show_findings(settings: Settings, screen: Screen, path: Path, findings: tuple[Finding, ...]) -> None:
+    """Show the errors in a machine file, and in the files that it names, each with its line."""
     from canopen_cli.eds_files import finding_as_json, finding_lines, lines_of
 
     if settings.json:

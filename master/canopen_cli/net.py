@@ -13,6 +13,7 @@ COMMANDS: Final = {
     "check": ("net_check", "Compare each node with the machine file; nothing is written."),
     "boot": ("net_boot", "Reset, check, configure and start the nodes of a machine file."),
     "watch": ("net_boot", "Boot the nodes, then boot those that come back, and react to lost ones, until Ctrl-C."),
+    "links": ("net_links", "Show the PDOs for the links of a machine file: CAN-IDs, mappings, transmission types."),
 }
 
 
@@ -24,4 +25,5 @@ def net() -> None:
     canopen net init -o cell.toml -b can0     from a scan
     canopen net check cell.toml               is each node as the file says? Nothing is written
     canopen net boot cell.toml                reset, check, configure, start; with -b demo simulated
+    canopen net links cell.toml               the PDOs by which its nodes feed each other
     """

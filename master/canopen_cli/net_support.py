@@ -18,6 +18,7 @@ from canopen_cli.sim_devices import devices_on
 from canopen_master.machine_file import MachineFile
 from canopen_master.machine_file.boot_entries import BusNetwork, network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.session import open_master
@@ -67,8 +68,8 @@ class OpenNetwork:
         return {node_id: self.nodes[network.bus, node_id] for node_id in network.names}
 
 
-def choose_network(settings: Settings, screen: Screen, path: Path | None) -> ChosenNetwork:
-    """Return the networks that the options mean. Raises a Problem, DataError, DictionaryError."""
+def named_machine(settings: Settings, path: Path | None) -> MachineFile:
+    """Return the machine of the argument, else of -m or CANOPEN_MACHINE. Raises a Problem, DataError, DictionaryError."""
     if path is not None and path.suffix.lower() in YAML:
         raise usage("CO123", f"{path} is no machine file", tries=(f"canopen machine import {path} -o cell.toml",))
     if path is not None:
@@ -77,13 +78,19 @@ def choose_network(settings: Settings, screen: Screen, path: Path | None) -> Cho
     if machine is None:
         first = ("canopen net init -o cell.toml -b can0    (writes one of a scan)", "-m cell.toml")
         raise usage("CO121", "no machine file was named", tries=first)
+    return machine
+
+
+def choose_network(settings: Settings, screen: Screen, path: Path | None) -> ChosenNetwork:
+    """Return the networks that the options mean. Raises a Problem, DataError, DictionaryError."""
+    machine = named_machine(settings, path)
     listed = dict.fromkeys(node.bus for node in machine.nodes.values() if node.boot is not None)
     if not listed:
         tries = ("boot = {} in [defaults.nodes], or in [nodes.NAME]",)
         raise usage("CO322", f"{machine.source} has no node with boot, so nobody is in the network list", tries=tries)
     dictionaries = Dictionaries(machine)
     locators = _locators(settings, machine, tuple(listed))
-    networks = tuple(network_of(machine, bus, dictionaries) for bus in locators)
+    networks = tuple(network_of(machine, bus, dictionaries, linked_writes(machine, bus, dictionaries)) for bus in locators)
     notes = [note for each in networks for note in each.notes]
     for note in notes:
         screen.detail(escape(note))

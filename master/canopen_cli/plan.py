@@ -13,9 +13,17 @@ from canopen_cli.problem import ExitCode, usage
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
-from canopen_master.exchanges import Counted, exchange_of_file, exchange_of_named, exchange_of_plans, room_for
+from canopen_master.exchanges import (
+    Counted,
+    exchange_of_file,
+    exchange_of_named,
+    exchange_of_plans,
+    exchange_with_links,
+    room_for,
+)
 from canopen_master.machine_file import BusEntry, ChainEntry, JointEntry, MachineFile
 from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.machine_file.links import linked_buses, plan_bus
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import read_chains
 from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
@@ -77,7 +85,8 @@ def plan(
     TPDOs at each SYNC, the others once per inhibit time or event timer.
 
     With a machine file (-m) the devices are all of its nodes, and cycle and bit rates are those of the file unless options say
-    otherwise. Joints of a chain with `own_pdos` have the PDOs that the chain would plan: see `canopen drive NODE plan`.
+    otherwise. Joints of a chain with `own_pdos` have the PDOs that the chain would plan: see `canopen drive NODE plan`. The links
+    of the file have those of `canopen net links`.
 
     Exit status: 0 it fits, 1 it does not.
 
@@ -157,6 +166,7 @@ def _exchanged(machine: MachineFile, cycle: Time, lean: Collection[str]) -> tupl
         for name in chain.joints:
             axes.setdefault(machine.joints[name].node, []).append((chain, machine.joints[name]))
     by_bus: dict[str, list[Exchange]] = {}
+    links = {bus: plan_bus(machine, bus, dictionaries) for bus in linked_buses(machine)}
     notes = []
     for node in machine.nodes.values():
         joints, description = axes.get(node.name, []), dictionaries.description_of(node)
@@ -174,6 +184,8 @@ def _exchanged(machine: MachineFile, cycle: Time, lean: Collection[str]) -> tupl
         else:
             notes.append(f"{name} has no file, and is in no chain: it is left out")
             continue
+        if node.bus in links and description is not None:
+            found = exchange_with_links(found, node.name, links[node.bus])
         notes += [f"{name}: {each}: it is left out" for each in found.left_out]
         by_bus.setdefault(node.bus, []).append(found.exchange)
     return by_bus, notes

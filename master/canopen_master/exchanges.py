@@ -10,12 +10,14 @@ have, with heartbeats and one SDO transfer beside them. EMCYs do not count: a bu
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 from canopen_master.planning import Background, Exchange, fits, streams_of
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drive.motion_plan import MotionPlan
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
+from canopen_proto.linking import LinkPlan
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Time
 from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.mapping import MAX_BITS
@@ -65,6 +67,37 @@ def exchange_of_named(name: str, node_id: int, rpdo: PdoDescription, tpdo: PdoDe
     return Counted(Exchange(name, node_id, received, sent))
 
 
+def exchange_with_links(counted: Counted, node: str, plan: LinkPlan) -> Counted:
+    """Return what a node exchanges with the PDOs that links change, by name of the node. A PDO that another node sends to it is
+    counted there."""
+    exchange = counted.exchange
+    (member,) = [each for each in plan.members if each.name == node]
+    pdos = (*plan.pdos_of(node), *(each for each in plan.destroyed if each.node == node))
+    gone = {each.was.cob_id & 0x7FF for each in pdos if each.was is not None}
+    uncounted = [_without_distance(can_id) for can_id in gone]
+    left_out = [each for each in counted.left_out if each not in uncounted]
+    received, sent = ([each for each in old if each[0] not in gone] for old in (exchange.rpdo, exchange.tpdo))
+    events = [each for each in exchange.events if each[0] not in gone]
+    for transfer in plan.transfers:
+        pdo, timing, size = transfer.sender, transfer.timing, transfer.size
+        if pdo is None and transfer.receivers[0].node == node:
+            received.append((transfer.can_id, size))
+        elif pdo is None or pdo.node != node or pdo.is_shared:  # a shared one is its chain's
+            continue
+        elif timing.every:
+            sent.append((transfer.can_id, size))
+        elif distance := timing.inhibit_time or timing.event_timer or _distance(member.dictionary, pdo.settings, member.node_id):
+            events.append((transfer.can_id, size, distance))
+        else:
+            left_out.append(_without_distance(transfer.can_id))
+    changed = replace(exchange, rpdo=tuple(received), tpdo=tuple(sent), events=tuple(events))
+    return Counted(changed, tuple(left_out))
+
+
+def _without_distance(can_id: int) -> str:
+    return f"TPDO {can_id:03X} has no inhibit time and no event timer"
+
+
 def _exchange(name: str, node_id: int, dictionary: ObjectDictionary, pdos: Iterable[PdoSettings]) -> Counted:
     received, sent, events, left_out = [], [], [], []
     for pdo in sorted(pdos, key=lambda pdo: (pdo.direction is Direction.TPDO, pdo.number)):
@@ -78,7 +111,7 @@ def _exchange(name: str, node_id: int, dictionary: ObjectDictionary, pdos: Itera
         elif distance := _distance(dictionary, pdo, node_id):
             events.append((can_id, size, distance))
         else:
-            left_out.append(f"TPDO {can_id:03X} has no inhibit time and no event timer")
+            left_out.append(_without_distance(can_id))
     return Counted(Exchange(name, node_id, tuple(received), tuple(sent), tuple(events)), tuple(left_out))
 
 

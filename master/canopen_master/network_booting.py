@@ -7,6 +7,7 @@ from pathlib import Path
 from canopen_master.machine_file import MachineFile, read_machine
 from canopen_master.machine_file.boot_entries import BusNetwork, network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
 from canopen_proto.boot.entry import BootEntry
 from canopen_proto.boot.network_boot import BootReport, NetworkBoot
@@ -26,7 +27,7 @@ async def boot_network(master: Master, machine: MachineFile | str | Path) -> dic
         machine = read_machine(machine)
     dictionaries = Dictionaries(machine, master.dictionary)
     buses = dict.fromkeys(node.bus for node in machine.nodes.values() if node.boot is not None)
-    networks = [network_of(machine, bus, dictionaries) for bus in buses]
+    networks = [network_of(machine, bus, dictionaries, linked_writes(machine, bus, dictionaries)) for bus in buses]
     boots = [network_boot(master, machine, each, dictionaries) for each in networks]
     reports = await master.run(all_of(*(boot.start() for boot in boots)))
     return {network.bus: report for network, report in zip(networks, reports, strict=True)}

@@ -71,6 +71,9 @@ def described() -> ObjectDictionary:
     return device(200, *evil_device())
 
 
+LINKED = '[buses.can0]\n[nodes.a]\nid = 5\nfile = "device.eds"\n[[links]]\nfrom = "a 2300"\nto = "master"\n'
+
+
 @functools.cache
 def evil_files() -> dict[str, str]:
     """Files of all kinds whose strings are EVIL."""
@@ -97,6 +100,8 @@ def evil_files() -> dict[str, str]:
         "odd.toml": '[objects."\\u001b[2J"]\nunit = "\\u001b"\n[objects.2003]\n"\\u001b" = 1\n',
         "odd_cell.toml": '[buses."\\u001b[2J"]\nlocator = "\\u009b"\n[nodes.a]\nid = 5\nfile = "\\u001b.eds"\n"\\u001b" = 1\n',
         "named.toml": f"[buses.can0]\n[nodes.{json.dumps(MARKED)}]\nid = 5\nfile = 'device.eds'\nboot = {{ vendor = 1 }}\n",
+        "odd_links.toml": LINKED.replace("master", "\\u001b[2J 5"),
+        "linked.toml": LINKED,
         "odd.yaml": 'name: "\\e[2J"\nnodes: {"\\e[1m": {id: 5, "\\e]0": 1, pos_to_device: "\\e[2J", eds_file: "\\e.eds"}}\n',
         "odd.py": f"raise ValueError({EVIL!r})\n",
     }
@@ -183,6 +188,7 @@ COMMANDS = [
     ("plot", "odd_run.csv"),
     ("plot", EVIL),
     ("machine", "check", "odd_cell.toml"),
+    *[("net", "links", name) for name in ("odd_cell.toml", "odd_links.toml", "linked.toml")],
     ("machine", "from-chains", "odd.csv", "-o", "new_cell.toml"),
     ("machine", "from-chains", "good.csv", "-o", f"{EVIL[:-3]}.toml"),
     ("machine", "import", EVIL),

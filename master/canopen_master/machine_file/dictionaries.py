@@ -20,7 +20,7 @@ class Dictionaries:
     def __init__(self, machine: MachineFile, names: ObjectDictionary | None = None) -> None:
         """names: the dictionary of nodes without a file; its names are laid over the files. None: that of the data files."""
         self._machine = machine
-        self._names = load_dictionary()[0] if names is None else names
+        self.names = load_dictionary()[0] if names is None else names
         self._read: dict[tuple[str, str], DeviceDescription] = {}
         self._laid: dict[tuple[str, str, tuple[str, ...]], ObjectDictionary] = {}
 
@@ -32,7 +32,7 @@ class Dictionaries:
     def of(self, node: NodeEntry) -> ObjectDictionary:
         """Return the dictionary of a node. It is the same object for all nodes with the same files."""
         description, overlays = self._description(node), node.device.overlays
-        dictionary = self._names if description is None else description.dictionary
+        dictionary = self.names if description is None else description.dictionary
         if not overlays:
             return dictionary
         key = node.device.file, node.device.encoding, overlays
@@ -51,7 +51,7 @@ class Dictionaries:
         if key not in self._read:
             path = self._machine.path(device.file)
             description = read_description(read_file(path), path, encoding=device.encoding)
-            self._read[key] = with_names(description, self._names)
+            self._read[key] = with_names(description, self.names)
         return self._read[key]
 
 

@@ -10,6 +10,7 @@ from canopen_master.machine_file.booting import BootSettings, NetworkSettings
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.plant import DeviceEntry
 from canopen_proto.drive.settings import AxisSettings
+from canopen_proto.linking import Link
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 
@@ -88,6 +89,7 @@ class MachineFile:
     master: MasterEntry = MasterEntry()
     state: str = ""
     network: NetworkSettings = field(default_factory=NetworkSettings)
+    links: tuple[Link, ...] = ()
     source: str = field(default="", compare=False)
     folder: Path | None = field(default=None, compare=False)
 

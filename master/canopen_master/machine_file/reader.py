@@ -16,6 +16,7 @@ from canopen_data.descriptions import samples
 from canopen_data.toml_file import TABLE, Kind, TomlReading, TomlTable, one_of, parse_toml, places_of, text, texts
 from canopen_master.machine_file.booting import BootSettings, NetworkSettings
 from canopen_master.machine_file.kinds import DURATION, names_of, take_settings
+from canopen_master.machine_file.link_entries import LINKS, take_links
 from canopen_master.machine_file.model import BusEntry, ChainEntry, JointEntry, MachineFile, MasterEntry, NodeEntry
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.plant import DEVICE_KEYS, FILE, device_of, is_node_id
@@ -94,7 +95,7 @@ class _Reader:
         self._reading = reading
         self._folder = folder
         self._top = TomlTable(reading, "", tables)
-        self._top.check_keys(("master", "network", "defaults", "simulation", *SECTIONS), "the file")
+        self._top.check_keys(("master", "network", "defaults", "simulation", *SECTIONS, LINKS), "the file")
 
     def machine(self) -> MachineFile:
         buses = self._entries("buses", self._bus)
@@ -109,9 +110,9 @@ class _Reader:
         self._check_unique(buses, nodes, joints, chains)
         simulation = self._table(self._top, "simulation", ("state",))
         network = take_settings(self._table(self._top, "network", tuple(names_of(NetworkSettings))), NetworkSettings)
-        return MachineFile(
-            buses, nodes, joints, chains, master, simulation.take("state", FILE) or "", network or NetworkSettings()
-        )
+        links = take_links(self._reading, self._top, nodes, joints)
+        state = simulation.take("state", FILE) or ""
+        return MachineFile(buses, nodes, joints, chains, master, state, network or NetworkSettings(), links)
 
     # ---- tables ----
 

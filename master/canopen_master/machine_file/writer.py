@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from canopen_data.durations import duration_text
 from canopen_master.machine_file.kinds import settings_table
+from canopen_master.machine_file.link_entries import LINKS, links_tables
 from canopen_master.machine_file.model import BusEntry, ChainEntry, MachineFile, MasterEntry, NodeEntry
 from canopen_master.machine_file.reader import MODES, chain_defaults
 from canopen_master.plant import AUTOMATIC
@@ -40,6 +41,7 @@ def machine_tables(machine: MachineFile) -> dict[str, Any]:
             for name, each in machine.joints.items()
         },
         "chains": {name: _chain(each, machine) for name, each in machine.chains.items()},
+        LINKS: links_tables(machine.links),
     }
     return {name: table for name, table in tables.items() if table}
 

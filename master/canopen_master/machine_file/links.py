@@ -1,0 +1,121 @@
+"""The linked PDOs of a machine, from its file and those of its devices: `plan_bus` for one bus, `linked_writes` for a boot.
+
+The state from which the links change a device is that of its file, with the configuration that a boot writes (`boot`) laid over.
+PDOs that the chains of the machine use, and those that they may switch off, are left to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from canopen_data import text_of
+from canopen_data.configured import configure
+from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_data.toml_file import places_of
+from canopen_master.machine_file.boot_entries import network_of
+from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.machine_file.link_entries import LINKS, name_of
+from canopen_master.machine_file.model import ChainEntry, JointEntry, MachineFile, NodeEntry
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.download_order import Write
+from canopen_proto.drive.motion_plan import NoMotionPlan, plan_motion
+from canopen_proto.linking import LinkError, LinkPlan, Member, plan_links
+from canopen_proto.multiplexer import mux
+from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.described_pdos import EACH_SYNC
+
+
+def linked_buses(machine: MachineFile) -> list[str]:
+    """Return the buses that have links, in the order of the file."""
+    nodes = {end.node for link in machine.links for end in (*link.sources, *link.targets)}
+    found = {node.bus for node in machine.nodes.values() if node.name in nodes}
+    return [bus for bus in machine.buses if bus in found]
+
+
+def plan_bus(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> LinkPlan:
+    """Return the PDOs for the links on a bus. Raises DictionaryError with each link that cannot be, and its line; as
+    `network_of` for files that cannot be used."""
+    on_bus = [node for node in machine.nodes.values() if node.bus == bus]
+    names = {node.name for node in on_bus}
+    links = [link for link in machine.links if {end.node for end in (*link.sources, *link.targets)} & names]
+    booted = network_of(machine, bus, dictionaries).entry.nodes
+    members = []
+    for node in on_bus:
+        description = dictionaries.description_of(node)
+        if description is None:
+            continue
+        entry = booted.get(node.node_id)
+        members.append(
+            Member(
+                node.name,
+                node.node_id,
+                _configured(description.dictionary, () if entry is None else entry.configuration, node.node_id),
+                description.device_info.granularity,
+                frozenset(each for each, is_usable in (description.dummies or {}).items() if is_usable),
+                tuple(_used_by_chains(machine, node, description.dictionary, dictionaries.names)),
+            )
+        )
+    try:
+        return plan_links(members, links, [node.node_id for node in on_bus])
+    except LinkError as error:
+        raise DictionaryError(list(_findings(machine, error))) from error
+
+
+def linked_writes(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> dict[str, list[Write]]:
+    """Return the writes that set up the linked PDOs of a bus, by the name of the node. Raises as `plan_bus`."""
+    if bus not in linked_buses(machine):
+        return {}
+    plan = plan_bus(machine, bus, dictionaries)
+    return {node: plan.writes_of(node) for node in plan.changed}
+
+
+def _configured(dictionary: ObjectDictionary, writes: Iterable[Write], node_id: int) -> ObjectDictionary:
+    """Return a dictionary with the values that a boot writes."""
+    values = {}
+    for index, subindex, data in writes:
+        variable = dictionary.get(index, subindex)
+        if variable is not None and (variable.size is None or variable.size == len(data)):
+            values[mux(index, subindex)] = variable.decode(data)
+    return configure(dictionary, values, node_id) if values else dictionary
+
+
+def _used_by_chains(
+    machine: MachineFile, node: NodeEntry, dictionary: ObjectDictionary, names: ObjectDictionary
+) -> Iterator[PdoSettings]:
+    """Return the PDOs of a node that its chains set up, exchange or switch off. names: has the PDOs of PDOs.csv."""
+    for chain, joint in _axes(machine, node):
+        settings = chain.settings
+        if not settings.own_pdos and settings.mode is not None:
+            for pdo in (names.pdo(settings.rpdo), names.pdo(settings.tpdo)):
+                if pdo.number is not None:
+                    yield PdoSettings.from_description(pdo, node.node_id, EACH_SYNC)
+            continue
+        for lean in (False, True):  # lean: what it switches off if the bus has no room
+            try:
+                plan = plan_motion(
+                    dictionary,
+                    node.node_id,
+                    machine.master.cycle,
+                    wish=settings.mode,
+                    axis=joint.axis,
+                    lean=lean,
+                    feed_forward=settings.feed_forward,
+                )
+            except NoMotionPlan:
+                break
+            yield from (*plan.pdos, *plan.destroyed, *plan.spare)
+
+
+def _axes(machine: MachineFile, node: NodeEntry) -> list[tuple[ChainEntry, JointEntry]]:
+    joints = [(chain, machine.joints[name]) for chain in machine.chains.values() for name in chain.joints]
+    return [(chain, joint) for chain, joint in joints if joint.node == node.name]
+
+
+def _findings(machine: MachineFile, error: LinkError) -> Iterator[Finding]:
+    text = text_of(Path(machine.source), machine.source) if machine.folder is not None else None
+    places = places_of(text or "")
+    numbers = {name_of(number): number for number in range(1, len(machine.links) + 1)}
+    for problem in error.problems:
+        number = numbers.get(problem.link.partition(" ")[0], 0)
+        yield Finding(Severity.ERROR, "links", str(problem), machine.source, *places.get((LINKS, str(number)), (0, 0)))
