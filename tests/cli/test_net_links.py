@@ -80,3 +80,19 @@ def test_the_plan_counts_linked_pdos(run: Run, cell: Path) -> None:
     lines = [re.sub("  +", "  ", line.strip()) for line in outcome.out.splitlines()]
     assert any(line.startswith("TPDO lift  385  4  10.00 ms") for line in lines)
     assert any(line.startswith("TPDO panel (event)  189  1  5.00 ms") for line in lines)
+
+
+def test_a_boot_writes_the_links(run: Run, cell: Path) -> None:
+    cell.write_text(
+        "[defaults.nodes]\nboot = { mandatory = true }\n" + CELL.replace("[nodes.bare]", "[nodes.bare]\nboot = false")
+    )
+    outcome = run("net", "boot", str(cell), "-b", "demo", "--yes", "--trace", "boot.log")
+    assert outcome.status == 0, outcome.err
+    frames = Path("boot.log").read_text()
+    writes = re.findall(r"606#2302140185030000|606#2B02140532000000", frames)  # RPDO 3: event timer 50 ms, then its COB-ID 0x385
+    assert writes == ["606#2B02140532000000", "606#2302140185030000"]
+    assert "no boot will write" not in run("net", "links", str(cell)).err
+
+
+def test_nodes_without_boot_are_told(run: Run, cell: Path) -> None:
+    assert "no boot will write to lift, slide, panel" in run("net", "links", str(cell)).err
