@@ -324,6 +324,8 @@ class LocalNode(Group):
             return refusal
         if index in SIGNATURES:  # one at a time: each takes the values of its moment
             return AbortCode.DEVICE_STATE if any(map(self.channels.host_takes, SIGNATURES)) else PENDING
+        if self.values.store.get(variable.mux) != value:
+            self.storage.changed(variable)
         self.values.store[variable.mux] = value
         if self._owners.get(index) is not self.channels:  # else `_on_written` does: the write may close its own channel
             self._obey(index, subindex, now)

@@ -23,6 +23,10 @@ device adds its own (a controlword is not a parameter). COB-IDs that an SDO mana
 Before step 3 nothing changes. A reset puts back `saved` in place of the defaults: all of it (reset node), or 0x1000 to 0x1FFF
 (reset communication).
 
+**0x1020** holds date and time of a configuration (CiA 301 v4.2.0, 7.5.2.21; from memory): a tool writes it at the end, and reads
+it later to see whether the device still has that configuration. It becomes 0 as soon as a client changes any other setting;
+commands, set-points and outputs are none.
+
 A value that a DCF configures (`Variable.configured`) counts as stored, as if the device had been set up by the DCF: after "load"
 the parameter has the default of its EDS again. An object that a client cannot write keeps its configured value.
 """
@@ -36,6 +40,7 @@ from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, range_of
 from canopen_proto.dictionary import Values, Variable
+from canopen_proto.dictionary.roles import Role, role_of
 from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.owner import Owner
 from canopen_proto.sdo.channels import is_dynamic
@@ -66,6 +71,8 @@ NO_PARAMETERS: Final = frozenset(
     }
 )
 """Communication objects that can be written but are not parameters: error history, storage, OS commands, debugger, prompt."""
+
+_DATE: Final = (mux(indices.VERIFY_CONFIGURATION, 1), mux(indices.VERIFY_CONFIGURATION, 2))
 
 
 class ParameterStorage(Owner):
@@ -163,6 +170,14 @@ class ParameterStorage(Owner):
     def forget(self, index: int, subindex: int) -> None:
         """Drop a pending access: the host failed, or the client gave up."""
         self._after.pop((index, subindex), None)
+
+    def changed(self, variable: Variable) -> None:
+        """A client has changed an object: if it is a setting, 0x1020 no longer tells what is configured."""
+        store = self._values.store
+        if not any(map(store.get, _DATE)) or variable.mux in _DATE or not self._is_parameter(variable):
+            return
+        if role_of(self._values.dictionary, variable) in (Role.COMMUNICATION, Role.APPLICATION):
+            store.update({key: 0 for key in _DATE if key in store})
 
     def put_back(self, indices: Collection[int]) -> None:
         """Put the power-on values into these objects, over the initial values that were put back before."""

@@ -2,7 +2,7 @@
 
 A configuration tool downloads the settings of a DCF, a backup or a concise DCF (CiA 302-3) into a device that is pre-operational.
 The order matters: some objects may change only while a service does not exist, and a service must not run on half a setting.
-`download_order` gives the writes, in four parts:
+`download_order` gives the writes, in five parts:
 
 1. switch off    the objects of the table `SWITCHES` that are set, or on which another object that is set depends: PDOs first
 2. communication the objects 0x1000 to 0x1FFF by index. A PDO's two records stand together, at its communication parameter, in the
@@ -10,6 +10,7 @@ The order matters: some objects may change only while a service does not exist, 
                  multiplexed PDO in source address mode allows only an event-driven type.)
 3. application   all other objects, by index and subindex
 4. switch on     the switches that are to be on, by index: PDOs exist again when everything else is set
+5. date          0x1020, date and time of the configuration: a device clears it when a setting is changed
 
 So a download that is broken off leaves PDOs destroyed, never half mapped. A switch may have to be off although the values do not
 set it: the COB-ID of a PDO whose mapping is set. It gets back the device's present value if that is known, else its initial value
@@ -166,9 +167,13 @@ class _Order:
         off: list[tuple[int, int, int, Write]] = []
         middle: list[tuple[tuple[int, ...], Write]] = []
         last: list[tuple[int, Write]] = []
+        date: list[Write] = []
         for key, value in self.values.items():
             rank, switch = _switch_at(key)
             write = self._write(key, value)
+            if write[0] == indices.VERIFY_CONFIGURATION:
+                date.append(write)
+                continue
             idle = None if switch is None else self._switched_off(write, switch)
             if switch is None or idle is None:
                 middle += self._settings(key, value)
@@ -186,6 +191,7 @@ class _Order:
             *(each[-1] for each in sorted(off)),
             *(each[-1] for each in sorted(middle)),
             *(each[-1] for each in sorted(last)),
+            *sorted(date),
         )
         return DownloadOrder(writes, self.left_out)
 

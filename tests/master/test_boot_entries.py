@@ -115,6 +115,14 @@ def test_a_concise_dcf_is_written_as_it_is_and_links_come_behind_it(tmp_path: Pa
     assert made.entry.nodes[5].configuration == (*writes, link, (0x1017, 0, b"\xe8\x03"))
 
 
+def test_a_stamp_takes_the_place_of_the_date_of_a_dcf(tmp_path: Path) -> None:
+    dated = (0x1020, 1, b"\x01\0\0\0")
+    (tmp_path / "lamp.bin").write_bytes(pack_concise([dated, (0x2000, 0, b"\x14\0")]))
+    kept = entry(tmp_path, "configuration = 'lamp.bin', store = true")
+    assert (kept.configuration, kept.date) == (((0x2000, 0, b"\x14\0"),), stamp_of(kept.configuration))
+    assert entry(tmp_path, "configuration = 'lamp.bin'").configuration[0] == dated
+
+
 def test_another_configuration_has_another_stamp() -> None:
     stamps = {stamp_of([(0x2000, 1, bytes([number]))]) for number in range(100)}
     assert len(stamps) == 100

@@ -169,6 +169,12 @@ def test_services_are_off_while_they_are_set() -> None:
     ]
 
 
+def test_the_date_of_the_configuration_comes_last() -> None:
+    date = Object.of("date", [variable(0x1020, subindex, U32) for subindex in (1, 2)])
+    result = order({(0x1020, 2): 7, (0x1020, 1): 42, (0x1800, 1): 0x185, (0x2000, 0): 5}, date)
+    assert shown(result) == ["1800:1 80000185", "2000:0 5", "1800:1 185", "1020:1 2A", "1020:2 7"]
+
+
 def test_what_must_be_off_for_another_object() -> None:
     assert shown(order({(0x1019, 0): 10}, standing={mux(0x1006): 1000})) == ["1006:0 0", "1019:0 A", "1006:0 3E8"]
     assert shown(order({(0x1280, 3): 9})) == ["1280:1 80000000", "1280:2 80000000", "1280:3 9"]

@@ -384,3 +384,29 @@ def test_storage_objects_of_another_type_are_plain_memory(data_type: DataType) -
 def test_a_capability_beyond_its_type_counts_as_none_given() -> None:
     host = Host(dictionary=storing_device(standard_object(0x1010, highest=1, defaults={1: 1 << 40})))
     assert host.bench.read(0x1010, 1) == b"\x01\x00\x00\x00"
+
+
+# ---- 0x1020 ----
+
+
+def test_a_changed_setting_clears_the_date_of_the_configuration() -> None:
+    bench = DeviceBench(storing_device(standard_object(0x1020, highest=2)))
+
+    def dated() -> bool:
+        return (bench.read(0x1020, 1), bench.read(0x1020, 2)) == (b"\x2a\0\0\0", b"\x07\0\0\0")
+
+    def date() -> None:
+        assert bench.write(0x1020, 1, 42, 4) is None
+        assert bench.write(0x1020, 2, 7, 4) is None
+
+    date()
+    assert dated()
+    assert bench.write(0x1017, 0, int.from_bytes(bench.read(0x1017), "little"), 2) is None  # type: ignore[arg-type]
+    assert bench.write(PROFILE, 0, 5, 1) is None  # an output
+    assert bench.write(0x1017, 0, 0xFFFFFF, 3) is not None  # refused
+    assert dated()
+    assert bench.write(0x1017, 0, 123, 2) is None
+    assert (bench.read(0x1020, 1), bench.read(0x1020, 2)) == (bytes(4), bytes(4))
+    date()
+    bench.tell(RESET_COMMUNICATION)
+    assert not dated()  # it was not stored

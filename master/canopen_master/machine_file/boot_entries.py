@@ -122,6 +122,8 @@ class _Entry:
     def entry(self, links: Sequence[Write]) -> BootEntry:
         boot = self._boot
         writes = (*self._configured(), *links, *self._error_control())
+        if boot.store:  # the stamp takes the place of the date of a DCF
+            writes = tuple(each for each in writes if each[0] != indices.VERIFY_CONFIGURATION)
         if boot.store and self._dictionary is not None and self._dictionary.get(indices.VERIFY_CONFIGURATION, 1) is None:
             raise self._wrong(
                 "store needs 0x1020, which its file does not have: without it each boot would configure and store again",
