@@ -48,6 +48,7 @@ from canopen_proto.procedures.steps import (
     download,
     upload,
 )
+from canopen_proto.programs import ProgramControl
 from canopen_proto.remote_node import RemoteNode
 
 TRIES: Final = 4
@@ -237,10 +238,11 @@ class _NodeBoot:
             raise _Ended(BootLetter.NO_PROGRAM, remark="the master has no expected software identification (0x1F55)")
         found = _number((yield from self._read(*place, BootLetter.NO_PROGRAM, expected)))
         if found == expected:
-            return False
-        if self.is_updated:
+            if not (yield from self._is_left_stopped()):
+                return False
+        elif self.is_updated:
             raise _Ended(BootLetter.UPDATE_FAILED, place, expected, found, remark="still so after the update")
-        if not self.assignment.update_software or self.assignment.keep_alive:
+        elif not self._may_update:
             why = "it is kept alive" if self.assignment.keep_alive else "0x1F81 bit 6 is not set"
             raise _Ended(BootLetter.OTHER_PROGRAM, place, expected, found, remark=why)
         if self.update is None:
@@ -252,6 +254,19 @@ class _NodeBoot:
         self.is_updated = True
         self.boots = self.node.boots  # a node that starts another program boots
         return True
+
+    @property
+    def _may_update(self) -> bool:
+        return self.assignment.update_software and not self.assignment.keep_alive
+
+    def _is_left_stopped(self) -> Procedure[bool]:
+        """Return whether an update has left the right program stopped: it broke off before the start, and is to go on there."""
+        if self.update is None or self.is_updated or not self._may_update:
+            return False
+        try:
+            return _number((yield from self._upload(indices.PROGRAM_CONTROL, 1))) == ProgramControl.STOP
+        except SdoFailed:
+            return False
 
     def _configure(self) -> Procedure[None]:
         self.step = BootStep.CONFIGURATION

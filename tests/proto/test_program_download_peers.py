@@ -14,7 +14,7 @@ from canopen_proto.boot.commands import NmtCommands
 from canopen_proto.boot.entry import BootEntry
 from canopen_proto.boot.node_boot import boot_node
 from canopen_proto.boot.outcome import BootLetter, BootOutcome
-from canopen_proto.boot_loader import FIRST_PROGRAM, BootLoader, BootLoaderSettings, Slot
+from canopen_proto.boot_loader import FIRST_PROGRAM, BootLoader, BootLoaderSettings, ProgramMemory, Slot
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.procedures.program_download import (
     ProgramDownloadFailed,
@@ -215,3 +215,11 @@ def test_a_boot_up_without_the_file_says_so() -> None:
     outcome = boot_up(FlashBench(), {})
     assert outcome.letter is BootLetter.UPDATE_FAILED
     assert "no program file" in outcome.remark
+
+
+def test_the_boot_up_starts_a_program_that_an_update_before_has_left_stopped() -> None:
+    bench = FlashBench(memory=ProgramMemory(IMAGE))
+    bench.device.runs = False
+    assert boot_up(bench, {NODE: IMAGE}).letter is BootLetter.READY
+    assert bench.device.runs
+    assert not any(each.startswith("606#2F511F0103") for each in bench.to_device())
