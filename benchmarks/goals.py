@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 import operator
+import statistics
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import chain_cycle
 import imports
 import master_edge
+import observer
 from measure import Result
 
 import canopen_proto
@@ -58,6 +60,11 @@ def among_many(results: Results) -> float:
     return min(many.ours) / min(few.ours)
 
 
+def full_bus(results: Results) -> float:
+    """Percent of a core."""
+    return observer.share(statistics.median(results[observer.VIEWED].ours))
+
+
 def one_cycle(_: Results) -> float:
     """Percent of a core: the least of three rounds."""
     return min(chain_cycle.cycle(6, 0.001) for _ in range(3)) / 1e4
@@ -92,6 +99,7 @@ GOALS = (
     Goal("`open_master` read, virtual bus; ratio to a bare trio ping-pong", worst(master_edge.PING_PONG), 0.5, 0.6, 0.8),
     Goal("9,000 frames/s into a master, share of a core", master_edge.share(master_edge.FRAMES), 4, 3, 2, " %"),
     Goal("9,000 frames/s into a master with a subscriber", master_edge.share(master_edge.SUBSCRIBED), 9, 7, 4, " %"),
+    Goal("a full bus of 1 Mbit/s into an Observer and a BusView, share of a core", full_bus, 50, 25, 10, " %"),
     Goal("6 joints at 1 ms, the master's process alone, share of a core", one_cycle, 30, 20, 10, " %"),
     Goal(f"`{imports.NETWORK}`, over bare Python", starting(imports.NETWORK), 20, 20, 10, " ms"),
     Goal("`canopen --help`, over bare Python", starting(imports.HELP), 120, 120, 80, " ms"),

@@ -24,13 +24,14 @@ import heartbeats
 import many_nodes
 import master_edge
 import motions
+import observer
 import pdos
 import read_by_name
 import sdo_transfers
 from direct import VERSION
 from measure import Result, measure, table
 
-MODULES = (sdo_transfers, read_by_name, block_transfers, pdos, heartbeats, many_nodes, master_edge, eds_import)
+MODULES = (sdo_transfers, read_by_name, block_transfers, pdos, heartbeats, many_nodes, observer, master_edge, eds_import)
 
 
 def report(results: list[Result], rounds: int, seconds: float, *, with_goals: bool) -> str:

@@ -1,0 +1,292 @@
+"""An Observer listens to a full bus: 1 Mbit/s without a pause, twelve drives, SYNC, PDOs, SDO transfers of all kinds, heartbeats.
+
+    python benchmarks/observer.py                       # 10 000 000 frames, a minute or two; and what memory it takes
+    python benchmarks/observer.py --frames 200000
+
+The frames are those of our own machines: SDO transfers of SdoClient and SdoServer, and a cycle of SYNC, twelve RPDOs and twelve
+TPDOs with three objects each. Each frame comes when the one before is over, to the bit. So the bus has nearly 8000 frames a second.
+
+What ours does with each frame: the service and its node, each SDO transfer followed to its end (CRC, toggle bits, sizes), all
+rules (RULES in observer.py), the load in exact bits; `BusView` adds rates, jitter, states and errors. Objects and words are made
+when they are read: here of each TPDO of node 1.
+
+Two peers do comparable work:
+
+- `canopen` (cases of run.py): its Network gets the same frames by `notify`; twelve RemoteNodes with the same mapping; node 1's
+  TPDO is decoded each time. It does less: no SDO transfer is followed, no length and no rule is checked, nothing is counted.
+- Wireshark's `tshark` (here, if it is installed): one line for each frame of a capture, against the same from our observer.
+  It does less, too: it follows no transfer, and knows no mapping.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import shutil
+import subprocess
+import tempfile
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from canopen import ObjectDictionary as TheirDictionary
+from direct import coupled_networks, record, variable
+from measure import Case
+
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Object, ObjectDictionary, Values, Variable
+from canopen_proto.frame import Frame
+from canopen_proto.frame_bits import duration, frame_bits
+from canopen_proto.machine import SECOND, Outbox, Time
+from canopen_proto.observer.bus_view import BusView
+from canopen_proto.observer.observer import Observer
+from canopen_proto.sdo.client import SdoClient
+from canopen_proto.sdo.server import SdoServer
+from canopen_proto.sdo.store import ValuesStore
+
+BITRATE = 1_000_000
+NODES = range(1, 13)
+OBJECTS = [
+    ("statusword", 0x6041, DataType.UNSIGNED16, 16),
+    ("modes_of_operation_display", 0x6061, DataType.INTEGER8, 8),
+    ("position_actual_value", 0x6064, DataType.INTEGER32, 32),
+]
+"""Those of TPDO 1; its COB-ID is that of the predefined connection set."""
+DOMAIN = 0x2001
+SDO_FRAMES = 4
+"""SDO frames in each cycle."""
+CYCLES_PER_HEARTBEAT = 30
+OBSERVED, VIEWED = "a frame of a full bus (Observer)", "a frame of a full bus (Observer and BusView)"
+
+Heard = Callable[[int], object]
+"""Take so many frames; the last position of node 1."""
+
+
+def traffic() -> list[Frame]:
+    """About a second of the bus, which can be repeated: no transfer is open at its end."""
+    transfers = [frame for node_id in NODES for frame in _transfers(node_id)]
+    frames = []
+    for cycle in range(-(-len(transfers) // SDO_FRAMES)):
+        frames.append(Frame(0x80))
+        for node_id in NODES:
+            target = (1000 * cycle + node_id).to_bytes(4, "little")
+            frames.append(Frame(0x200 + node_id, b"\x1f\0" + target))
+            frames.append(Frame(0x180 + node_id, bytes((0x37, 0x12, 7)) + target))
+        frames += transfers[cycle * SDO_FRAMES : (cycle + 1) * SDO_FRAMES]
+        if cycle % CYCLES_PER_HEARTBEAT < len(NODES):
+            frames.append(Frame(0x701 + cycle % CYCLES_PER_HEARTBEAT, b"\x05"))
+    return frames
+
+
+def _dictionary() -> ObjectDictionary:
+    objects = [Object.of(name, [Variable(index, 0, name, kind)]) for name, index, kind, _ in OBJECTS]
+    return ObjectDictionary([*objects, Object.of("domain", [Variable(DOMAIN, 0, "domain", DataType.DOMAIN)])])
+
+
+def _transfers(node_id: int) -> Iterator[Frame]:
+    """Transfers with one node: ten values, a string in segments, and a domain in blocks."""
+    values = Values(_dictionary(), node_id)
+    client, server = SdoClient(Outbox(), node_id), SdoServer(Outbox(), node_id, ValuesStore(values))
+
+    def exchange() -> Iterator[Frame]:
+        while client.busy or client.out.frames:
+            for source, target in ((client, server), (server, client)):
+                frames = source.out.frames[:]
+                source.out.frames.clear()
+                for frame in frames:
+                    yield frame
+                    target.receive(frame, 0)
+                if source.deadline <= 0:
+                    source.handle_timeout(0)
+
+    for name, index, _, _ in OBJECTS * 3:
+        values.write(name, node_id)
+        client.upload(index, 0, 0)
+        yield from exchange()
+    client.download(DOMAIN, 0, bytes(range(100)), 0)
+    yield from exchange()
+    client.upload(DOMAIN, 0, 0)
+    yield from exchange()
+    client.download(DOMAIN, 0, bytes(range(200)) * 4, 0, block=True)
+    yield from exchange()
+
+
+def _mapping(node_id: int) -> Iterator[Frame]:
+    """Writes of the mapping of TPDO 1, as a master makes them: so the observer knows it."""
+    entries = [(1 + place, index << 16 | bits, 4) for place, (_, index, _, bits) in enumerate(OBJECTS)]
+    for subindex, value, size in [*entries, (0, len(OBJECTS), 1)]:
+        place = bytes((0x00, 0x1A, subindex))
+        yield Frame(0x600 + node_id, bytes((0x23 | (4 - size) << 2,)) + place + value.to_bytes(4, "little"))
+        yield Frame(0x580 + node_id, b"\x60" + place + bytes(4))
+
+
+FRAMES = traffic()
+TIMES = [duration(frame_bits(frame), BITRATE) for frame in FRAMES]
+PER_SECOND = len(FRAMES) * SECOND / sum(TIMES)
+
+
+class Ours:
+    """Our observer, with a view or without, on a bus that goes on from call to call."""
+
+    def __init__(self, *, has_view: bool) -> None:
+        dictionary = _dictionary()
+        self.observer = Observer(lambda node_id: dictionary if node_id in NODES else None, bitrate=BITRATE, load_limit=2.0)
+        self.view = BusView(bitrate=BITRATE) if has_view else None
+        self.now: Time = 0
+        self.position: object = None
+        self.findings = 0
+        self._place = 0
+        for node_id in NODES:
+            for frame in _mapping(node_id):
+                self._take(frame)
+
+    def hear(self, count: int) -> object:
+        """Take the next frames."""
+        for _ in range(count):
+            self.now += TIMES[self._place]
+            self._take(FRAMES[self._place])
+            self._place = (self._place + 1) % len(FRAMES)
+        return self.position
+
+    def words(self, count: int) -> int:
+        """Take the next frames, and make a line of each; the characters."""
+        characters = 0
+        for _ in range(count):
+            meaning = self.observer.observe(FRAMES[self._place], self.now).meaning
+            characters += len(f"{self.now} {meaning.service} {meaning.node_id} {meaning.text}\n")
+            self.now += TIMES[self._place]
+            self._place = (self._place + 1) % len(FRAMES)
+        return characters
+
+    def _take(self, frame: Frame) -> None:
+        observation = self.observer.observe(frame, self.now)
+        if observation.findings:
+            self.findings += len(observation.findings)
+        if self.view is not None:
+            self.view.add(frame, observation, self.now)
+        if frame.can_id == 0x181:
+            self.position = observation.meaning.objects[2].value
+
+
+def theirs() -> Heard:
+    """The peer's Network."""
+    network, _ = coupled_networks()
+    tpdos, queues = {}, []
+    for node_id in NODES:
+        dictionary = TheirDictionary()
+        for name, index, kind, _ in OBJECTS:
+            dictionary.add_object(variable(name, index, 0, int(kind)))
+        communication = [variable("count", 0x1800, 0, DataType.UNSIGNED8), variable("cob_id", 0x1800, 1, DataType.UNSIGNED32)]
+        dictionary.add_object(record("tpdo_1_communication", 0x1800, *communication))
+        dictionary.add_object(record("tpdo_1_mapping", 0x1A00, variable("count", 0x1A00, 0, DataType.UNSIGNED8)))
+        node = network.add_node(node_id, dictionary)
+        queues.append(node.sdo.responses.queue)
+        tpdo = tpdos[node_id] = node.tpdo[1]
+        tpdo.cob_id, tpdo.enabled = 0x180 + node_id, True
+        for _, index, _, bits in OBJECTS:
+            tpdo.add_variable(index, 0, bits)
+        tpdo.subscribe()
+    place, position = 0, None
+
+    def heard(count: int) -> object:
+        nonlocal place, position
+        for _ in range(count):
+            frame = FRAMES[place]
+            network.notify(frame.can_id, bytearray(frame.data), 0.0)
+            if frame.can_id == 0x181:
+                position = tpdos[1].map[2].raw
+            place = (place + 1) % len(FRAMES)
+        for queue in queues:
+            queue.clear()  # answers of SDO servers, which it keeps for a client that waits for them
+        return position
+
+    return heard
+
+
+def cases() -> list[Case]:
+    """The observer alone, and with the figures for a display."""
+    found = []
+    for title, has_view in ((OBSERVED, False), (VIEWED, True)):
+        mine, peer = Ours(has_view=has_view), theirs()
+
+        def check(mine: Ours = mine, peer: Heard = peer) -> None:
+            assert mine.hear(len(FRAMES)) == peer(len(FRAMES)) is not None
+            assert not mine.findings
+
+        found.append(Case(title, mine.hear, peer, check))
+    return found
+
+
+def share(nanoseconds: float) -> float:
+    """Return the percentage of a core that a full bus takes, at so many ns a frame."""
+    return nanoseconds * PER_SECOND / SECOND * 100
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
+
+
+def _memory(frames: int) -> str:
+    """Say what a further observer holds after a tenth of the frames, and after all of them."""
+    tracemalloc.start()
+    mine = Ours(has_view=True)
+    mine.hear(frames // 10)
+    first = tracemalloc.get_traced_memory()[1]
+    tracemalloc.reset_peak()
+    mine.hear(frames - frames // 10)
+    last = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return f"peak {first / 1024:.0f} KiB in the first {frames // 10} frames, {last / 1024:.0f} KiB in the next {frames - frames // 10}"
+
+
+def _by_tshark(frames: int) -> float | None:
+    """Return the CPU seconds that tshark takes for a line of each of so many frames, its start left out; None without tshark."""
+    tshark = shutil.which("tshark")
+    return None if tshark is None else _of_child(tshark, frames) - _of_child(tshark, 1)
+
+
+def _of_child(tshark: str, frames: int) -> float:
+    from canopen_transports.log_files import log_writer
+    from canopen_transports.record import Record
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bus.pcap"
+        writer = log_writer(path)
+        now = 0
+        for number in range(frames):
+            writer.write(Record(now, "can0", FRAMES[number % len(FRAMES)]))
+            now += TIMES[number % len(FRAMES)]
+        writer.close()
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        command = [tshark, "-r", str(path), "-d", "can.subdissector,canopen"]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def main() -> None:
+    """Observe the bus, and print frames per second, shares of a core, and memory."""
+    parser = argparse.ArgumentParser(description="observe a full bus")
+    parser.add_argument("--frames", type=int, default=10_000_000, help="default: 10000000")
+    frames = parser.parse_args().frames
+    print(f"a full bus of {BITRATE} bit/s has {PER_SECOND:.0f} frames/s")
+    for title, has_view in (("Observer", False), ("Observer and BusView", True)):
+        mine = Ours(has_view=has_view)
+        mine.hear(len(FRAMES))
+        taken = _seconds(lambda mine=mine: mine.hear(frames))
+        rate, part = frames / taken, share(taken / frames * 1e9)
+        print(f"{title}: {frames} frames in {taken:.1f} s, {rate:.0f} frames/s; a full bus takes {part:.1f} % of a core")
+        assert not mine.findings
+    some = max(frames // 50, 1)
+    ours = _seconds(lambda: Ours(has_view=False).words(some))
+    wireshark = _by_tshark(some)
+    print(f"a line for each frame: {some / ours:.0f} frames/s" + (f"; tshark {some / wireshark:.0f}" if wireshark else ""))
+    print(f"memory, Observer and BusView: {_memory(max(frames // 10, 10))}")
+    print(f"the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB at most")
+
+
+if __name__ == "__main__":
+    main()
