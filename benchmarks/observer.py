@@ -4,23 +4,28 @@
     python benchmarks/observer.py --frames 200000
 
 The frames are those of our own machines: SDO transfers of SdoClient and SdoServer, and a cycle of SYNC, twelve RPDOs and twelve
-TPDOs with three objects each. Each frame comes when the one before is over, to the bit. So the bus has nearly 8000 frames a second.
+TPDOs with three objects each. Each frame comes when the one before is over, to the bit. So the bus has some 9600 frames a second.
 
-What ours does with each frame: the service and its node, each SDO transfer followed to its end (CRC, toggle bits, sizes), all
-rules (RULES in observer.py), the load in exact bits; `BusView` adds rates, jitter, states and errors. Objects and words are made
-when they are read: here of each TPDO of node 1.
+Ours finds the service and the node of each frame, follows each SDO transfer to its end (CRC, toggle bits, sizes), looks for all
+faults (RULES in observer.py) and counts the load in exact bits; `BusView` adds rates, jitter, states and errors. Words are made
+when they are read: here, of each TPDO of node 1.
 
-Two peers do comparable work:
+The peers:
 
-- `canopen` (cases of run.py): its Network gets the same frames by `notify`; twelve RemoteNodes with the same mapping; node 1's
-  TPDO is decoded each time. It does less: no SDO transfer is followed, no length and no rule is checked, nothing is counted.
-- Wireshark's `tshark` (here, if it is installed): one line for each frame of a capture, against the same from our observer.
-  It does less, too: it follows no transfer, and knows no mapping.
+- `canopen` (cases of run.py): its Network gets the same frames by `notify`, with twelve RemoteNodes that have the same mapping;
+  node 1's TPDO is decoded each time. It does much less: it follows no SDO transfer, checks no rule, and counts nothing. So the
+  ratio says what understanding a bus costs over taking its frames.
+- `canopen-monitor` 4.1.0 (here; `pip install canopen-monitor`): the same job in Python, a line of text for each frame by the
+  device's EDS. It does less here: it reads the index of an SDO in the wrong byte order, so it shows these frames as bytes; and it
+  checks no rule.
+- Wireshark's `tshark` (here, if it is installed): a line of text for each frame of a capture file, in C. It follows no transfer
+  and knows no mapping. Its start is left out.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import resource
 import shutil
 import subprocess
@@ -52,7 +57,10 @@ OBJECTS = [
     ("modes_of_operation_display", 0x6061, DataType.INTEGER8, 8),
     ("position_actual_value", 0x6064, DataType.INTEGER32, 32),
 ]
-"""Those of TPDO 1; its COB-ID is that of the predefined connection set."""
+"""Those of TPDO 1; the COB-IDs are those of the predefined connection set."""
+TARGETS = [("controlword", 0x6040, DataType.UNSIGNED16, 16), ("target_position", 0x607A, DataType.INTEGER32, 32)]
+"""Those of RPDO 1."""
+MAPPINGS = {0x1A00: OBJECTS, 0x1600: TARGETS}
 DOMAIN = 0x2001
 SDO_FRAMES = 4
 """SDO frames in each cycle."""
@@ -80,7 +88,7 @@ def traffic() -> list[Frame]:
 
 
 def _dictionary() -> ObjectDictionary:
-    objects = [Object.of(name, [Variable(index, 0, name, kind)]) for name, index, kind, _ in OBJECTS]
+    objects = [Object.of(name, [Variable(index, 0, name, kind)]) for name, index, kind, _ in OBJECTS + TARGETS]
     return ObjectDictionary([*objects, Object.of("domain", [Variable(DOMAIN, 0, "domain", DataType.DOMAIN)])])
 
 
@@ -113,12 +121,13 @@ def _transfers(node_id: int) -> Iterator[Frame]:
 
 
 def _mapping(node_id: int) -> Iterator[Frame]:
-    """Writes of the mapping of TPDO 1, as a master makes them: so the observer knows it."""
-    entries = [(1 + place, index << 16 | bits, 4) for place, (_, index, _, bits) in enumerate(OBJECTS)]
-    for subindex, value, size in [*entries, (0, len(OBJECTS), 1)]:
-        place = bytes((0x00, 0x1A, subindex))
-        yield Frame(0x600 + node_id, bytes((0x23 | (4 - size) << 2,)) + place + value.to_bytes(4, "little"))
-        yield Frame(0x580 + node_id, b"\x60" + place + bytes(4))
+    """Writes of the mappings, as a master makes them: so the observer knows them."""
+    for mapping, objects in MAPPINGS.items():
+        entries = [(1 + place, index << 16 | bits, 4) for place, (_, index, _, bits) in enumerate(objects)]
+        for subindex, value, size in [*entries, (0, len(objects), 1)]:
+            place = bytes((mapping & 0xFF, mapping >> 8, subindex))
+            yield Frame(0x600 + node_id, bytes((0x23 | (4 - size) << 2,)) + place + value.to_bytes(4, "little"))
+            yield Frame(0x580 + node_id, b"\x60" + place + bytes(4))
 
 
 FRAMES = traffic()
@@ -229,6 +238,41 @@ def _seconds(work: Callable[[], object]) -> float:
     return time.process_time() - begin
 
 
+def _by_monitor(frames: int) -> float | None:
+    """Return the CPU seconds that canopen-monitor takes for a line of each of so many frames; None if it is not installed."""
+    try:
+        parse, can = (importlib.import_module(f"canopen_monitor.{name}") for name in ("parse", "can"))
+    except ImportError:
+        return None
+    eds = {node_id: parse.EDS(_eds(node_id)) for node_id in NODES}
+    parser = parse.CANOpenParser(eds)
+
+    def lines() -> int:
+        characters = 0
+        for number in range(frames):
+            frame = FRAMES[number % len(FRAMES)]
+            message = can.Message(frame.can_id, data=list(frame.data))
+            text, _ = parser.parse(message)
+            characters += len(f"{number} {message.type} {message.node_id} {text}\n")
+        return characters
+
+    return _seconds(lines)
+
+
+def _eds(node_id: int) -> list[str]:
+    """The lines of a file that describes the drives to canopen-monitor: their objects and their PDOs."""
+    sections = [("DeviceCommissioning", [f"NodeId={node_id}", "NodeName=drive"])]
+    for name, index, kind, _ in OBJECTS + TARGETS:
+        sections.append((f"{index:X}", [f"ParameterName={name}", f"DataType=0x{int(kind):04X}", "DefaultValue=0"]))
+    sections.append((f"{DOMAIN:X}", ["ParameterName=domain", "DataType=0x000F", "DefaultValue=0"]))
+    for mapping, objects in MAPPINGS.items():
+        sections.append((f"{mapping:X}", ["ParameterName=mapping"]))
+        entries = [len(objects), *(f"0x{index:04X}00{bits:02X}" for _, index, _, bits in objects)]
+        for subindex, value in enumerate(entries):
+            sections.append((f"{mapping:X}sub{subindex}", ["ParameterName=entry", "DataType=0x0007", f"DefaultValue={value}"]))
+    return [line for title, lines in sections for line in (f"[{title}]", *lines, "")] + [""]
+
+
 def _memory(frames: int) -> str:
     """Say what a further observer holds after a tenth of the frames, and after all of them."""
     tracemalloc.start()
@@ -239,7 +283,7 @@ def _memory(frames: int) -> str:
     mine.hear(frames - frames // 10)
     last = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return f"peak {first / 1024:.0f} KiB in the first {frames // 10} frames, {last / 1024:.0f} KiB in the next {frames - frames // 10}"
+    return f"at most {first / 1024:.0f} KiB in the first tenth of {frames} frames, {last / 1024:.0f} KiB in the rest"
 
 
 def _by_tshark(frames: int) -> float | None:
@@ -272,20 +316,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="observe a full bus")
     parser.add_argument("--frames", type=int, default=10_000_000, help="default: 10000000")
     frames = parser.parse_args().frames
-    print(f"a full bus of {BITRATE} bit/s has {PER_SECOND:.0f} frames/s")
+    print(
+        f"| {BITRATE // 1_000_000} Mbit/s without a pause, {PER_SECOND:.0f} frames a second | frames | frames/s | share of a core |"
+    )
+    print("|---|---:|---:|---:|")
     for title, has_view in (("Observer", False), ("Observer and BusView", True)):
         mine = Ours(has_view=has_view)
         mine.hear(len(FRAMES))
-        taken = _seconds(lambda mine=mine: mine.hear(frames))
-        rate, part = frames / taken, share(taken / frames * 1e9)
-        print(f"{title}: {frames} frames in {taken:.1f} s, {rate:.0f} frames/s; a full bus takes {part:.1f} % of a core")
+        _row(title, frames, _seconds(lambda mine=mine: mine.hear(frames)))
         assert not mine.findings
-    some = max(frames // 50, 1)
-    ours = _seconds(lambda: Ours(has_view=False).words(some))
-    wireshark = _by_tshark(some)
-    print(f"a line for each frame: {some / ours:.0f} frames/s" + (f"; tshark {some / wireshark:.0f}" if wireshark else ""))
-    print(f"memory, Observer and BusView: {_memory(max(frames // 10, 10))}")
-    print(f"the process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB at most")
+    ours = Ours(has_view=False)
+    few, many = max(frames // 50, 1), max(frames // 50, 100_000)  # a start of tshark costs as much as ten thousand frames
+    _row("Observer, a line of text for each frame", few, _seconds(lambda: ours.words(few)))
+    _row("canopen-monitor, likewise", few, _by_monitor(few))
+    _row("tshark, likewise", many, _by_tshark(many))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"\nMemory of Observer and BusView: {_memory(max(frames // 10, 10))}; of the whole process {peak:.0f} MiB.")
+
+
+def _row(title: str, frames: int, taken: float | None) -> None:
+    if taken is None:
+        print(f"| {title} | not installed | | |")
+    else:
+        print(f"| {title} | {frames} | {frames / taken:.0f} | {share(taken / frames * SECOND):.1f} % |", flush=True)
 
 
 if __name__ == "__main__":

@@ -165,13 +165,14 @@ class BusView:
         if self._begin is None:
             self._begin = self._now = now
         now = self._now = max(now, self._now)
-        bits, slot = frame_bits(frame), now // _SLOT
+        bits, slot = observation.bits or frame_bits(frame), now // _SLOT
         if self._rate.is_over(slot):
             self._peak = max(self._peak, self._rate.last_second(self._rate.slot + 1)[1])
         self._rate.add(slot, bits)
-        for finding in observation.findings:
-            self._findings.append((now, finding))
-            self._found[finding.rule] += 1
+        if observation.findings:
+            for finding in observation.findings:
+                self._findings.append((now, finding))
+                self._found[finding.rule] += 1
         service, node_id = observation.meaning.service, observation.meaning.node_id
         if service == "SYNC":
             self._syncs += 1
@@ -299,7 +300,7 @@ class _Node:
         """Take an SDO frame. A block's segments have the numbers 1 to 127: none of them begins like an abort."""
         if data[:1] == _ABORT_BYTE:
             self.aborts += 1
-        elif any(shown.is_held for shown in observation.meaning.objects):
+        elif observation.settled is not None:
             self.transfers += 1
 
     def figures(self, slot: int) -> NodeFigures:

@@ -27,6 +27,7 @@ MAX_CONSUMERS: Final = 127
 """Entries of 0x1016 that one node may have (CiA 301 v4.2.0, 7.5.2.19)."""
 
 _BOOT_UP: Final = 0
+_OPERATIONAL: Final = int(NmtState.OPERATIONAL)
 _STATE: Final = 0x7F
 _AFTER: Final[dict[int, int]] = {
     NmtCommand.START: NmtState.OPERATIONAL,
@@ -66,14 +67,14 @@ class _View:
 
 
 class NodeRules:
-    """See this module's text."""
+    """See this module's text. deadline: the time at which a heartbeat is late; NEVER if none can be."""
 
-    __slots__ = ("_consumers", "_next", "_views")
+    __slots__ = ("_consumers", "_views", "deadline")
 
     def __init__(self) -> None:
         self._views = [_View() for _ in range(MAX_NODE_ID + 1)]
         self._consumers: dict[tuple[int, int], tuple[int, Time]] = {}  # by consumer and subindex: the producer and its time
-        self._next: Time = NEVER
+        self.deadline: Time = NEVER
 
     def consumer(self, node_id: int, subindex: int, value: int) -> None:
         """Take note of an entry of a node's 0x1016. value: node-ID << 16 | ms."""
@@ -102,8 +103,6 @@ class NodeRules:
 
     def overdue(self, now: Time) -> list[Finding]:
         """Return the heartbeats that are later than their consumers allow; each one once."""
-        if now < self._next:
-            return []
         found = []
         for node_id, view in enumerate(self._views):
             if view.deadline <= now:
@@ -112,7 +111,7 @@ class NodeRules:
                 waiting = [str(consumer) for (consumer, _), (each, _) in sorted(self._consumers.items()) if each == node_id]
                 text = f"no heartbeat for more than {allowed} ms, which node {', '.join(waiting)} allows"
                 found.append(Finding("late heartbeat", node_id, text))
-        self._next = min(view.deadline for view in self._views)
+        self.deadline = min(view.deadline for view in self._views)
         return found
 
     def command(self, command: int, node_id: int, now: Time) -> list[Finding]:
@@ -133,7 +132,7 @@ class NodeRules:
             return [Finding("length", node_id, f"a heartbeat of {len(data)} bytes; it has one")]
         view, state = self._views[node_id], data[0] & _STATE
         view.deadline = NEVER if view.limit == NEVER else now + view.limit
-        self._next = min(self._next, view.deadline)
+        self.deadline = min(self.deadline, view.deadline)
         if state == _BOOT_UP:
             view.state = None
             view.is_said = view.is_asked = False
@@ -173,22 +172,22 @@ class NodeRules:
         text = "its guarding answers do not alternate the toggle bit: it sends heartbeats instead, or two nodes have one ID"
         return [Finding("toggle", node_id, text)]
 
-    def sdo(self, node_id: int, now: Time, *, is_answer: bool) -> list[Finding]:
+    def sdo(self, node_id: int, now: Time, found: list[Finding], *, is_answer: bool) -> None:
         """Take note of an SDO frame."""
         view = self._views[node_id]
         if view.state != NmtState.STOPPED or now - view.since < OBEYING or (view.is_told and not is_answer):
-            return []
+            return
         view.is_told = True
         text = "it is stopped, and answers an SDO" if is_answer else "an SDO goes to a node that is stopped: it may not answer"
-        return [Finding("stopped", node_id, text)]
+        found.append(Finding("stopped", node_id, text))
 
-    def pdo(self, node_id: int, now: Time) -> list[Finding]:
+    def pdo(self, node_id: int, now: Time, found: list[Finding]) -> None:
         """Take note of a PDO that a node has sent."""
         view = self._views[node_id]
-        if view.state in (None, NmtState.OPERATIONAL) or now - view.since < OBEYING:
-            return []
+        if view.state is None or view.state == _OPERATIONAL or now - view.since < OBEYING:
+            return
         view.since = now  # said again after a while only
-        return [Finding("not operational", node_id, f"it sends a PDO, and is {_word(view.state or 0)}")]
+        found.append(Finding("not operational", node_id, f"it sends a PDO, and is {_word(view.state)}"))
 
 
 def _word(state: int) -> str:

@@ -99,12 +99,16 @@ _Route: TypeAlias = Callable[[Frame, Time, list[Finding]], Meaning]
 class Observation(NamedTuple):
     """A frame in words, and what is wrong: with this frame, or at its time.
 
+    settled: the value that a device is known to hold by this frame, of an SDO transfer that is over. bits: of the frame on the
+    wire; 0 if the observer was given no bit rate.
     summaries: of sequences of frames that are over (sequences.py), with this frame or before it. is_part: the frame belongs to
     such a sequence, so a summary of it comes with this frame, with one behind it, or by `Observer.unfinished`.
     """
 
     meaning: Meaning
     findings: tuple[Finding, ...]
+    settled: Settled | None = None
+    bits: int = 0
     is_part: bool = False
     summaries: tuple[Summary, ...] = ()
 
@@ -139,14 +143,23 @@ class Observer:
         self._is_shared_told = True  # that the nodes alive share COB-IDs
         self._now: Time = -NEVER
         self._load = _Load(bitrate, load_limit) if bitrate else None
+        self._settled: Settled | None = None  # by this frame
         for node_id, dictionary in self._dictionaries.items():
             self._renew(node_id)
             self._read_consumers(node_id, dictionary)
 
     def observe(self, frame: Frame, now: Time) -> Observation:
         """Return what a frame means, and what is wrong. Frames come in order. now: ns; an earlier one counts as the last."""
-        now = self._now = max(now, self._now)
-        found = self._nodes.overdue(now) + self._timings.overdue(now)
+        if now > self._now:
+            self._now = now
+        else:
+            now = self._now
+        found: list[Finding] = []
+        if now >= self._nodes.deadline:
+            found += self._nodes.overdue(now)
+        if now >= self._timings.deadline:
+            found += self._timings.overdue(now)
+        self._settled = None
         sequences = self._sequences
         if now >= sequences.deadline:
             sequences.overdue(now)
@@ -157,11 +170,10 @@ class Observer:
         if not self._is_shared_told:
             self._is_shared_told = True
             found += self._shared()
-        if self._load is not None:
-            found += self._load.add(frame, now)
+        bits = 0 if self._load is None else self._load.add(frame, now, found)
         if sequences.is_part or sequences.ended:
-            return Observation(meaning, tuple(found), *sequences.take())
-        return Observation(meaning, tuple(found))
+            return Observation(meaning, tuple(found), self._settled, bits, *sequences.take())
+        return Observation(meaning, tuple(found), self._settled, bits)
 
     def unfinished(self) -> tuple[Summary, ...]:
         """Return the sequences that are not over yet, and forget them: behind the last frame of a recording."""
@@ -296,7 +308,7 @@ class Observer:
 
     def _sync(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         found += self._services.sync(frame.data)
-        found += self._timings.sync()
+        self._timings.sync(found)
         return Meaning("SYNC", 0, words.of_sync, frame)
 
     def _time(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
@@ -325,12 +337,12 @@ class Observer:
                 text = f"{pdo.name} has {len(frame.data)} bytes, and its mapping {pdo.byte_length}"
                 found.append(Finding("pdo length", pdo.node_id, text))
             if pdo.direction is Direction.TPDO:
-                found += self._nodes.pdo(pdo.node_id, now)
-            found += self._timings.came(pdo.node_id, pdo.name, now)
+                self._nodes.pdo(pdo.node_id, now, found)
+            self._timings.came(pdo.node_id, pdo.name, now, found)
         return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
 
     def _request(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
-        found += self._nodes.sdo(channel.node_id, now, is_answer=False)
+        self._nodes.sdo(channel.node_id, now, found, is_answer=False)
         follower = self._follower(channel)
         meaning = follower.client(frame, now, found)
         self._sequences.sdo(channel.node_id, None, follower.aborted, now)
@@ -338,11 +350,12 @@ class Observer:
 
     def _answer(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         self._lives(channel.node_id)
-        found += self._nodes.sdo(channel.node_id, now, is_answer=True)
+        self._nodes.sdo(channel.node_id, now, found, is_answer=True)
         follower = self._follower(channel)
         meaning = follower.server(frame, now, found)
         self._sequences.sdo(channel.node_id, follower.settled, follower.aborted, now)
         if follower.settled is not None:
+            self._settled = follower.settled
             found += self._settle(follower.settled)
         return meaning
 
@@ -418,8 +431,8 @@ class _Load:
         self._begin: Time | None = None
         self._bits = 0
 
-    def add(self, frame: Frame, now: Time) -> list[Finding]:
-        found = []
+    def add(self, frame: Frame, now: Time, found: list[Finding]) -> int:
+        """Count a frame, and return its bits on the wire."""
         if self._begin is None or now - self._begin >= SECOND:
             elapsed = SECOND if self._begin is None else now - self._begin
             share = self._bits * SECOND / (elapsed * self._bitrate)
@@ -427,5 +440,6 @@ class _Load:
                 text = f"the load was {share * 100:.0f} % of {self._bitrate} bit/s in the last {elapsed / SECOND:.3g} s"
                 found.append(Finding("load", 0, f"{text}; the limit is {self._limit * 100:.0f} %"))
             self._begin, self._bits = now, 0
-        self._bits += frame_bits(frame)
-        return found
+        bits = frame_bits(frame)
+        self._bits += bits
+        return bits

@@ -45,16 +45,19 @@ class _Timing:
 
 
 class PdoRules:
-    """See this module's text. is_operational: whether a node has said that it is operational."""
+    """See this module's text. is_operational: whether a node has said that it is operational.
 
-    __slots__ = ("_cyclic", "_is_operational", "_next", "_syncs", "_timings")
+    deadline: the time at which a PDO is late for its event timer; NEVER if none can be.
+    """
+
+    __slots__ = ("_cyclic", "_is_operational", "_syncs", "_timings", "deadline")
 
     def __init__(self, is_operational: Callable[[int], bool]) -> None:
         self._is_operational = is_operational
         self._timings: dict[tuple[int, str], _Timing] = {}  # by node and name: "TPDO 1"
         self._cyclic: list[_Timing] = []  # those that a node sends at each SYNC, or at each nth
         self._syncs = 0
-        self._next: Time = NEVER
+        self.deadline: Time = NEVER
 
     def settle(self, node_id: int, index: int, subindex: int, value: int) -> None:
         """Take note of a parameter that a node holds. Other objects do nothing."""
@@ -86,12 +89,11 @@ class PdoRules:
             if node_id in (0, timing.node_id):
                 timing.forget()
 
-    def came(self, node_id: int, name: str, now: Time) -> list[Finding]:
-        """Return what is wrong with the time of a PDO."""
-        timing = self._timings.get((node_id, name))
+    def came(self, node_id: int, name: str, now: Time, found: list[Finding]) -> None:
+        """Take note of a PDO. found: takes what is wrong with its time."""
+        timing = self._timings.get((node_id, name)) if self._timings else None
         if timing is None:
-            return []
-        found = []
+            return
         if timing.is_sent and (now - timing.last) * 2 < timing.inhibit:
             text = f"{name} {ms_text(now - timing.last)} behind the last one; its inhibit time is {ms_text(timing.inhibit)}"
             found.append(Finding("inhibit time", node_id, text))
@@ -100,25 +102,20 @@ class PdoRules:
         timing.last, timing.at_sync = now, self._syncs
         if timing.event_timer and timing.kind >= EVENT_DRIVEN:
             timing.deadline = now + timing.event_timer * 3 // 2
-            self._next = min(self._next, timing.deadline)
-        return found
+            self.deadline = min(self.deadline, timing.deadline)
 
-    def sync(self) -> list[Finding]:
-        """Take note of a SYNC. Return the PDOs that were due behind the last two of theirs; each one once."""
+    def sync(self, found: list[Finding]) -> None:
+        """Take note of a SYNC. found: takes the PDOs that were due behind the last two of theirs; each one once."""
         self._syncs += 1
-        found = []
         for timing in self._cyclic:
             if 0 <= timing.at_sync < self._syncs - timing.kind - 1:
                 timing.at_sync = -1
                 if self._is_operational(timing.node_id):
                     text = f"{timing.name} does not come, at a SYNC and at the next one; its transmission type is {timing.kind}"
                     found.append(Finding("late pdo", timing.node_id, text))
-        return found
 
     def overdue(self, now: Time) -> list[Finding]:
         """Return the PDOs that are later than their event timers allow; each one once."""
-        if now < self._next:
-            return []
         found = []
         for timing in self._timings.values():
             if timing.deadline <= now:
@@ -126,7 +123,7 @@ class PdoRules:
                 if self._is_operational(timing.node_id):
                     text = f"{timing.name} does not come; its event timer is {ms_text(timing.event_timer)}"
                     found.append(Finding("late pdo", timing.node_id, text))
-        self._next = min((timing.deadline for timing in self._timings.values()), default=NEVER)
+        self.deadline = min((timing.deadline for timing in self._timings.values()), default=NEVER)
         return found
 
     def _choose(self) -> None:
