@@ -14,6 +14,8 @@ from typing import Any
 
 import canopen
 
+from canopen_proto.datatypes import DataType
+
 VERSION = canopen.__version__
 
 
@@ -51,3 +53,19 @@ def record(name: str, index: int, *members: canopen.objectdictionary.ODVariable)
     for member in members:
         described.add_member(member)
     return described
+
+
+def add_tpdo(network: canopen.Network, node_id: int, objects: list[tuple[str, int, DataType, int]]) -> Any:
+    """Add a node whose TPDO 1 has these objects: name, index, type, bits. Return the TPDO, which the network decodes."""
+    dictionary = canopen.ObjectDictionary()
+    for name, index, kind, _ in objects:
+        dictionary.add_object(variable(name, index, 0, int(kind)))
+    communication = [variable("count", 0x1800, 0, DataType.UNSIGNED8), variable("cob_id", 0x1800, 1, DataType.UNSIGNED32)]
+    dictionary.add_object(record("tpdo_1_communication", 0x1800, *communication))
+    dictionary.add_object(record("tpdo_1_mapping", 0x1A00, variable("count", 0x1A00, 0, DataType.UNSIGNED8)))
+    tpdo = network.add_node(node_id, dictionary).tpdo[1]
+    tpdo.cob_id, tpdo.enabled = 0x180 + node_id, True
+    for _, index, _, bits in objects:
+        tpdo.add_variable(index, 0, bits)
+    tpdo.subscribe()
+    return tpdo

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from canopen import ObjectDictionary as TheirDictionary
-from direct import coupled_networks, record, variable
+from direct import add_tpdo, coupled_networks
 from measure import Case, measure
 
 from canopen_proto.datatypes import DataType
@@ -78,17 +77,7 @@ def theirs(nodes: int) -> Handle:
     network, _ = coupled_networks()
     tpdos = {}
     for node in range(1, nodes + 1):
-        dictionary = TheirDictionary()
-        for name, index, kind, _ in OBJECTS:
-            dictionary.add_object(variable(name, index, 0, int(kind)))
-        communication = [variable("count", 0x1800, 0, DataType.UNSIGNED8), variable("cob_id", 0x1800, 1, DataType.UNSIGNED32)]
-        dictionary.add_object(record("tpdo_1_communication", 0x1800, *communication))
-        dictionary.add_object(record("tpdo_1_mapping", 0x1A00, variable("count", 0x1A00, 0, DataType.UNSIGNED8)))
-        tpdo = tpdos[0x180 + node] = network.add_node(node, dictionary).tpdo[1]
-        tpdo.cob_id, tpdo.enabled = 0x180 + node, True
-        for _, index, _, bits in OBJECTS:
-            tpdo.add_variable(index, 0, bits)
-        tpdo.subscribe()
+        tpdos[0x180 + node] = add_tpdo(network, node, OBJECTS)
     traffic = _traffic(nodes)
     first = tpdos[0x181]
 
