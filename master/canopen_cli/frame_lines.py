@@ -2,14 +2,15 @@
 
 In a pipe a line has the time, the frame, the service, the node and the meaning, however long. On a terminal with less than WIDE
 columns it has the CAN-ID in place of the frame, and a long meaning goes on below itself. A line that begins with ! says what is
-wrong with the frame before it.
+wrong with the frame before it. A line that begins with = sums up frames before it: a fastscan, whose frames are left out, or what
+a node was told behind its boot-up.
 """
 
 from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final, TypeVar
 
 import click
@@ -24,12 +25,13 @@ from canopen_proto.machine import SECOND, Time
 from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.meaning import Shown
 from canopen_proto.observer.observer import Observation, Observer
+from canopen_proto.observer.sequences import Summary
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.record import Record
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-SERVICES: Final = ("nmt", "sync", "time", "emcy", "sdo", "heartbeat", "boot-up", "guarding", "lss", "?")
+SERVICES: Final = ("nmt", "sync", "time", "emcy", "sdo", "heartbeat", "boot-up", "guarding", "lss", "nmt master", "?")
 """The services that are no PDOs; those have names of their own, such as TPDO 1. ? is what no service explains."""
 WIDE: Final = 120
 """Columns of a terminal that shows the bytes of each frame, too."""
@@ -38,6 +40,7 @@ MAX_KEPT: Final = 1 << 16
 
 _STYLES: Final = {
     "nmt": "bold",
+    "nmt master": "bold",
     "boot-up": "bold green",
     "emcy": "bold yellow",
     "sdo": "cyan",
@@ -69,6 +72,12 @@ class Buses:
             self._observers[record.channel] = Observer(self._files.dictionary_of, **self._settings)
         observer = self._observers[record.channel]
         return self.seconds(record.time), observer.observe(record.frame, record.time - self._first)
+
+    def unfinished(self) -> Iterator[tuple[str, Summary]]:
+        """Return the sequences that are not over yet, each with its bus: behind the last frame."""
+        for channel, observer in self._observers.items():
+            for summary in observer.unfinished():
+                yield channel, summary
 
     def seconds(self, time: Time) -> float:
         """Return the seconds since the first record."""
@@ -111,6 +120,7 @@ class FrameChoice:
         """nodes: None for all of them; no services and no objects: all. Raises Problem, ObjectNotFound for a word that fits
         nothing."""
         self.files = files
+        self._has_parts = files.settings.verbosity > 0 or files.settings.json
         self._nodes = frozenset(nodes or ())
         self._services = tuple(_service(word) for each in services for word in each.lower().split(","))
         self._numbers, self._names = _objects(objects)
@@ -122,6 +132,8 @@ class FrameChoice:
     def shows(self, record: Record, observation: Observation) -> bool:
         """Return whether a frame is shown. With a finding it always counts as a change, and as one of the finding's node."""
         meaning, findings = observation.meaning, observation.findings
+        if observation.is_part and meaning.service == "LSS" and not findings and not self._has_parts:
+            return False
         if self._nodes and meaning.node_id not in self._nodes and not any(each.node_id in self._nodes for each in findings):
             return False
         if self._services and not any(_is_of(meaning.service.lower(), word) for word in self._services):
@@ -131,6 +143,12 @@ class FrameChoice:
         ):
             return False
         return self._last is None or self._has_changed(self._last, record, observation)
+
+    def tells(self, summary: Summary) -> bool:
+        """Return whether the summary of a sequence of frames is shown."""
+        if self._numbers or self._names or (self._nodes and summary.node_id not in self._nodes):
+            return False
+        return not self._services or any(_is_of(summary.service.lower(), word) for word in self._services)
 
     def _has_changed(self, last: dict[object, str], record: Record, observation: Observation) -> bool:
         meaning = observation.meaning
@@ -224,6 +242,14 @@ class FrameLines:
         style = _STYLES.get(meaning.service.lower(), "")
         wrong = "".join(self._line("! ", finding_text(each), _FINDING) for each in findings)
         return self._line(head, clean(meaning.text), style) + wrong
+
+    def summary(self, time: Time, channel: str, summary: Summary) -> str:
+        """Return the line that sums up a sequence of frames. time: of the frame that it comes with."""
+        service, node_id, text = summary
+        if self._json:
+            line = {"time": time, "channel": channel, "service": service, "node": node_id, "summary": text}
+            return json_text(line) + "\n"
+        return self._line("= ", f"{service}{f' of node {node_id}' if node_id else ''}: {text}", _STYLES[service.lower()])
 
     def report(self, seconds: float, time: Time, report: Report) -> str:
         """Return the line for a report of the bus. seconds: since the first frame."""

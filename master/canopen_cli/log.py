@@ -201,7 +201,8 @@ def decode(
     """Say what each frame in a file means; - is standard input. `canopen monitor` shows a bus like this.
 
     PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. A line that begins
-    with ! says what is wrong with the frame before it.
+    with ! says what is wrong with the frame before it. A line that begins with = sums up frames before it: a fastscan (-v shows
+    its frames), or what a node was told behind its boot-up.
 
     \b
     canopen log decode trace.log

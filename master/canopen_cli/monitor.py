@@ -38,7 +38,8 @@ def monitor(
     """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
 
     With a FILE it shows a recording in place of a bus; - is standard input. PDOs are shown by the mapping that was heard, else by
-    the devices' own files, else by PDOs.csv. A line that begins with ! says what is wrong with the frame before it.
+    the devices' own files, else by PDOs.csv. A line that begins with ! says what is wrong with the frame before it. A line that
+    begins with = sums up frames before it: a fastscan (-v shows its frames), or what a node was told behind its boot-up.
 
     \b
     canopen monitor -b demo
@@ -96,6 +97,9 @@ class Watch:
                     lines.measure()
                     for heard in taken:
                         await self._tell(heard, buses, lines, outlet)
+                for channel, summary in buses.unfinished():
+                    if self._choice.tells(summary):
+                        await outlet.put(lines.summary(live.now(), channel, summary))
         except ExceptionGroup as group:
             raise first_of(group) from None
 
@@ -106,6 +110,9 @@ class Watch:
             self._frames += 1
             seconds, observation = buses.observe(heard)
             self._findings += len(observation.findings)
+            for summary in observation.summaries:
+                if self._choice.tells(summary):
+                    await outlet.put(lines.summary(heard.time, heard.channel, summary))
             if self._choice.shows(heard, observation):
                 self._shown += 1
                 await outlet.put(lines.frame(seconds, heard, observation))

@@ -46,7 +46,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 def times(text: str) -> list[int]:
     """The times of the frames that are shown, in ms."""
-    return [round(float(line.split()[0]) * 1000) for line in text.splitlines() if not line.startswith("!")]
+    return [round(float(line.split()[0]) * 1000) for line in text.splitlines() if line[0] not in "!="]
 
 
 def test_a_bus_is_shown_as_it_goes_on(run: Run) -> None:
@@ -67,6 +67,40 @@ def test_ctrl_c_is_its_usual_end(run: Run, monkeypatch: pytest.MonkeyPatch) -> N
     assert outcome.err.splitlines()[1] == "18 frames in 1.2 s, 3 shown, no findings"
     assert outcome.err.splitlines()[-1] == "ended"
     assert len(Path("t.log").read_text().splitlines()) == 18
+
+
+FASTSCAN = "".join(
+    f"({200 + number / 100:.6f}) can0 {text}\n"
+    for number, text in enumerate(
+        each
+        for request in ("00000000800000", "60030000000001", "02000000000102", "03000100000203", "EEFFC000000300")
+        for each in (f"7E5#51{request}", "7E4#4F00000000000000")
+    )
+)
+
+
+def test_a_fastscan_is_one_line(run: Run) -> None:
+    Path("scan.log").write_text(FASTSCAN + "(200.100000) can0 7E5#5E00000000000000\n")
+    outcome = run("monitor", "scan.log")
+    address = "vendor-ID 0x00000360, product code 0x00000002, revision 0x00010003, serial number 0x00C0FFEE"
+    summary = f"= LSS: fastscan: {address} is selected (5 requests, 90 ms)"
+    asked = "    0.100000 7E5#5E00000000000000      LSS            inquire node-ID?"
+    assert outcome.out.splitlines() == [summary, asked]
+    assert outcome.err == "11 frames in 0.1 s, 1 shown, no findings\n"
+    each = run("monitor", "scan.log", "-v").out.splitlines()
+    assert (len(each), each[0].split()[1], each[9], each[11]) == (12, "7E5#5100000000800000", summary, asked)
+    documents = [json.loads(line) for line in run("log", "decode", "scan.log", "--json").out.splitlines()]
+    assert [document["summary"] for document in documents if "summary" in document] == [summary.removeprefix("= LSS: ")]
+    assert len(documents) == 12
+    assert run("monitor", "scan.log", "--service", "sdo").out == ""
+
+
+def test_what_a_node_was_told_behind_its_boot_up_is_summed_up(run: Run) -> None:
+    line = "= boot-up of node 5: 5 values read, 0 written, 0 transfers aborted"
+    assert run("monitor", "a.log").out.splitlines()[-1] == line
+    assert line in run("log", "decode", "a.log", "--node", "5", "--service", "boot-up").out
+    assert line not in run("log", "decode", "a.log", "--node", "6").out
+    assert line not in run("log", "decode", "a.log", "--object", "1018").out
 
 
 def test_a_recording_is_shown_as_log_decode_does(run: Run) -> None:
