@@ -5,7 +5,6 @@ Without -b nothing is opened. With -b the bus is opened, listen-only if the adap
 
 from __future__ import annotations
 
-from contextlib import AsyncExitStack
 from dataclasses import replace
 from typing import Any, Final
 
@@ -20,7 +19,7 @@ from canopen_cli.screen import Screen, escape
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.doctor import Finding, Health, examine
 from canopen_transports.locator import bitrate_text, parse_locator
-from canopen_transports.receive_test import NO_WIRE, Heard, find_bitrate, listen
+from canopen_transports.receive_test import NO_WIRE, Each, Heard, find_bitrate, listen
 
 LISTEN: Final = 2 * SECOND
 """Longer than the usual heartbeat time of 1 s."""
@@ -47,15 +46,19 @@ def doctor(settings: Settings, duration: Time, bitrates: bool) -> int:
             raise usage("CO121", "no bus was named", tries=("canopen doctor --bitrates -b pcan:PCAN_USBBUS1",))
         return _examine_computer(screen)
     if bitrates:
-        return run(settings, screen, lambda: _find_bitrate(screen, bus, duration / SECOND))
-    heard = run(settings, screen, lambda: _listen(bus, duration / SECOND))
+        found = run(settings, screen, lambda: try_bitrates(screen, bus, duration / SECOND))
+        if screen.json_output:
+            screen.json(heard_as_json(found) if found is not None else None)
+        elif found is not None:
+            screen.fact("bus", found.locator)
+            screen.fact("heard", f"{found.frames} frames, no errors")
+        return ExitCode.OK if found is not None else ExitCode.DIFFERENT
+    heard = run(settings, screen, lambda: hear(bus, duration / SECOND))
     if screen.json_output:
-        screen.json(_heard_as_json(heard))
+        screen.json(heard_as_json(heard))
     else:
-        _show_heard(screen, heard, duration / SECOND)
-    if heard.is_bad:
-        return ExitCode.BUS_FAULT
-    return ExitCode.OK if heard.frames else ExitCode.DIFFERENT
+        show_heard(screen, heard, duration / SECOND)
+    return status_of(heard)
 
 
 def _examine_computer(screen: Screen) -> int:
@@ -89,15 +92,23 @@ def _finding_as_json(finding: Finding) -> dict[str, Any]:
     }
 
 
-async def _listen(bus: str, seconds: float) -> Heard:
-    async with AsyncExitStack() as stack:
-        if bus != DEMO:
-            return await listen(bus, seconds)
-        await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
-        return replace(await listen(DEMO_LOCATOR, seconds), locator=DEMO)
+def status_of(heard: Heard) -> ExitCode:
+    """Return the exit status for what was heard."""
+    if heard.is_bad:
+        return ExitCode.BUS_FAULT
+    return ExitCode.OK if heard.frames else ExitCode.DIFFERENT
 
 
-def _show_heard(screen: Screen, heard: Heard, seconds: float) -> None:
+async def hear(bus: str, seconds: float, each: Each = lambda frame, stamp: None) -> Heard:
+    """Listen on a bus, or on that of the simulated drives. See `listen` of canopen_transports.receive_test."""
+    if bus != DEMO:
+        return await listen(bus, seconds, each)
+    async with simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES):
+        return replace(await listen(DEMO_LOCATOR, seconds, each), locator=DEMO)
+
+
+def show_heard(screen: Screen, heard: Heard, seconds: float) -> None:
+    """Show the counts of what was heard, and what to do next."""
     how = "opened to listen only" if heard.listen_only else "opened"
     screen.fact("bus", f"{heard.locator}, {how}")
     screen.fact("heard", f"{heard.frames} frames in {seconds:g} s" + (f", {heard.lost} more lost" if heard.lost else ""))
@@ -134,7 +145,8 @@ def _advice(heard: Heard) -> list[str]:
     ]
 
 
-def _heard_as_json(heard: Heard) -> dict[str, Any]:
+def heard_as_json(heard: Heard) -> dict[str, Any]:
+    """Return what was heard for --json."""
     return {
         "bus": heard.locator,
         "listen_only": heard.listen_only,
@@ -149,17 +161,14 @@ def _heard_as_json(heard: Heard) -> dict[str, Any]:
     }
 
 
-async def _find_bitrate(screen: Screen, bus: str, seconds: float) -> int:
+async def try_bitrates(screen: Screen, bus: str, seconds: float) -> Heard | None:
+    """Listen at one bit rate after the other, and tell it; return the first result with frames and without errors, or None."""
+
     def tell(heard: Heard) -> None:
         screen.say(escape(f"{heard.locator}: {heard.frames} frames, {heard.faults} errors"))
 
     found = await find_bitrate(bus, seconds, tell)
     await trio.lowlevel.checkpoint()
-    if screen.json_output:
-        screen.json(_heard_as_json(found) if found is not None else None)
-    elif found is not None:
-        screen.fact("bus", found.locator)
-        screen.fact("heard", f"{found.frames} frames, no errors")
-    else:
-        screen.say("at no bit rate were frames heard without errors: does anything send at all? Try a longer --listen")
-    return ExitCode.OK if found is not None else ExitCode.DIFFERENT
+    if found is None:
+        screen.say("at no bit rate were frames heard without errors: does anything send at all? Try a longer time")
+    return found

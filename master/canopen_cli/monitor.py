@@ -92,7 +92,7 @@ class Watch:
                     self._begin = live.now()
                     how = "the adapter only listens" if live.is_silent else "nothing is sent"
                     self._screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; {how}")
-                buses = Buses(self._choice.files, bitrate=live.bitrate or 0)
+                buses = Buses(self._choice.files, bitrate=live.bitrate or self._settings.told_bitrate() or 0)
                 while taken := await live.take():
                     lines.measure()
                     for heard in taken:

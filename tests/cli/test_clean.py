@@ -223,6 +223,7 @@ COMMANDS = [
     ("log", "decode", "good.log"),
     ("monitor", "odd.log", "-e", "5=device.eds"),
     ("monitor", "good.log", "--json"),
+    ("listen", "-b", EVIL),
     ("monitor", EVIL),
     ("monitor", "good.log", "--object", EVIL),
     ("monitor", "good.log", "--service", EVIL),

@@ -78,7 +78,7 @@ def test_a_silent_bus(run: Run) -> None:
     ],
 )
 def test_a_bus_that_is_not_well(run: Run, monkeypatch: pytest.MonkeyPatch, heard: Heard, status: int, texts: list[str]) -> None:
-    async def listen(bus: str, seconds: float) -> Heard:
+    async def listen(bus: str, seconds: float, each: object) -> Heard:
         await trio.lowlevel.checkpoint()
         return heard
 
@@ -92,7 +92,7 @@ def test_many_ids_are_cut(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     heard = Heard("can0", False, frames=20)
     heard.ids.update(range(20))
 
-    async def listen(bus: str, seconds: float) -> Heard:
+    async def listen(bus: str, seconds: float, each: object) -> Heard:
         await trio.lowlevel.checkpoint()
         return heard
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, TypeAlias
 
 import trio
 
@@ -27,6 +27,7 @@ from canopen_transports.transport import Transport
 BITRATES: Final = (1_000_000, 500_000, 250_000, 125_000, 800_000, 100_000, 50_000, 20_000, 10_000)
 """The bit rates of CiA 301 (v4.2.0, table 1), the usual ones first."""
 _HEARTBEATS: Final = range(0x701, 0x780)
+Each: TypeAlias = Callable[[Frame, int | None], None]
 NO_WIRE: Final = ("virtual", "udp_multicast", "tcp")
 """Interfaces without a CAN controller."""
 
@@ -71,14 +72,24 @@ def silently(locator: Locator) -> str:
     return f"{locator.text}{'&' if '?' in locator.text else '?'}{LISTEN_ONLY}=true"
 
 
-async def listen(text: str, seconds: float) -> Heard:
-    """Report what is heard on a bus within `seconds`. Raises TransportError if the bus cannot be opened, or fails."""
+async def listen(text: str, seconds: float, each: Each = lambda frame, stamp: None) -> Heard:
+    """Report what is heard on a bus within `seconds`. each: called with each frame and its time stamp.
+
+    Raises TransportError if the bus cannot be opened, or fails.
+    """
     locator = parse_locator(text)
     async with await open_transport(silently(locator)) as transport:
-        return await listen_on(transport, text, seconds, listen_only=_has_silent_wire(locator))
+        return await listen_on(transport, text, seconds, each, listen_only=_has_silent_wire(locator))
 
 
-async def listen_on(transport: Transport, text: str, seconds: float, *, listen_only: bool = False) -> Heard:
+async def listen_on(
+    transport: Transport,
+    text: str,
+    seconds: float,
+    each: Each = lambda frame, stamp: None,
+    *,
+    listen_only: bool = False,
+) -> Heard:
     """Do the same on an open bus."""
     heard = Heard(text, listen_only)
     with trio.move_on_after(seconds):
@@ -89,7 +100,8 @@ async def listen_on(transport: Transport, text: str, seconds: float, *, listen_o
             elif isinstance(received, ReceiveOverrun):
                 heard.lost += received.lost
             elif isinstance(received, tuple):
-                frame = received[0]
+                frame, stamp = received
+                each(frame, stamp)
                 heard.frames += 1
                 heard.first = heard.first or frame
                 if not frame.flags & EXTENDED:
