@@ -149,7 +149,8 @@ def _transmission_type(member: Member, slot: Slot, timing: Timing) -> int | None
     variable = _field(member, slot, TRANSMISSION_TYPE)
     if variable is not None and variable.access.writable:
         return next((kind for kind in wanted if _may_be(variable, kind)), None)
-    is_synchronous = slot.direction is Direction.RPDO and EACH_SYNC in wanted and slot.transmission_type in (0, *CYCLIC_TYPES)
+    is_of_sync = slot.transmission_type == 0 or slot.transmission_type in CYCLIC_TYPES
+    is_synchronous = slot.direction is Direction.RPDO and EACH_SYNC in wanted and is_of_sync
     return slot.transmission_type if slot.transmission_type in wanted or is_synchronous else None
 
 
