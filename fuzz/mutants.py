@@ -2,8 +2,8 @@
 
     python -m fuzz.mutants [NAME ...]         each planted in a copy of the core; run it by hand, and once a week
 
-A bug is a piece of source that is replaced. The corpus has to find every one, except those of drives and of trajectories
-(drive_mutants.py, trajectory_mutants.py), and so have the tests that the bug names. Both run first in the copy without a bug,
+A bug is a piece of source that is replaced. The corpus has to find every one, except those of the boot-up, of drives and of
+trajectories (boot_mutants.py and so on), and so have the tests that the bug names. Both run first in the copy without a bug,
 where both have to pass: else a failure would say nothing. The exit status is 0 if both find every bug; 1 if one of them misses a
 bug, or does not end; 2 for an unknown name; 3 if something fails without a bug.
 tests/proto/test_fuzz_mutants.py checks that each bug can still be planted.
@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Final
 
 import canopen_proto
+from fuzz.boot_mutants import BOOT_MUTANTS
 from fuzz.drive_mutants import DRIVE_MUTANTS
 from fuzz.mutant import Mutant
 from fuzz.trajectory_mutants import TRAJECTORY_MUTANTS
@@ -384,6 +385,7 @@ MUTANTS: Final = (
         "a node without a heartbeat is lost",
         HEARTBEAT,
     ),
+    *BOOT_MUTANTS,
     *DRIVE_MUTANTS,
     *TRAJECTORY_MUTANTS,
 )

@@ -428,7 +428,6 @@ class NetworkBoot:
         yield from self._boot(member, now)
 
     def _on_lost(self, member: _Member) -> Procedure[None]:
-        assignment = member.entry.assignment
         lost = NodeLost(member.node.node_id, self._reaction_to(member))
         yield from act(lambda now: self._take_loss(member, lost, now))
         if lost.reaction in (LossReaction.STOP_ALL, LossReaction.RESET_ALL):
@@ -437,8 +436,6 @@ class NetworkBoot:
             member.reset = NmtCommand.RESET_NODE
             yield from self.commands.send(member.reset, member.node.node_id)
             yield from self._await_boot_up(member)
-        if assignment.guards and not member.entry.consumer_time:  # only so a node that is connected again is heard
-            yield from act(lambda now: member.node.start_guarding(assignment.guard_time, assignment.retry_factor, now))
         member.absent_since = yield from current_time()
 
     def _reaction_to(self, member: _Member) -> LossReaction:
@@ -450,7 +447,7 @@ class NetworkBoot:
         return LossReaction.RESET if assignment.boots and not assignment.keep_alive else LossReaction.NONE
 
     def _take_loss(self, member: _Member, lost: NodeLost, now: Time) -> None:
-        self._stop_watching(member, now)
+        member.node.heartbeat.set_timeout(0, now)  # guarding goes on: only so a node that is connected again is heard
         member.boots, member.outcome, member.is_running, member.absent_since = member.node.boots, None, False, now
         member.node.out.events.append(lost)
 

@@ -8,6 +8,7 @@ import pytest
 
 from canopen_proto.boot.network_boot import BootReport, LossReaction, NetworkBoot, NetworkStarted, NodeLost
 from canopen_proto.frame import Frame
+from canopen_proto.heartbeat import HeartbeatLost
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError
 from canopen_proto.procedures.steps import Procedure
 from tests.proto.boot_bench import (
@@ -361,11 +362,11 @@ def test_nodes_that_are_not_listed_are_not_touched() -> None:
 
 def test_there_is_a_pause_between_nmt_commands() -> None:
     """0x102A: also between those of nodes that are ready at the same moment."""
-    bench = BootBench([2, 3, 4], pause=30 * MILLISECOND)
-    beating(bench, 4)
-    bench.run(bench.network_boot(1, entry(2, MANDATORY), entry(3, MANDATORY), entry(4, KEPT)).start())
+    bench = BootBench([2, 3, 4, 5], pause=30 * MILLISECOND)
+    beating(bench, 5)
+    bench.run(bench.network_boot(1, *(entry(node_id, MANDATORY) for node_id in (2, 3, 4)), entry(5, KEPT)).start())
     moments = [moment for moment, frame in bench.bus.sent if frame.can_id == 0]
-    assert len(moments) == 4
+    assert len(moments) == 6
     assert all(later - earlier >= 30 * MILLISECOND for earlier, later in itertools.pairwise(moments))
 
 
@@ -483,3 +484,46 @@ def test_a_suspended_node_is_not_booted_by_a_reset_of_before() -> None:
     boot.suspend(3, bench.bus.now)
     bench.bus.run(5 * SECOND)
     assert bench.letters() == "00"
+
+
+def test_a_boot_up_before_the_reset_does_not_count() -> None:
+    """The reset undoes what would be configured: the node is asked after its next boot-up."""
+    bench = BootBench([2])
+    boot = bench.network_boot()
+    bench.nodes[2].boot(bench.bus.now)
+    bench.bus.run(MILLISECOND)
+    bench.bus.sent.clear()
+    bench.run(boot.start())
+    assert bench.bus.trace()[:3] == ["000#8200", "702#00", "602#4000100000000000"]
+
+
+def test_a_node_that_is_reset_is_not_lost_once_more() -> None:
+    """Not by a heartbeat that passes the reset, and not by a boot-up that comes late."""
+    bench = BootBench([2, 3])
+    bench.supervise(bench.network_boot(), SECOND)
+    node = bench.nodes[3]
+    node.boot_delay = 5 * SECOND
+    node.table[HEARTBEAT] = bytes(2)
+    node._begin_heartbeat(bench.bus.now)
+    bench.bus.run_until(lambda: "000#8103" in bench.commands_sent())
+    bench.master.receive(Frame.parse("703#05"), bench.bus.now)
+    bench.bus.run(10 * SECOND)
+    assert len(bench.bus.take_events(HeartbeatLost)) == 1
+    assert bench.letters() == "000"
+
+
+def test_all_are_reset_and_have_their_whole_time_again() -> None:
+    """Nobody is watched meanwhile, nothing runs, and the boot time begins again."""
+    bench = BootBench([2, 3])
+    boot = bench.network_boot(0x11, boot_time=3 * SECOND)
+    bench.supervise(boot, 10 * SECOND)
+    for node in bench.nodes.values():
+        node.boot_delay = 2 * SECOND
+    bench.nodes[3].switch_off()
+    bench.bus.run_until(lambda: "000#8100" in bench.commands_sent())
+    lost_at = bench.bus.now
+    bench.bus.run(SECOND)
+    assert boot.report(bench.bus.now).running == ()
+    bench.bus.run_until(lambda: bench.letters() == "000B", 10 * SECOND)
+    assert bench.bus.now == lost_at + 3 * SECOND, bench.letters()
+    assert len(bench.bus.take_events(HeartbeatLost)) == 1

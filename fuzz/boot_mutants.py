@@ -1,0 +1,151 @@
+"""Planted bugs of the NMT master's boot-up (CiA 302-2). No fuzz target knows it; tests find them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fuzz.mutant import Mutant
+
+ONE: Final = ("tests/proto/test_boot_node.py",)
+ALL: Final = ("tests/proto/test_boot_network.py",)
+ANY_FAULT: Final = ("tests/proto/test_boot_twenty.py",)
+
+_NODE: Final = "boot/node_boot.py"
+_NETWORK: Final = "boot/network_boot.py"
+_COMMANDS: Final = "boot/commands.py"
+
+BOOT_MUTANTS: Final = tuple(
+    Mutant(*each, in_corpus=False)
+    for each in (
+        # ---- one node ----
+        (
+            "any_identity",
+            _NODE,
+            "                if found != expected:\n",
+            "                if False:\n",
+            "another device is configured and started",
+            ANY_FAULT,
+        ),
+        (
+            "kept_alive_in_any_state",
+            _NODE,
+            "if heard is NmtState.OPERATIONAL:",
+            "if heard is not None:",
+            "a node that does not run counts as running, and is not configured",
+            ONE,
+        ),
+        (
+            "update_without_end",
+            _NODE,
+            "        self.is_updated = True\n",
+            "",
+            "a node that keeps its old program is updated over and over",
+            ONE,
+        ),
+        (
+            "settings_lost",
+            _NODE,
+            "        if self.node.boots != self.boots:\n            raise _BootedAgain",
+            "        pass",
+            "a node that boots in the middle has lost its settings, and is not configured again",
+            ONE,
+        ),
+        (
+            "restarts_without_end",
+            _NODE,
+            "for _ in range(1 + MAX_RESTARTS):",
+            "while True:",
+            "a node that resets over and over is never reported",
+            ONE,
+        ),
+        (
+            "late_boot_time",
+            _NODE,
+            "min(self.times.pause, self.until - now)",
+            "self.times.pause",
+            "the boot time is looked at after each round only",
+            ONE,
+        ),
+        (
+            "watched_while_it_boots",
+            _NODE,
+            "        yield from act(self._stop_watching)\n        if not self.assignment.boots",
+            "        if not self.assignment.boots",
+            "a node that is reset is taken for lost",
+            ONE,
+        ),
+        # ---- the network ----
+        (
+            "booted_again_is_ready",
+            _NETWORK,
+            "self.is_good and self.node.boots == self.boots and",
+            "self.is_good and",
+            "a node that has booted since it was configured is started",
+            ALL,
+        ),
+        (
+            "lost_is_ready",
+            _NETWORK,
+            "and not self.is_lost and not self.is_suspended",
+            "and not self.is_suspended",
+            "the network starts without a node that is lost meanwhile",
+            ALL,
+        ),
+        (
+            "start_all_in_any_case",
+            _NETWORK,
+            "return all(member.may_start or (member.is_ready and member.is_running) for member in members)",
+            "return True",
+            "the command to all nodes starts one that has failed",
+            ANY_FAULT,
+        ),
+        (
+            "judged_too_early",
+            _NETWORK,
+            "lambda: member.may_start)",
+            "lambda: True)",
+            "a node that has failed is started, or one that boots in the pause before its command",
+            ANY_FAULT,
+        ),
+        (
+            "crossing",
+            _NETWORK,
+            "        if now - member.started_at < NMT_REACTION_TIME:",
+            "        if False:",
+            "a start command that passes a boot-up leaves a node running without its settings",
+            ALL,
+        ),
+        (
+            "kept_alive_is_reset",
+            _NETWORK,
+            "if assignment.boots and not assignment.keep_alive else LossReaction.NONE",
+            "if assignment.boots else LossReaction.NONE",
+            "a node that is kept alive is reset because a heartbeat was late",
+            ALL,
+        ),
+        (
+            "optional_stops_all",
+            _NETWORK,
+            "if assignment.is_mandatory and self.startup.stop_all_on_loss:",
+            "if self.startup.stop_all_on_loss:",
+            "a lost node that nobody needs stops the network",
+            ALL,
+        ),
+        (
+            "reset_over_and_over",
+            _NETWORK,
+            "in _OF_ABSENT and (heard is None or heard < since)",
+            "in _OF_ABSENT",
+            "a node that beats but has no SDO is reset at each heartbeat",
+            ALL,
+        ),
+        (
+            "two_at_once",
+            _COMMANDS,
+            "while left := (yield",
+            "if left := (yield",
+            "commands that wait for the same pause are sent together",
+            ALL,
+        ),
+    )
+)
