@@ -196,8 +196,8 @@ MUTANTS: Final = (
     Mutant(
         "crc_of_what_was_sent",
         _SENDER,
-        "        end = self._base + size\n        if self._with_crc:",
-        "        end = self._base + self._sent * SEGMENT_SIZE\n        if self._with_crc:",
+        "        end = self._base + size\n        self._acknowledged",
+        "        end = self._base + self._sent * SEGMENT_SIZE\n        self._acknowledged",
         "what has to be sent again is dropped",
         BLOCKS,
     ),
