@@ -84,13 +84,18 @@ def test_the_network_and_the_assignment(tmp_path: Path) -> None:
         ("heartbeat_timeout = '2s'", (), 2000),
         ("", (), 1500),  # the file's own heartbeat
         ("heartbeat_timeout = '0'", (), 0),
-        ("guard_time = '100ms'", ((0x100C, 0, b"\x64\x00"), (0x100D, 0, b"\x03")), 0),
+        ("guard_time = '100ms'", (), 0),  # its file has no 0x100C
     ],
 )
 def test_error_control(tmp_path: Path, boot: str, writes: tuple[tuple[int, int, bytes], ...], consumer_time: int) -> None:
     made = entry(tmp_path, boot, "sample_io.eds")
     assert (made.configuration, made.consumer_time) == (writes, consumer_time * MILLISECOND)
     assert made.assignment.guards is ("guard" in boot)
+
+
+def test_guarding_is_told_to_a_node_that_may_know_it(tmp_path: Path) -> None:
+    made = entry(tmp_path, "guard_time = '100ms'")
+    assert made.configuration == ((0x100C, 0, b"\x64\x00"), (0x100D, 0, b"\x03"))
 
 
 def test_the_settings_of_a_dcf_are_written_but_no_outputs(tmp_path: Path) -> None:

@@ -121,7 +121,8 @@ class _Entry:
 
     def entry(self, links: Sequence[Write]) -> BootEntry:
         boot = self._boot
-        writes = (*self._configured(), *links, *self._error_control())
+        writes = (*self._configured(), *links)
+        writes += tuple(each for each in self._error_control() if each not in writes)
         if boot.store:  # the stamp takes the place of the date of a DCF
             writes = tuple(each for each in writes if each[0] != indices.VERIFY_CONFIGURATION)
         if boot.store and self._dictionary is not None and self._dictionary.get(indices.VERIFY_CONFIGURATION, 1) is None:
@@ -209,7 +210,7 @@ class _Entry:
         boot = self._boot
         if boot.heartbeat is not None:
             yield _number(indices.PRODUCER_HEARTBEAT_TIME, boot.heartbeat // MILLISECOND, 2)
-        if boot.guard_time:
+        if boot.guard_time and (self._dictionary is None or self._dictionary.get(indices.GUARD_TIME) is not None):
             yield _number(indices.GUARD_TIME, boot.guard_time // MILLISECOND, 2)
             yield _number(indices.LIFE_TIME_FACTOR, boot.life_time_factor, 1)
 

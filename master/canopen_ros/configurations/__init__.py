@@ -86,6 +86,9 @@ def _device_files(draft: Draft, folder: Path) -> dict[str, bytes]:
     """Return the new DCFs by name, and name the file of each node in its table."""
     files: dict[str, bytes] = {}
     for name, device in draft.devices.items():
+        program = device.entry.get("boot", {}).get("program")
+        if program is not None:
+            device.entry["boot"]["program"] = os.path.relpath(program, folder)
         if device.file is None:
             for setting in device.settings:
                 draft.report.left_out(setting.whole, _NO_FILE)
@@ -96,6 +99,8 @@ def _device_files(draft: Draft, folder: Path) -> dict[str, bytes]:
             device.entry["file"] = os.path.relpath(device.file, folder)
         else:
             device.entry["file"], files[dcf] = dcf, content
+            if "boot" in device.entry:
+                device.entry["boot"]["configuration"] = dcf
         if device.file_key is not None:
             made = "" if content is None else f": {device.file.name}, with the node's settings"
             draft.report.taken(device.file_key, f'file = "{device.entry["file"]}"{made}')
@@ -120,6 +125,7 @@ def _text(draft: Draft) -> str:
     bus = draft.bus | ({"locator": draft.choices.locator} if draft.choices.locator else {})
     tables: dict[str, Any] = {
         "master": draft.master,
+        "network": draft.network,
         "buses": {BUS: {key: value for key, value in bus.items() if (key, value) != ("locator", BUS)}},
         "nodes": {name: device.entry for name, device in draft.devices.items()},
         "joints": draft.joints,

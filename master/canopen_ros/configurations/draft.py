@@ -73,6 +73,7 @@ class Draft:
     choices: Choices
     report: Report
     master: dict[str, Any] = field(default_factory=dict)
+    network: dict[str, Any] = field(default_factory=dict)
     bus: dict[str, Any] = field(default_factory=dict)
     devices: dict[str, DeviceDraft] = field(default_factory=dict)
     joints: dict[str, dict[str, Any]] = field(default_factory=dict)

@@ -10,12 +10,14 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
 
+from canopen_data.describing import identified
 from canopen_data.durations import duration_text
 from canopen_master.machine_file.reader import MODES
 from canopen_proto import indices
 from canopen_proto.cia402.axes import MAX_AXES
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of, mux
+from canopen_ros.configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
 from canopen_ros.configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_ros.configurations.report import Report, Section, section_of
 from canopen_ros.configurations.scale import Contradiction, position_keys, velocity_keys
@@ -32,7 +34,6 @@ _TOP: Final = ("options", "master", "defaults", "nodes", "joint_limits")
 _BOOT: Final = "the master starts each node that it uses, and drives only when a chain is initialised"
 _IDENTITY: Final = "the device's file tells it; `canopen info NODE` compares"
 _ROS: Final = "of ROS, not of the machine"
-_DEFAULT_MULTIPLIER: Final = 3
 _PDO_BASES: Final = {"tpdo": (0x180, indices.TPDO_COMMUNICATION, indices.TPDO_MAPPINGS),
                      "rpdo": (0x200, indices.RPDO_COMMUNICATION, indices.RPDO_MAPPINGS)}  # fmt: skip
 _PDO_KEYS: Final = {"transmission": 2, "inhibit_time": 3, "event_timer": 5, "event_deadline": 5, "sync_start": 6}
@@ -58,12 +59,15 @@ def take_ros2_canopen(top: Section, keys: Mapping[str, Value], draft: Draft) -> 
     multiplier = options.take("heartbeat_multiplier")
     options.close()
     master = section_of(top.take("master"), report)
+    consumer = master.take("heartbeat_consumer")
+    watch = Watch(multiplier, consumer is None or consumer.truth())
     _take_master(master, draft)
+    take_network(master, draft)
     master.close()
     defaults = section_of(top.take("defaults"), report)
     for name, value in _nodes(top, keys):
         node = section_of(value, report, defaults)
-        _take_node(name, value, node, draft, folder, multiplier)
+        _take_node(name, value, node, draft, folder, watch)
         node.close()
     defaults.close()
 
@@ -87,7 +91,9 @@ def _nodes(top: Section, keys: Mapping[str, Value]) -> Iterator[tuple[str, Value
             yield from item.entries.items()
         return
     for name, value in keys.items():
-        if name not in _TOP and value.kind == "map":
+        if name.startswith("."):  # a pattern for others
+            top.not_needed({name: "dcfgen leaves out names that begin with a dot"})
+        elif name not in _TOP and value.kind == "map":
             top.take(name)
             yield name, value
 
@@ -126,61 +132,64 @@ def _take_master(master: Section, draft: Draft) -> None:
         {
             **dict.fromkeys(("driver", "package", "namespace"), _ROS),
             **dict.fromkeys(("vendor_id", "product_code", "revision_number", "serial_number"), "the master is no device"),
-            **dict.fromkeys(("start", "start_nodes", "start_all_nodes", "boot_time", "boot_timeout_ms"), _BOOT),
-            **dict.fromkeys(("emcy_inhibit_time", "nmt_inhibit_time", "sync_window"), "the master has no such object"),
-            "heartbeat_consumer": "heartbeats are watched if heartbeat_timeout of [master] is set",
+            **dict.fromkeys(("start", "boot_timeout_ms"), _BOOT),
+            **dict.fromkeys(("emcy_inhibit_time", "sync_window", "time_cob_id"), "the master has no such object"),
+            "heartbeat_consumer": "heartbeats are watched if heartbeat_timeout of [master], or of boot of a node, is set",
         }
     )
     master.left_out(
         {
             "error_behavior": "the master has no object 0x1029",
-            "reset_all_nodes": "an error of one node resets no other: chains are stopped together",
-            "stop_all_nodes": "an error of one node stops its chain, not the nodes",
             "heartbeat_multiplier": "heartbeat_timeout of [master] is one time for all nodes",
         }
     )
 
 
-def _take_node(name: str, value: Value, node: Section, draft: Draft, folder: tuple[Path, ...], multiplier: Value | None) -> None:
+def _take_node(name: str, value: Value, node: Section, draft: Draft, folder: tuple[Path, ...], watch: Watch) -> None:
     report = draft.report
-    number = node.take("node_id")
-    if number is None:
-        raise value.failure("it has no node_id")
     ours = draft.name(value, name)
-    entry: dict[str, Any] = {"id": number.integer(1, 127)}
-    driver = node.take("driver")
-    is_drive = driver is not None and "402" in driver.string()
-    report.taken(number, f"the node {ours!r}, id = {entry['id']}")
-    if driver is not None:
-        report.not_needed(driver, "the node is a drive: a joint" if is_drive else "no drive: a node, which is no joint")
     dcf, own_path = node.take("dcf"), node.take("dcf_path")
     folders = (*_folder(own_path, report), *folder)
     file = None if dcf is None else draft.file_beside(dcf, dcf.string().removeprefix(f"{BUS_CONFIG_PATH}/"), "", *folders)
-    settings = [*_sdo(node, report), *_pdos(node, report, int(entry["id"]))]
+    number = node.take("node_id")
+    in_file = None if file is None else draft.description_of(file).node_id
+    if number is None and (in_file is None or not 1 <= in_file <= 127):
+        raise value.failure("it has no node_id")
+    entry: dict[str, Any] = {"id": in_file if number is None else number.integer(1, 127)}
+    driver = node.take("driver")
+    is_drive = driver is not None and "402" in driver.string()
+    report.taken(value if number is None else number, f"the node {ours!r}, id = {entry['id']}")
+    if driver is not None:
+        report.not_needed(driver, "the node is a drive: a joint" if is_drive else "no drive: a node, which is no joint")
+    settings = [*settings_of_boot(node, report), *_sdo(node, report), *_pdos(node, report, int(entry["id"]))]
     if (producer := node.take("heartbeat_producer")) is not None:
-        _take_heartbeat(node, producer, multiplier, draft, settings)
+        _take_heartbeat(node, producer, watch.multiplier, draft, settings)
+    entry["boot"] = take_boot(node, draft, watch)
+    _take_revision(value, entry["boot"], file, draft)
     draft.add_device(value, ours, DeviceDraft(entry, file, dcf, settings))
     if is_drive:
         _take_joints(ours, value, node, draft)
     node.not_needed(
         {
             **dict.fromkeys(("package", "namespace", "enable_lazy_load"), _ROS),
-            **dict.fromkeys(("vendor_id", "product_code", "revision_number", "serial_number"), _IDENTITY),
+            **dict.fromkeys(("vendor_id", "product_code"), _IDENTITY),
             **dict.fromkeys(("period", "polling"), "drives are looked at with each SYNC and each of their PDOs"),
-            **dict.fromkeys(("boot", "boot_timeout_ms", "mandatory", "reset_communication"), _BOOT),
+            "boot_timeout_ms": _BOOT,
             "diagnostics": "diagnostics are always there: at each change, and each second",
             "sdo_timeout_ms": "timeout of [master], 500 ms by default",
             "configuration_file": "the settings of a node are in its DCF",
             "heartbeat_consumer": "a drive watches the master's heartbeat: see grip in [master]",
         }
     )
-    node.left_out(
-        {
-            **dict.fromkeys(("software_file", "software_version"), "programs are not downloaded"),
-            "restore_configuration": "`canopen write NODE 1011:01 0x64616F6C` restores the defaults of a device",
-            "error_behavior": "`canopen write NODE 1029:01 ...`, or `--set` of `canopen eds to-dcf`",
-        }
-    )
+
+
+def _take_revision(value: Value, boot: dict[str, Any], file: Path | None, draft: Draft) -> None:
+    """Expect the revision of the node's file, as dcfgen does."""
+    variable = None if file is None else identified(draft.description_of(file)).get(indices.IDENTITY_OBJECT, 3)
+    revision = None if variable is None else variable.initial_of(0)
+    if "revision" not in boot and isinstance(revision, int) and revision:
+        boot["revision"] = revision
+        draft.report.assumed(f"{value.place}.revision_number", f"revision = 0x{revision:08X}, as the file says")
 
 
 def _sdo(node: Section, report: Report) -> Iterator[Setting]:
@@ -255,7 +264,7 @@ def _take_heartbeat(node: Section, producer: Value, multiplier: Value | None, dr
     own = node.take("heartbeat_multiplier")
     times = own or multiplier
     period = producer.integer(0, 0xFFFF)
-    factor = times.number() if times is not None else Fraction(_DEFAULT_MULTIPLIER)
+    factor = times.number() if times is not None else Fraction(DEFAULT_MULTIPLIER)
     wait = period * factor * MILLISECOND
     settings.append(Setting(mux(indices.PRODUCER_HEARTBEAT_TIME), str(period), producer, producer))
     if not period:

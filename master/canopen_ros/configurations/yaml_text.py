@@ -2,7 +2,7 @@
 
 The scalars are those of YAML 1.1, as ROS reads them: `010` is 8, `1:30` is 90, `on` is true. Numbers keep their text, so that
 nothing is rounded. Everything that could grow or mislead is refused with its line: a file over MAX_BYTES, more than MAX_VALUES
-values once aliases are followed, more than MAX_DEPTH levels, a value that contains itself, a key twice, tags, merge keys, dates.
+values once aliases are followed, more than MAX_DEPTH levels, a value that contains itself, a key twice, tags, dates.
 """
 
 from __future__ import annotations
@@ -176,16 +176,22 @@ class _Reader:
 
     def _entries(self, node: Any, place: str, depth: int) -> Iterator[tuple[str, Value]]:
         lines: dict[str, int] = {}
+        merged: dict[str, Value] = {}
         for key, value in node.value:
             line = key.start_mark.line + 1
             if key.tag == f"{_TAG}merge":
-                raise _failure(self._source, f"{place or 'the file'}: merge keys (<<) are not read; write the entries out", line)
+                others = self.value(value, place, depth + 1, line)
+                for each in others.items or (others,):
+                    each.check("map")
+                    merged = {**each.entries, **merged}  # the first one counts
+                continue
             if not isinstance(key.value, str):
                 raise _failure(self._source, f"{place or 'the file'}: a key is a map or a list", line)
             if key.value in lines:
                 raise _failure(self._source, f"{place}.{key.value}: it stands in line {lines[key.value]} already", line)
             lines[key.value] = line
             yield key.value, self.value(value, f"{place}.{key.value}" if place else key.value, depth + 1, line)
+        yield from ((key, value) for key, value in merged.items() if key not in lines)
 
 
 _KINDS: Final = {"map": "map", "seq": "list", "str": "str", "int": "int", "float": "float", "bool": "bool", "null": "null"}
