@@ -18,8 +18,9 @@ from canopen_proto.dictionary import Direction, Variable
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
 from canopen_proto.linking.model import Member, Timing
 from canopen_proto.multiplexer import Mux
+from canopen_proto.pdo.consumer import LAST_SYNCHRONOUS
 from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, PdoSettings, communication_index
-from canopen_proto.procedures.described_pdos import CYCLIC_TYPES, EACH_SYNC, muxes_of
+from canopen_proto.procedures.described_pdos import EACH_SYNC, muxes_of
 from canopen_proto.procedures.pdo_slots import EVENT_DRIVEN, Slot, has_sync, slots_of
 
 
@@ -149,8 +150,7 @@ def _transmission_type(member: Member, slot: Slot, timing: Timing) -> int | None
     variable = _field(member, slot, TRANSMISSION_TYPE)
     if variable is not None and variable.access.writable:
         return next((kind for kind in wanted if _may_be(variable, kind)), None)
-    is_of_sync = slot.transmission_type == 0 or slot.transmission_type in CYCLIC_TYPES
-    is_synchronous = slot.direction is Direction.RPDO and EACH_SYNC in wanted and is_of_sync
+    is_synchronous = slot.direction is Direction.RPDO and EACH_SYNC in wanted and slot.transmission_type <= LAST_SYNCHRONOUS
     return slot.transmission_type if slot.transmission_type in wanted or is_synchronous else None
 
 

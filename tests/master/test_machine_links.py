@@ -20,7 +20,12 @@ from canopen_proto.dictionary import Direction
 from canopen_proto.dictionary.concise import pack_concise
 from canopen_proto.linking import MASTER, End, Link, LinkPlan, Timing
 from canopen_proto.machine import MILLISECOND
+from canopen_proto.network import Network
+from canopen_proto.pdo import PdoReceived
 from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.procedures.device_pdos import exchange_device_pdos
+from canopen_proto.procedures.runner import ProcedureFinished
+from canopen_proto.remote_node import RemoteNode
 from tests.proto.linked_devices import Linked
 
 NODES = """
@@ -288,3 +293,22 @@ def test_an_event_driven_link_without_times_is_not_counted() -> None:
     can_id = plan.transfers[0].can_id
     assert f"TPDO {can_id:03X} has no inhibit time and no event timer" in counted.left_out
     assert replace(counted.exchange, events=()) == counted.exchange
+
+
+def test_a_master_hears_linked_pdos_by_the_devices_own_settings() -> None:
+    """It exchanges the PDOs that it reads from the devices, also those that only they exchange with each other."""
+    linked = Linked(planned(NODES + LINKS))
+    network = linked.bus.attach(Network())
+    remotes = {}
+    for each in linked.plan.members:
+        remotes[each.name] = RemoteNode(network.out, each.node_id, each.dictionary)
+        network.attach(remotes[each.name])
+        network.run(exchange_device_pdos(remotes[each.name]), linked.bus.now)
+    linked.bus.run(100 * MILLISECOND)
+    assert len(linked.bus.take_events(ProcedureFinished)) == 2
+    linked.nodes["lift"].values.store[0x606400] = 77
+    linked.sync()
+    linked.sync()
+    assert remotes["lift"].values.store[0x606400] == 77
+    assert {event.number for event in linked.bus.take_events(PdoReceived) if event.node_id == 5} >= {1, 3}
+    assert linked.nodes["slide"].values.store[0x607A00] == 77
