@@ -296,6 +296,9 @@ def test_a_device_without_sync_or_times() -> None:
     deaf = member("a", 1, dictionary_with(tpdos=1, sync=False))
     (text,) = problems((deaf,), link("a 2008", "master"))
     assert "does not listen to SYNC (no 0x1005); an event-driven link may do" in text
+    fixed = with_pdo(dictionary_with(tpdos=1, sync=False), TPDO, 1, 0x180, 0x20080020)
+    fixed = with_object(fixed, 0x1A00, 0, access=Access.RO)
+    assert "does not listen to SYNC" in problems((member("a", 1, fixed),), link("a 2008", "master"))[0]
     const = member("a", 1, with_object(dictionary_with(tpdos=1), 0x1800, 3, access=Access.RO))
     assert problems((const,), link("a 2008", "master", EVENT)) == [
         "a has no TPDO left for it: no inhibit time that can be written, subindex 3 (TPDO 1)"
