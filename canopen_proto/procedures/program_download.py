@@ -1,6 +1,6 @@
 """Write a new program into a device: program download, CiA 302-3.
 
-The steps, in their order; `Step` has their names, and `LEFT` the state that the device is in if one of them fails:
+The steps, in their order; `ProgramStep` has their names, and `LEFT` the state that the device is in if one of them fails:
 
     look        read 0x1F51, 0x1F56 and 0x1F57: nothing is left to do if the new program runs already; it is only started if it
                 is there and does not run, or only confirmed if that is missing
@@ -18,8 +18,8 @@ The steps, in their order; `Step` has their names, and `LEFT` the state that the
 would then be refused. SDO cannot resume a transfer. So a broken one begins again with "clear", up to WRITES times; it goes in
 segments if the device broke a block transfer off.
 
-**The next call repairs what this one leaves**, wherever it ended: by a lost device, a power cut or a cancel. The device has no
-program that could be started by mistake until all of it is there and verified.
+**The next call repairs what this one leaves**, wherever it ended: by a lost device, a power cut or a cancel. Until all of it is
+there, the device has no program that could be started; we start it only after "verify".
 
 Nothing is awaited for ever: see `Limits`. Meanwhile a lost heartbeat of the node does not count, for flash that is being erased
 may keep a processor busy; nodes that watch it too (their 0x1016) are not told.
@@ -73,7 +73,7 @@ _OF_A_BROKEN_TRANSFER: Final = (FlashError.NONE, FlashError.NO_PROGRAM, FlashErr
 """Errors that say nothing about the program that was being written."""
 
 
-class Step(StrEnum):
+class ProgramStep(StrEnum):
     """The steps of a program download; see this module's text."""
 
     LOOK = "look"
@@ -89,16 +89,16 @@ class Step(StrEnum):
 
 
 LEFT: Final = {
-    Step.LOOK: "nothing was written: it has the program that it had",
-    Step.PREPARE: "nothing was written: it has the program that it had, and is Pre-operational",
-    Step.STOP: "its old program is stopped, or about to be; nothing was erased",
-    Step.CLEAR: "its old program is erased, or about to be: it has no program",
-    Step.WRITE: "it has only a part of the new program, which cannot be started",
-    Step.PROGRAM: "all of the new program was sent; the device has not said that it is right",
-    Step.VERIFY: "it has a program that was not started",
-    Step.START: "the new program is there; it was perhaps not started",
-    Step.CHECK: "the new program is there and was started; the device has not shown that it runs",
-    Step.CONFIRM: "the new program runs on trial: at the next reset the old one comes back",
+    ProgramStep.LOOK: "nothing was written: it has the program that it had",
+    ProgramStep.PREPARE: "nothing was written: it has the program that it had, and is Pre-operational",
+    ProgramStep.STOP: "its old program is stopped, or about to be; nothing was erased",
+    ProgramStep.CLEAR: "its old program is erased, or about to be: it has no program",
+    ProgramStep.WRITE: "it has only a part of the new program, which cannot be started",
+    ProgramStep.PROGRAM: "all of the new program was sent; the device has not said that it is right",
+    ProgramStep.VERIFY: "it has a program that was not started",
+    ProgramStep.START: "the new program is there; it was perhaps not started",
+    ProgramStep.CHECK: "the new program is there and was started; the device has not shown that it runs",
+    ProgramStep.CONFIRM: "the new program runs on trial: at the next reset the old one comes back",
 }
 """The state that a device is in if the download ends in a step, for people."""
 
@@ -127,7 +127,7 @@ class ProgramDownload:
     """
 
     size: int
-    step: Step = Step.LOOK
+    step: ProgramStep = ProgramStep.LOOK
     delivered: int = 0
     found: ProgramFound | None = None
     id_after: int | None = None
@@ -181,7 +181,7 @@ class ProgramProgress(Event):
     __slots__ = ("done", "step", "total")
     __match_args__ = ("node_id", "step", "done", "total")
 
-    def __init__(self, node_id: int, step: Step, done: int, total: int) -> None:
+    def __init__(self, node_id: int, step: ProgramStep, done: int, total: int) -> None:
         self.node_id = node_id
         self.step = step
         self.done = done
@@ -300,7 +300,7 @@ class _Flashing:
 
     def run(self) -> Procedure[None]:
         so_far = self.so_far
-        yield from self._begin(Step.LOOK)
+        yield from self._begin(ProgramStep.LOOK)
         found = yield from look(self.objects.node, self.objects.program, so_far, self.limits)
         self.state = found.control
         is_there = found.is_valid and not self.force and self.expected is not None and found.identification == self.expected
@@ -309,18 +309,18 @@ class _Flashing:
             so_far.id_after = so_far.id_before
             self._remark()
             return
-        yield from self._begin(Step.PREPARE)
+        yield from self._begin(ProgramStep.PREPARE)
         yield from self._pre_operational()
         if self.state == ProgramControl.CONFIRM and self.confirm:  # on trial, a device does not even let its program be stopped
             yield from self._confirm()
         if not is_there:
             yield from self._load()
-            yield from self._begin(Step.VERIFY)
+            yield from self._begin(ProgramStep.VERIFY)
             yield from self._verify()
         if self.state not in _RUNNING:
-            yield from self._begin(Step.START)
+            yield from self._begin(ProgramStep.START)
             yield from self._command(ProgramControl.START, (*_RUNNING, None))
-        yield from self._begin(Step.CHECK)
+        yield from self._begin(ProgramStep.CHECK)
         yield from self._check()
         if self.confirm and self.state == ProgramControl.CONFIRM:
             yield from self._confirm()
@@ -330,14 +330,14 @@ class _Flashing:
     def _load(self) -> Procedure[None]:
         """Stop, clear and write; all of it again if the transfer breaks."""
         while True:
-            yield from self._begin(Step.STOP)
+            yield from self._begin(ProgramStep.CLEAR if self.so_far.writes else ProgramStep.STOP)
             if self.state != ProgramControl.STOP:
                 yield from self._command(ProgramControl.STOP, (ProgramControl.STOP, ProgramControl.CLEAR))
-            yield from self._begin(Step.CLEAR)
+            yield from self._begin(ProgramStep.CLEAR)
             yield from self._command(ProgramControl.CLEAR, (ProgramControl.CLEAR,))
             yield from self._idle((FlashError.NONE, FlashError.NO_PROGRAM))
             self.so_far.writes += 1
-            yield from self._begin(Step.WRITE)
+            yield from self._begin(ProgramStep.WRITE)
             try:
                 yield from self._write()
                 break
@@ -345,7 +345,7 @@ class _Flashing:
                 if (yield from self._is_there_after(failed)):
                     break
         self.so_far.delivered = self.so_far.size
-        yield from self._begin(Step.PROGRAM)
+        yield from self._begin(ProgramStep.PROGRAM)
         yield from self._idle((FlashError.NONE,))
         self.state = ProgramControl.STOP
 
@@ -370,7 +370,7 @@ class _Flashing:
         def tell() -> Procedure[None]:
             while (yield Wait(POLL, client, lambda ended: ended.request_id in open_request, (SdoDownloaded, SdoAborted))) is None:  # type: ignore[attr-defined]
                 self.so_far.delivered = min(client.delivered(open_request[0]), self.so_far.size)
-                yield from self._begin(Step.WRITE)
+                yield from self._begin(ProgramStep.WRITE)
 
         try:
             yield from all_of(transfer(), tell())
@@ -418,7 +418,7 @@ class _Flashing:
         self._remark()
 
     def _confirm(self) -> Procedure[None]:
-        yield from self._begin(Step.CONFIRM)
+        yield from self._begin(ProgramStep.CONFIRM)
         yield from self._pre_operational()  # it has booted since
         yield from self._command(ProgramControl.CONFIRM, (ProgramControl.START,))
         self.state = ProgramControl.START
@@ -429,7 +429,7 @@ class _Flashing:
         if self.state == ProgramControl.CONFIRM and not self.confirm:
             self.so_far.remark = f"the program runs on trial; {CONFIRM_ADVICE}"
 
-    def _begin(self, step: Step) -> Procedure[None]:
+    def _begin(self, step: ProgramStep) -> Procedure[None]:
         so_far = self.so_far
         so_far.step = step
         news = ProgramProgress(self.objects.node.node_id, step, so_far.delivered, so_far.size)

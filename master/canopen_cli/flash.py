@@ -29,7 +29,7 @@ from canopen_proto.procedures.program_download import (
     ProgramDownload,
     ProgramDownloadFailed,
     ProgramProgress,
-    Step,
+    ProgramStep,
     download_program,
     least_duration,
     look,
@@ -142,7 +142,7 @@ def flash(
         run(settings, screen, lambda: _flash(settings, screen, questions, wanted, so_far, dry_run), story=lambda _: story(so_far))
     except ProgramDownloadFailed as failed:
         problem = problem_of(failed)
-        if failed.so_far.step is not Step.LOOK and not failed.is_mismatch:
+        if failed.so_far.step is not ProgramStep.LOOK and not failed.is_mismatch:
             problem.tries = (*problem.tries, AGAIN)
         raise problem from failed
     return ExitCode.OK

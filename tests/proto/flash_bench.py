@@ -11,7 +11,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, Event, Outcome, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
-from canopen_proto.procedures.program_download import Limits, ProgramDownload, ProgramProgress, Step, download_program
+from canopen_proto.procedures.program_download import Limits, ProgramDownload, ProgramProgress, ProgramStep, download_program
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from tests.proto.bus import Bus
@@ -110,7 +110,7 @@ class FlashBench:
         return result
 
     @property
-    def steps(self) -> list[Step]:
+    def steps(self) -> list[ProgramStep]:
         """The steps that were taken, in their order."""
         return list(dict.fromkeys(each.step for each in self.progress))
 

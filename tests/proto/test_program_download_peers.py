@@ -18,7 +18,7 @@ from canopen_proto.boot_loader import FIRST_PROGRAM, BootLoader, BootLoaderSetti
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.procedures.program_download import (
     ProgramDownloadFailed,
-    Step,
+    ProgramStep,
     updating,
 )
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished
@@ -169,7 +169,7 @@ def test_a_program_on_trial_is_told_and_comes_back_unless_it_is_confirmed() -> N
 def test_confirm_keeps_the_program() -> None:
     bench = FlashBench(BootLoaderSettings(trial=True))
     assert bench.flash(IMAGE, expected_id=ID, confirm=True).remark == ""
-    assert (bench.device.control, bench.steps[-1]) == (ProgramControl.START, Step.CONFIRM)
+    assert (bench.device.control, bench.steps[-1]) == (ProgramControl.START, ProgramStep.CONFIRM)
     bench.power_off()
     bench.power_on()
     assert bench.memory.program == IMAGE
