@@ -129,7 +129,7 @@ class Observer:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
         self._parameters = Parameters(self._dictionaries)
         self._pdos = OverheardPdos(self._parameters)
-        self._cob_ids: dict[int, tuple[tuple[RoutingKey, Service], ...]] = {}  # by node-ID
+        self._cob_ids: dict[int, tuple[tuple[RoutingKey, Service, int], ...]] = {}  # by node-ID
         self._channels: dict[int, tuple[Channel, ...]] = {}  # by node-ID
         self._followers: dict[Channel, SdoFollower] = {}  # those that were heard
         self._routes: dict[RoutingKey, _Route] = {}  # those that were needed since the last change
@@ -212,8 +212,8 @@ class Observer:
         routes: dict[RoutingKey, _Route] = {}
         channels = set()
         for node_id in self._dictionaries:
-            for key, service in self._cob_ids[node_id]:
-                routes.setdefault(key, self._service_route(service, node_id))
+            for key, service, whose in self._cob_ids[node_id]:
+                routes.setdefault(key, self._service_route(service, whose))
             for channel in self._channels[node_id]:
                 channels.add(channel)
                 routes.setdefault(channel.to_server, partial(self._request, channel))

@@ -18,7 +18,12 @@ from canopen_proto.multiplexer import Mux, index_of, mux
 from canopen_proto.parameter_storage import SIGNATURES, STORE
 from canopen_proto.pdo.settings import place_of
 
-COB_IDS: Final = (indices.COB_ID_SYNC, indices.COB_ID_TIME_STAMP, indices.COB_ID_EMERGENCY)
+COB_IDS: Final = (
+    indices.COB_ID_SYNC,
+    indices.COB_ID_TIME_STAMP,
+    indices.COB_ID_EMERGENCY,
+    indices.EMERGENCY_CONSUMER,
+)
 MAX_RECORDED: Final = 4096
 """Values of one device: more than 127 SDO channels and 64 PDOs with 50 entries each."""
 _MAX_BYTES: Final = 4

@@ -143,8 +143,23 @@ def test_cob_ids_of_services_that_the_recording_shows() -> None:
     assert invalid.startswith("? 0")
     *_, extended = meanings(*written(5, 0x1014, 0, 0x3234_5678), "12345678#1081010000000000")
     assert extended.startswith("EMCY 5 0x8110")
+    *_, consumed = meanings(*written(9, 0x1028, 5, 0x120), frames[1])
+    assert consumed.startswith("EMCY 5 0x8110"), "who listens to it says whose it is"
     *_, after = meanings(*written(5, 0x1014, 0, 0x120), "705#00", frames[1])
     assert after.startswith("? 0"), "a boot-up: the power-on value counts again"
+
+
+def test_a_file_that_leaves_out_the_node_id_changes_nothing() -> None:
+    entries = [
+        obj(0x1014, (U32, 0x80), name="emcy"),
+        obj(0x1012, (U32, 0x85), name="time"),
+        obj(0x1005, (U32, 0x86), name="sync"),
+    ]
+    channel = obj(0x1201, (U8, 2), (U32, 0x605), (U32, 0x585))
+    observer = Observer({9: ObjectDictionary([*entries, channel])}.get)
+    frames = ("080#01", "085#1081010000000000", "086#1081010000000000", "605#4041600000000000")
+    seen = [observer.observe(Frame.parse(frame), 0).meaning for frame in frames]
+    assert [(each.service, each.node_id) for each in seen] == [("SYNC", 0), ("EMCY", 5), ("EMCY", 6), ("SDO", 5)]
 
 
 def test_stored_parameters_outlive_a_boot_up() -> None:
@@ -292,7 +307,9 @@ any_frames = st.one_of(
 
 parameters = st.tuples(
     st.sampled_from([5, 6]),
-    st.sampled_from([0x1005, 0x1010, 0x1012, 0x1014, 0x1200, 0x1201, 0x1280, 0x1400, 0x1600, 0x1800, 0x1801, 0x1A00, 0x1A01]),
+    st.sampled_from(
+        [0x1005, 0x1010, 0x1012, 0x1014, 0x1028, 0x1200, 0x1201, 0x1280, 0x1400, 0x1600, 0x1800, 0x1801, 0x1A00, 0x1A01]
+    ),
     st.integers(0, 3),
     st.sampled_from([0, 1, 2, 5, 0xFE, 0xFF, 0x85, 0x185, 0x605, 0x8000_0185, 0x2000_0185, 0x6041_0010, 0x6064_0020, 0x7573_6173])
     | st.integers(0, 0xFFFF_FFFF),
