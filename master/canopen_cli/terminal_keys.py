@@ -82,6 +82,7 @@ async def read_terminal(terminal: int | None = None) -> bytes:
 @contextmanager
 def key_by_key(terminal: int | None = None) -> Iterator[None]:
     """Have the terminal give each key at once, and show none, while the block runs. Ctrl-C stays what it is.
+    Ctrl-Z is a key like others: a program that is stopped would leave the terminal, and drives that move, as they are.
 
     terminal: a file descriptor, by default that of stdin.
     """
@@ -91,6 +92,9 @@ def key_by_key(terminal: int | None = None) -> Iterator[None]:
     fd = sys.stdin.fileno() if terminal is None else terminal
     before = termios.tcgetattr(fd)
     tty.setcbreak(fd)
+    changed = termios.tcgetattr(fd)
+    changed[6][termios.VSUSP] = bytes((os.fpathconf(fd, "PC_VDISABLE"),))
+    termios.tcsetattr(fd, termios.TCSADRAIN, changed)
     try:
         yield
     finally:

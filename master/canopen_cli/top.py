@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -11,26 +12,31 @@ import click
 import trio
 from rich.console import RenderableType
 
+from canopen_cli.frame_clock import FrameClock
+from canopen_cli.live_notes import note_source, note_state
 from canopen_cli.live_screen import LiveScreen
 from canopen_cli.live_source import FILE_OR_INPUT, LiveSource, open_live_source
 from canopen_cli.node_files import NodeFiles
 from canopen_cli.options import FiniteRange, Settings, common
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.running import run_until_interrupted
-from canopen_cli.screen import Screen, counted
+from canopen_cli.screen import Screen
 from canopen_cli.session import read_dictionary
 from canopen_cli.top_view import SORTS, BusShown, TopView, as_json, picture, plain
-from canopen_proto.machine import SECOND, Time
+from canopen_proto.machine import Time
 from canopen_proto.observer.bus_view import BusView
 from canopen_proto.observer.observer import Observer
-from canopen_transports.errors import ReceiveOverrun, Report
+from canopen_transports.errors import BusStateChanged
 from canopen_transports.locator import parse_bitrate
+from canopen_transports.log_files import LogFileError
 from canopen_transports.record import Record
 
 REFRESH: Final = 0.5
 """Seconds between two pictures."""
 LISTENING: Final = 3.0
 """Seconds for which a bus is listened to where one table is printed: three of the usual heartbeats."""
+MAX_BUSES: Final = 16
+"""Buses of a file: a gateway has fewer."""
 
 
 @click.command()
@@ -86,9 +92,9 @@ class _Top:
         self._sort = self._sorts.index(sort)
         self._chosen = 0
         self._source = ""
-        self._zero: Time = 0  # from trio's clock to that of the frames
-        self._lost = 0
-        self._state = ""
+        self._clock = FrameClock()
+        self._live: LiveSource | None = None
+        self._notes: dict[str, str] = {}
 
     # ---- what comes ----
 
@@ -97,30 +103,26 @@ class _Top:
         async with open_live_source(self._settings, source) as live:
             self._source = live.name
             self._bitrate = self._bitrate or live.bitrate or self._settings.told_bitrate() or 0
-            self._set_clock(live)
+            self._live = live
+            if live.is_live:
+                self._clock.set(live.now())
             async for each in live:
                 if isinstance(each, Record):
                     self._take(each)
-                    self._set_clock(live)
-                else:
-                    self._report(each)
-
-    def _set_clock(self, live: LiveSource) -> None:
-        self._zero = live.now() - round(trio.current_time() * SECOND)
+                elif isinstance(each, BusStateChanged):
+                    note_state(self._notes, each.state, each.seen)
 
     def _take(self, record: Record) -> None:
         bus = self._buses.get(record.channel)
+        if bus is None and len(self._buses) == MAX_BUSES:
+            self._notes["many"] = f"only the first {MAX_BUSES} buses are shown"
+            return
+        now = self._clock.set(record.time)
         if bus is None:
             observer = Observer(self._files.dictionary_of, bitrate=self._bitrate)
             bus = self._buses[record.channel] = _Bus(record.channel, observer, BusView(bitrate=self._bitrate))
-        bus.view.add(record.frame, bus.observer.observe(record.frame, record.time), record.time)
-        bus.last = record.time
-
-    def _report(self, report: Report) -> None:
-        if isinstance(report, ReceiveOverrun):
-            self._lost += report.lost
-        else:
-            self._state = str(report)
+        bus.view.add(record.frame, bus.observer.observe(record.frame, now), now)
+        bus.last = now
 
     # ---- what is shown ----
 
@@ -131,29 +133,36 @@ class _Top:
             with trio.move_on_after(math.inf if seconds is None else seconds):
                 await self.listen(source)
 
-        if is_drawn:
-            keys = {"s": self._next_sort, "b": self._next_bus, "\t": self._next_bus}
-            await LiveScreen(self._screen, self._view, _draw, keys, REFRESH).during(for_a_time)
-        else:
-            await for_a_time()
+        failure: LogFileError | None = None
+        try:
+            await self._show(for_a_time, is_drawn)
+        except LogFileError as error:  # what could be read is shown
+            failure = error
         view = self._view()
         if not any(bus.figures.frames for bus in view.buses):
-            raise self._nothing_came(is_recording=source is not None)
+            raise failure or self._nothing_came(is_recording=source is not None)
         if self._settings.json:
             self._screen.json(as_json(view))
         else:
             self._screen.data(plain(view, self._screen.out.width))
+        if failure is not None:
+            raise failure
+
+    async def _show(self, work: Callable[[], Awaitable[None]], is_drawn: bool) -> None:
+        if is_drawn:
+            keys = {"s": self._next_sort, "b": self._next_bus, "\t": self._next_bus}
+            await LiveScreen(self._screen, self._view, _draw, keys, REFRESH).during(work)
+        else:
+            await work()
 
     def _view(self) -> TopView:
-        now = round(trio.current_time() * SECOND) + self._zero
+        now = self._clock.now()
         buses = [BusShown(bus.name, bus.view.figures(now), now, bus.last, bus.view.bitrate) for bus in self._buses.values()] or [
             BusShown("", BusView(bitrate=self._bitrate).figures(now), now, now, self._bitrate)
         ]
-        notes = [self._state] if self._state else []
-        if self._lost:
-            notes.append(f"{counted(self._lost, 'frame')} were lost before they were seen: this computer is too slow")
+        note_source(self._notes, self._live, self._clock)
         chosen, sort = self._chosen % len(buses), self._sorts[self._sort]
-        return TopView(self._source, tuple(buses), chosen, sort, tuple(notes))
+        return TopView(self._source, tuple(buses), chosen, sort, tuple(self._notes.values()))
 
     def _next_sort(self) -> None:
         self._sort = (self._sort + 1) % len(self._sorts)

@@ -14,15 +14,17 @@ import click
 import trio
 from rich.console import RenderableType
 
+from canopen_cli.frame_clock import FrameClock
+from canopen_cli.live_notes import note_lost, note_source, note_state
 from canopen_cli.live_screen import LiveScreen
-from canopen_cli.live_source import FILE_OR_INPUT, Heard, open_live_source
+from canopen_cli.live_source import FILE_OR_INPUT, LiveSource, open_live_source
 from canopen_cli.new_files import check_new_file, check_writable
 from canopen_cli.node_files import NodeFiles
 from canopen_cli.objects import find
 from canopen_cli.options import Duration, FiniteRange, NodeId, Settings, common
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.running import first_of, run_until_interrupted
-from canopen_cli.screen import Screen, counted, escape
+from canopen_cli.screen import Screen, escape
 from canopen_cli.session import open_session, read_dictionary
 from canopen_cli.values import TYPES, as_json, object_json, physical, place_text
 from canopen_cli.watch_polling import Load, Polling, load_text
@@ -34,7 +36,8 @@ from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, V
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.observer import Observer
-from canopen_transports.errors import ReceiveOverrun, Report
+from canopen_transports.errors import BusStateChanged
+from canopen_transports.log_files import LogFileError
 from canopen_transports.record import Record
 
 DRIVE_OBJECTS: Final = ("6041", "6061", "6064", "606C", "6077", "60F4", "603F")
@@ -157,14 +160,15 @@ class _Watching:
         self._watched, self._observer = watched, observer
         self._channel = channel
         self._plot = plot
-        self._zero: Time | None = None  # from trio's clock to that of the frames
+        self._clock = FrameClock()
+        self._live: LiveSource | None = None
         self._first: Time | None = None
         self._load = Load()
         self._polling: Polling | None = None
         self._bitrate: int | None = None
         self._where = ""
         self._how = ""
-        self._lost = 0
+        self._lost = 0  # as the master tells
         self._has_value = False
         self._notes: dict[str, str] = {}
         self.is_drawn = screen.out.is_terminal and not screen.out.is_dumb_terminal and not settings.json
@@ -172,7 +176,7 @@ class _Watching:
 
     def now(self) -> Time:
         """Return the time of the frames, now."""
-        return round(trio.current_time() * SECOND) + (self._zero or 0)
+        return self._clock.now()
 
     # ---- what comes ----
 
@@ -181,10 +185,11 @@ class _Watching:
         if self._channel is None:
             self._channel = record.channel
         if record.channel != self._channel:
-            self._other_channel(record.channel)
+            self._notes["several"] = (
+                f"there are frames of other buses, too; these are of {self._channel}; or --channel {record.channel}"
+            )
             return
-        now = record.time
-        self._zero = now - round(trio.current_time() * SECOND)
+        now = self._clock.set(record.time)
         self._first = now if self._first is None else self._first
         if record.frame.can_id in (SDO_CLIENT_TO_SERVER + self._watched.node_id, SDO_SERVER_TO_CLIENT + self._watched.node_id):
             self._load.add(record.frame, now)
@@ -195,26 +200,16 @@ class _Watching:
             for sink in self.sinks:
                 sink(sample)
 
-    def _other_channel(self, name: str) -> None:
-        if "several" not in self._notes:
-            note = f"there are frames of other buses, too; these are of {self._channel}; or --channel {name}"
-            self._notes["several"] = note
-            if not self.is_drawn:
-                self._screen.say(f"[yellow]{escape(note)}[/]")
-
     async def listen(self, source: Path | None) -> None:
         """Take in what comes from a bus or a file, to its end."""
         async with open_live_source(self._settings, source) as live:
-            self._where, self._bitrate = live.name, live.bitrate
+            self._live, self._where = live, live.name
             self._how = "passive: nothing is sent" if live.is_live else "a recording"
             async for each in live:
-                self._take_live(each)
-
-    def _take_live(self, heard: Heard) -> None:
-        if isinstance(heard, Record):
-            self.heard(heard)
-        else:
-            self._report(heard)
+                if isinstance(each, Record):
+                    self.heard(each)
+                elif isinstance(each, BusStateChanged):
+                    note_state(self._notes, each.state, each.seen)
 
     async def ask(self, every: Time) -> None:
         """Take in what is on the bus, and ask for the rest; for ever."""
@@ -226,17 +221,11 @@ class _Watching:
             self._polling = Polling(session, node, self._watched, self.now, every, self._bitrate)
             await self._polling.run()
 
-    def _report(self, report: Report) -> None:
-        if isinstance(report, ReceiveOverrun):
-            self._lost += report.lost
-        else:
-            self._notes["bus"] = str(report)
-
     def _bus_event(self, event: FramesLost | BusChanged) -> None:
         if isinstance(event, FramesLost):
             self._lost += event.lost
         else:
-            self._notes["bus"] = f"the bus is {event.state.name.lower().replace('_', '-')}: {event.reason}"
+            note_state(self._notes, event.state, event.reason)
 
     # ---- what is shown ----
 
@@ -247,12 +236,19 @@ class _Watching:
             with trio.move_on_after(math.inf if seconds is None else seconds):
                 await work()
 
-        if not self.is_drawn:
-            await self._tell_during(for_a_time)
-        else:
-            live = LiveScreen(self._screen, self._view, self._picture, {"r": self._watched.forget_limits}, REFRESH)
-            await live.during(for_a_time)
+        failure: LogFileError | None = None
+        try:
+            if self.is_drawn:
+                keys = {"r": self._watched.forget_limits}
+                await LiveScreen(self._screen, self._view, self._picture, keys, REFRESH).during(for_a_time)
+            else:
+                await self._tell_during(for_a_time)
+        except LogFileError as error:  # what could be read is shown
+            failure = error
+        if self.is_drawn:
             self._screen.data(plain(self._view(), self._around(None), self._screen.out.width))
+        if failure is not None:
+            raise failure
         if not self._has_value:
             raise self._nothing_came()
 
@@ -263,13 +259,14 @@ class _Watching:
         return picture(view, self._around(paused), width, height, span=SPAN if self._plot else 0.0)
 
     def _around(self, paused: float | None) -> Around:
-        notes = list(self._notes.values())
-        if self._lost:
-            notes.append(f"{counted(self._lost, 'frame')} were lost before they were seen: this computer is too slow")
         how = self._how or load_text(self._load.last_second(self.now()), self._bitrate)
-        if self._polling is not None and self._polling.makes_way:
-            notes.append(OTHERS)
-        return Around(self._where, how, KEYS, tuple(notes), paused)
+        return Around(self._where, how, KEYS, tuple(self._all_notes().values()), paused)
+
+    def _all_notes(self) -> dict[str, str]:
+        note_lost(self._notes, self._lost)
+        note_source(self._notes, self._live, self._clock)
+        makes_way = self._polling is not None and self._polling.makes_way
+        return {**self._notes, "others": OTHERS} if makes_way else self._notes
 
     def tell(self, sample: Sample) -> None:
         """Print a value that has changed."""
@@ -282,29 +279,35 @@ class _Watching:
 
     async def _tell_during(self, work: Callable[[], Awaitable[None]]) -> None:
         """Do the work; say why values do not come."""
+        told: dict[str, str] = {}
         try:
             async with trio.open_nursery() as nursery:
-                nursery.start_soon(self._tell_troubles)
+                nursery.start_soon(self._tell_remarks, told)
                 await work()
                 nursery.cancel_scope.cancel()
         except ExceptionGroup as group:
             raise first_of(group) from None
+        self._tell_new_remarks(told)
 
-    async def _tell_troubles(self) -> None:
-        told: dict[str, str] = {}
+    async def _tell_remarks(self, told: dict[str, str]) -> None:
         while True:
             await trio.sleep(REFRESH)
             self._screen.check_reader()
-            others = OTHERS if self._polling is not None and self._polling.makes_way else ""
-            if others and others != told.get(""):
-                self._screen.say(f"[yellow]{others}[/]")
-            told[""] = others
-            for row in self._view().rows:
-                trouble = row.trouble or ("stale: nothing has brought it again" if row.is_stale else "")
-                if trouble != told.get(row.place, ""):
-                    told[row.place] = trouble
-                    if trouble:
-                        self._screen.say(f"[yellow]{row.place} {escape(row.name)}: {escape(trouble)}[/]")
+            self._tell_new_remarks(told)
+
+    def _tell_new_remarks(self, told: dict[str, str]) -> None:
+        """Say the notes, and why rows have no new values; what was said is said again only once it was over."""
+        remarks = dict(self._all_notes())
+        is_live = self._live is None or self._live.is_live
+        for row in self._view().rows:
+            trouble = row.trouble or ("stale: nothing has brought it again" if row.is_stale and is_live else "")
+            if trouble:
+                remarks[row.place] = f"{row.place} {row.name}: {trouble}"
+        for about, text in remarks.items():
+            if told.get(about) != text:
+                self._screen.say(f"[yellow]{escape(text)}[/]")
+        told.clear()
+        told.update(remarks)
 
     def _nothing_came(self) -> Problem:
         """Return the problem of a watch that has shown nothing."""

@@ -218,6 +218,20 @@ def test_the_machine_file_tells_the_bit_rate(run: Run) -> None:
     assert "% of 250k" in outcome.out
 
 
+def test_two_recordings_in_one_file(run: Run) -> None:
+    Path("two.log").write_text("(1000.0) can0 705#05\n(10.0) can0 706#05\n(14.0) can0 706#05\n")
+    outcome = run("top", "two.log")
+    assert "5 (0x05) SILENT" in outcome.out, "what was heard 4 s before does not look present"
+    assert "the clock of the frames went back 1 time" in outcome.out
+
+
+def test_a_file_with_a_name_for_each_frame_takes_no_more_memory(run: Run) -> None:
+    Path("many.log").write_text("".join(f"({number}.0) bus{number} 705#05\n" for number in range(1, 40)))
+    outcome = run("top", "many.log")
+    assert outcome.out.count("5 (0x05)") == 16
+    assert "only the first 16 buses are shown" in outcome.out
+
+
 def test_nothing_came(run: Run) -> None:
     Path("empty.log").write_text("")
     assert run("top", "empty.log").status == 6

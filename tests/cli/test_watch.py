@@ -230,3 +230,15 @@ def test_values_go_into_a_csv(run: Run, log: Path) -> None:
     assert [row[4] for row in rows[1:]] == ["1", "5", "3"]
     assert run("watch", "5", "6064", *options).status == 2  # it is there already
     assert run("watch", "5", "6064", "--from", str(log), "--csv", "no/run.csv").status == 6
+
+
+def test_a_recording_that_is_damaged_further_on(run: Run) -> None:
+    Path("odd.log").write_text(LOG + "no record\n")
+    outcome = run("watch", "5", "6064", "--from", "odd.log")
+    assert (outcome.status, len(outcome.out.splitlines())) == (6, 3)
+    outcome = run("top", "odd.log")
+    assert (outcome.status, outcome.out.count("5 (0x05)")) == (6, 2), "what could be read is shown"
+    Path("odd.log").write_text(LOG + "(10.5) can0 185##0\n")  # CAN FD
+    outcome = run("watch", "5", "6064", "--from", "odd.log")
+    assert outcome.status == 0
+    assert "1 entry passed over, the last: " in outcome.err
