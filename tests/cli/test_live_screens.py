@@ -13,7 +13,7 @@ from tests.cli.terminal import Terminal, canopen, needs_tmux, terminals
 
 pytestmark = needs_tmux
 
-MODES = "; s=$?; stty -a | tr ' ;' '\\n\\n' | grep -x -e -icanon -e icanon -e -echo -e echo; exit $s"
+MODES = "; s=$?; stty -a | tr ' ;' '\\n\\n' | grep -x -e -icanon -e icanon -e -echo -e echo; (exit $s)"
 """Shows behind a command whether the terminal gives whole lines, and shows what is typed."""
 
 
