@@ -11,9 +11,9 @@ A reset has two steps here, because the node itself does the initialisation betw
 reports `NmtResetRequested`. The node resets its parameters (all, or those of communication) and calls `boot`, which sends the
 boot-up frame and enters PRE-OPERATIONAL. A node that starts itself (0x1F80) then calls `execute(NmtCommand.START, now)`.
 
-Left out: the NMT inhibit time (0x102A), as a master sends few commands; the start-up of a network by CiA 302-2, which is a
-procedure; a flying master. A node on CAN does not receive its own frames: a node that is both master and slave must call
-`execute` for the commands that it sends to all.
+The NMT inhibit time (0x102A) and the start-up of a network by CiA 302-2 are procedures (boot/). Left out: a flying master. A node
+on CAN does not receive its own frames: a node that is both master and slave must call `execute` for the commands that it sends to
+all.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from canopen_proto.boot.commands import NmtCommands
 from canopen_proto.boot.entry import BootEntry
 from canopen_proto.boot.outcome import BootLetter, BootOutcome, BootStep, Shown
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, Event, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.procedures.restore import STORE_TIMEOUT
@@ -61,7 +61,7 @@ MAX_NUMBER: Final = 8
 """Bytes of the longest answer that is taken for a number."""
 
 NodeHook: TypeAlias = Callable[[RemoteNode, BootEntry], Procedure[None]]
-"""A procedure for one node that the caller supplies; it raises ProcedureError if it fails."""
+"""A procedure for one node that the caller supplies; it raises ProcedureError or LocalProtocolError if it fails."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +249,7 @@ class _NodeBoot:
             raise _Ended(BootLetter.UPDATE_FAILED, place, expected, found, remark="the master has no program for it")
         try:
             yield from self.update(self.node, self.entry)
-        except ProcedureError as failed:
+        except (ProcedureError, LocalProtocolError) as failed:
             raise _Ended(BootLetter.UPDATE_FAILED, place, expected, found, remark=str(failed)) from failed
         self.is_updated = True
         self.boots = self.node.boots  # a node that starts another program boots
@@ -281,7 +281,7 @@ class _NodeBoot:
         if self.configure is not None:
             try:
                 yield from self.configure(self.node, entry)
-            except ProcedureError as failed:
+            except (ProcedureError, LocalProtocolError) as failed:
                 raise _Ended(BootLetter.NOT_CONFIGURED, remark=str(failed)) from failed
             self._check_boots()
         if (

@@ -527,3 +527,20 @@ def test_all_are_reset_and_have_their_whole_time_again() -> None:
     bench.bus.run_until(lambda: bench.letters() == "000B", 10 * SECOND)
     assert bench.bus.now == lost_at + 3 * SECOND, bench.letters()
     assert len(bench.bus.take_events(HeartbeatLost)) == 1
+
+
+@pytest.mark.parametrize("moment", [0, 1, 12, 13, 14, 100, 212, 213, 1000])
+def test_after_a_cancel_nothing_is_sent_any_more(moment: int) -> None:
+    """But the abort of the transfer under way. What runs goes on running, and the report tells it."""
+    bench = BootBench([2, 3])
+    bench.nodes[3].boot_delay = SECOND
+    boot = bench.network_boot()
+    request_id = bench.master.run(started_and_supervised(boot), bench.bus.now)
+    bench.bus.run(moment * MILLISECOND + 350 * MICROSECOND)
+    bench.master.cancel(request_id, bench.bus.now)
+    bench.bus.pump()
+    bench.bus.sent.clear()
+    bench.bus.run(10 * SECOND)
+    assert [text for text in bench.bus.trace() if not text.startswith(("58", "70"))] == []
+    assert not bench.master.runner.busy
+    assert boot.report(bench.bus.now).running == tuple(each for each, node in bench.nodes.items() if node.state == 5)

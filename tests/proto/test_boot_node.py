@@ -10,7 +10,7 @@ from canopen_proto.boot.node_boot import MAX_RESTARTS, boot_node
 from canopen_proto.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, ProcedureError, sleep
 from tests.proto.boot_bench import (
@@ -336,7 +336,7 @@ def test_a_node_that_is_kept_alive_and_not_operational_is_reset() -> None:
 class Works:
     """What a host does with a node."""
 
-    def __init__(self, bench: BootBench, software: int, *, boots: bool = False, fails: bool = False) -> None:
+    def __init__(self, bench: BootBench, software: int, *, boots: bool = False, fails: type[Exception] | None = None) -> None:
         self.bench, self.software, self.boots, self.fails = bench, software, boots, fails
         self.calls = 0
 
@@ -344,8 +344,8 @@ class Works:
         self.calls += 1
         assert (node.node_id, told.node_id) == (6, 6)
         yield from sleep(3 * SECOND)
-        if self.fails:
-            raise ProcedureError("the flash memory is worn out")
+        if self.fails is not None:
+            raise self.fails("the flash memory is worn out")
         self.bench.node.table[PROGRAM] = u32(self.software)
         if self.boots:
             self.bench.node.boot(self.bench.bus.now)
@@ -364,15 +364,16 @@ def test_another_program_is_replaced(installed: int, letter: str, boots: bool) -
         assert (outcome.object, outcome.expected, outcome.found) == (PROGRAM, 2, 3)
 
 
-def test_an_update_that_fails() -> None:
+@pytest.mark.parametrize("error", [ProcedureError, LocalProtocolError])
+def test_an_update_that_fails(error: type[Exception]) -> None:
     bench = BootBench()
-    update = Works(bench, 2, fails=True)
+    update = Works(bench, 2, fails=error)
     outcome = bench.run(boot_node(bench.remote, bench.commands, entry(assignment=UPDATED, software=2), update=update))
     assert (outcome.letter, outcome.remark) == ("I", "the flash memory is worn out")
 
 
-@pytest.mark.parametrize(("fails", "letter"), [(False, "0"), (True, "J")])
-def test_a_configuration_of_the_host(fails: bool, letter: str) -> None:
+@pytest.mark.parametrize(("fails", "letter"), [(None, "0"), (ProcedureError, "J"), (LocalProtocolError, "J")])
+def test_a_configuration_of_the_host(fails: type[Exception] | None, letter: str) -> None:
     bench = BootBench()
     configure = Works(bench, 2, fails=fails)
     outcome = bench.run(boot_node(bench.remote, bench.commands, entry(), configure=configure))
