@@ -15,7 +15,7 @@ from canopen_cli.net_support import ChosenNetwork, OpenNetwork, choose_network, 
 from canopen_cli.nmt import confirm
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.running import run, run_until_interrupted
+from canopen_cli.running import first_of, run, run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape
 from canopen_master.machine_file.boot_entries import BusNetwork
 from canopen_master.network_booting import network_boot
@@ -145,18 +145,21 @@ async def _opened(
 ) -> AsyncIterator[OpenNetwork]:
     """Open the buses, and tell events of their nodes while the block runs, and at its end those that came last."""
     chosen = booted.chosen
-    async with open_network(settings, screen, chosen) as opened, trio.open_nursery() as nursery:
-        master = opened.master
-        heard: list[tuple[BusNetwork, Subscription[Any]]] = []
-        for network in chosen.networks:
-            booted.boots[network.bus] = network_boot(master, chosen.machine, network, chosen.dictionaries)
-            heard.append((network, master.events(BootEnded, NetworkStarted, NodeLost, bus=network.bus)))
-            nursery.start_soon(_tell_all, *heard[-1], tell)
-        yield opened
-        for network, events in heard:
-            for event in events.take():
-                tell(network, event)
-        nursery.cancel_scope.cancel()
+    try:
+        async with open_network(settings, screen, chosen) as opened, trio.open_nursery() as nursery:
+            heard: list[tuple[BusNetwork, Subscription[Any]]] = []
+            for network in chosen.networks:
+                booted.boots[network.bus] = network_boot(opened.master, chosen.machine, network, chosen.dictionaries)
+                events = opened.master.events(BootEnded, NetworkStarted, NodeLost, bus=network.bus)
+                heard.append((network, events))
+                nursery.start_soon(_tell_all, network, events, tell)
+            yield opened
+            for network, events in heard:
+                for event in events.take():
+                    tell(network, event)
+            nursery.cancel_scope.cancel()
+    except ExceptionGroup as group:
+        raise first_of(group) from None
 
 
 async def _tell_all(network: BusNetwork, events: Subscription[Any], tell: Callable[[BusNetwork, Event], None]) -> None:

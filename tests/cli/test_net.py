@@ -14,8 +14,10 @@ import pytest
 import trio
 
 from canopen_cli import net_support
+from canopen_cli.app import CLOSED_PIPE
 from canopen_cli.fleet import Fleet, simulated_devices
 from canopen_cli.problem import ExitCode
+from canopen_cli.screen import Screen
 from canopen_data.configured import with_configured
 from canopen_data.describing import describe
 from canopen_data.description import Commissioning
@@ -292,6 +294,14 @@ def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
     rung.set((4, signal.SIGINT))
     outcome = run("net", "watch", cell(), "--yes", "--json", *DEMO)
     assert '"event": "lost", "node": 4, "reaction": "it was reset"' in outcome.out
+
+
+def test_watch_ends_with_its_reader(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def closed(*arguments: object) -> None:
+        raise BrokenPipeError
+
+    monkeypatch.setattr(Screen, "data", closed)
+    assert run("net", "watch", cell(), "--yes", *DEMO).status == CLOSED_PIPE
 
 
 # ---- init ----
