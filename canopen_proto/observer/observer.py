@@ -175,6 +175,15 @@ class Observer:
             return Observation(meaning, tuple(found), self._settled, bits, *sequences.take())
         return Observation(meaning, tuple(found), self._settled, bits)
 
+    def idle(self, now: Time) -> tuple[tuple[Finding, ...], tuple[Summary, ...]]:
+        """Return what is wrong because nothing comes, and the sequences that a silence has ended. now: ns; all frames before it
+        have been observed."""
+        now = self._now = max(now, self._now)
+        found = self._nodes.overdue(now) + self._timings.overdue(now)
+        self._sequences.overdue(now)
+        _, summaries = self._sequences.take()
+        return tuple(found), summaries
+
     def unfinished(self) -> tuple[Summary, ...]:
         """Return the sequences that are not over yet, and forget them: behind the last frame of a recording."""
         self._sequences.overdue(NEVER)

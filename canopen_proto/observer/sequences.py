@@ -6,7 +6,7 @@
                 itself that it is operational, when it boots again, or with a silence of SILENCE. The boot-up itself and NMT
                 commands stand for themselves.
 
-A silence is seen with the frame behind it.
+A silence is seen with the frame behind it, or by `Observer.idle`.
 """
 
 from __future__ import annotations

@@ -73,6 +73,11 @@ class Buses:
         observer = self._observers[record.channel]
         return self.seconds(record.time), observer.observe(record.frame, record.time - self._first)
 
+    def idle(self, time: Time) -> Iterator[tuple[str, tuple[Finding, ...], tuple[Summary, ...]]]:
+        """Return what each bus shows by its silence; see `Observer.idle`. time: all frames before it have been observed."""
+        for channel, observer in self._observers.items():
+            yield channel, *observer.idle(time - (self._first or 0))
+
     def unfinished(self) -> Iterator[tuple[str, Summary]]:
         """Return the sequences that are not over yet, each with its bus: behind the last frame."""
         for channel, observer in self._observers.items():
@@ -143,6 +148,11 @@ class FrameChoice:
         ):
             return False
         return self._last is None or self._has_changed(self._last, record, observation)
+
+    def warns(self, finding: Finding) -> bool:
+        """Return whether a finding is shown that belongs to no frame."""
+        is_free = not (self._numbers or self._names or self._services)
+        return is_free and (not self._nodes or finding.node_id in self._nodes)
 
     def tells(self, summary: Summary) -> bool:
         """Return whether the summary of a sequence of frames is shown."""
@@ -242,6 +252,12 @@ class FrameLines:
         style = _STYLES.get(meaning.service.lower(), "")
         wrong = "".join(self._line("! ", finding_text(each), _FINDING) for each in findings)
         return self._line(head, clean(meaning.text), style) + wrong
+
+    def finding(self, seconds: float, time: Time, channel: str, finding: Finding) -> str:
+        """Return the line for what is wrong because no frame comes. seconds: since the first frame."""
+        if self._json:
+            return json_text({"time": time, "channel": channel, "findings": [finding._asdict()]}) + "\n"
+        return self._line("! ", f"{seconds:.4f} s: {finding_text(finding)}", _FINDING)
 
     def summary(self, time: Time, channel: str, summary: Summary) -> str:
         """Return the line that sums up a sequence of frames. time: of the frame that it comes with."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Final
 
 import click
 import trio
@@ -18,6 +19,11 @@ from canopen_cli.screen import Screen, counted, escape
 from canopen_cli.session import read_dictionary
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.record import Record
+
+QUIET: Final = 0.5
+"""Seconds without a frame, after which it is looked for what should have come."""
+LATE: Final = SECOND // 4
+"""Longer than a frame is on its way from the bus to us."""
 
 
 @click.command()
@@ -93,10 +99,12 @@ class Watch:
                     how = "the adapter only listens" if live.is_silent else "nothing is sent"
                     self._screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; {how}")
                 buses = Buses(self._choice.files, bitrate=live.bitrate or self._settings.told_bitrate() or 0)
-                while taken := await live.take():
+                while (taken := await _next(live)) != []:
                     lines.measure()
-                    for heard in taken:
+                    for heard in taken or ():
                         await self._tell(heard, buses, lines, outlet)
+                    if taken is None:
+                        await self._tell_silence(live.now() - LATE, buses, lines, outlet)
                 for channel, summary in buses.unfinished():
                     if self._choice.tells(summary):
                         await outlet.put(lines.summary(live.now(), channel, summary))
@@ -119,6 +127,15 @@ class Watch:
         elif self._live is not None:
             await outlet.put(lines.report(buses.seconds(self._live.now()), self._live.now(), heard))
 
+    async def _tell_silence(self, time: Time, buses: Buses, lines: FrameLines, outlet: Outlet) -> None:
+        """Tell what is wrong because nothing came until this time."""
+        for channel, findings, summaries in buses.idle(time):
+            self._findings += len(findings)
+            for finding in filter(self._choice.warns, findings):
+                await outlet.put(lines.finding(buses.seconds(time), time, channel, finding))
+            for summary in filter(self._choice.tells, summaries):
+                await outlet.put(lines.summary(time, channel, summary))
+
     def tell_counts(self) -> None:
         """Tell what was heard and shown, if anything was opened."""
         if self._live is None or self._outlet is None:
@@ -139,3 +156,10 @@ class Watch:
         """Tell what in the recording was no frame."""
         if self._live is not None:
             tell_skipped(self._screen, self._live)
+
+
+async def _next(live: LiveSource) -> list[Heard] | None:
+    """Return what comes next: nothing at the end of a recording, None if a bus was silent for QUIET."""
+    with trio.move_on_after(QUIET if live.is_live else math.inf):
+        return await live.take()
+    return None

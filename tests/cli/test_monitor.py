@@ -188,20 +188,37 @@ def test_what_is_wrong_with_a_node_is_shown_with_it(run: Run) -> None:
     assert lines[2].startswith("! late heartbeat: node 6:")
 
 
+def test_a_bus_that_falls_silent_is_not_passed_over(run: Run, scripted: Callable[..., None]) -> None:
+    """The heartbeat that is late is told without a frame behind it, and so is the end of what the node was told."""
+    said = ("706#00", "606#2316100164000500", "586#6016100100000000", "705#05")
+    scripted(*((Frame.parse(text), None) for text in said), silence=10)
+    outcome = run("monitor", "-b", "virtual:x", "--seconds", "9")
+    late, boot = [line for line in outcome.out.splitlines() if line[0] in "!="]
+    assert late.startswith("! 3.2500 s: late heartbeat: node 5: no heartbeat for more than 100 ms")
+    assert boot.startswith("= boot-up")
+    assert "4 frames in 9.0 s, 1 finding" in outcome.err
+    scripted(*((Frame.parse(text), None) for text in said), silence=10)
+    assert "!" not in run("monitor", "-b", "virtual:x", "--seconds", "9", "--node", "6").out
+
+
 # ---- what a bus reports ----
 
 
 class Script:
-    """A bus that says one thing a second, and then fails."""
+    """A bus that says one thing a second, and after a silence (seconds) fails."""
 
-    def __init__(self, items: list[Any]) -> None:
+    def __init__(self, items: list[Any], silence: float) -> None:
         self._items = items
+        self._silence = silence
+        self._due = trio.current_time() + 1
         self.locator = "virtual:x"
 
     async def receive(self) -> Any:
-        await trio.sleep(1)
+        await trio.sleep_until(self._due)
         if not self._items:
+            await trio.sleep(self._silence)
             raise TransportError("CO111", "virtual:x", "virtual:x is lost", seen="unplugged")
+        self._due += 1
         return self._items.pop(0)
 
     async def __aenter__(self) -> None: ...
@@ -210,9 +227,9 @@ class Script:
 
 @pytest.fixture
 def scripted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    def script(*items: Any) -> None:
+    def script(*items: Any, silence: float = 0) -> None:
         async def opening(locator: str) -> Script:
-            return Script(list(items))
+            return Script(list(items), silence)
 
         monkeypatch.setattr(live_source, "open_transport", opening)
 

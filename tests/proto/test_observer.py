@@ -117,6 +117,19 @@ def test_consumers_of_a_devices_file() -> None:
     assert (found.rule, found.node_id) == ("late heartbeat", 5)
 
 
+def test_what_a_silent_bus_shows() -> None:
+    dictionary = ObjectDictionary([obj(0x1016, (U8, 1), (U32, 0x0005_0064))])
+    observer = Observer(lambda node_id: dictionary if node_id == 9 else None)
+    for frame in ("706#00", "606#4000100000000000", "586#4300100092010200", "705#05"):
+        observer.observe(Frame.parse(frame), SECOND)
+    assert observer.idle(SECOND + 99 * MILLISECOND) == ((), ())
+    findings, summaries = observer.idle(2 * SECOND)
+    assert ([each.rule for each in findings], summaries) == (["late heartbeat"], ())
+    findings, summaries = observer.idle(4 * SECOND)
+    assert (findings, [each.node_id for each in summaries]) == ((), [6])
+    assert observer.unfinished() == ()
+
+
 def test_wrong_lengths() -> None:
     assert Bus().hear_all("000#01", "705#", "705#0505", "000#010500") == [
         "length 0: an NMT command of 1 bytes; it has two",
