@@ -127,6 +127,12 @@ class Link:
             raise LocalProtocolError(f"{self.name}: the master is the only one at its end; write a link for each of the others")
         if len(self.sources) > 1 and not to_master:
             raise LocalProtocolError(f"{self.name}: {len(self.sources)} objects cannot feed the same one; write a link for each")
+        if to_master and self.timing.timeout:
+            raise LocalProtocolError(f"{self.name}: the timeout is one of a node that receives; the master watches by itself")
+        if from_master and (self.timing.inhibit_time or self.timing.event_timer):
+            raise LocalProtocolError(
+                f"{self.name}: inhibit time and event timer are those of a node that sends, not of the master"
+            )
 
     @property
     def is_from_master(self) -> bool:

@@ -334,6 +334,15 @@ def test_a_timing_that_no_device_can_keep(timing: dict[str, int]) -> None:
 
 
 @pytest.mark.parametrize(
+    ("source", "target", "timing"),
+    [("a 2008", MASTER, Timing(timeout=MILLISECOND)), (MASTER, "b 2009", EVENT)],
+)
+def test_times_that_nobody_would_keep(source: str, target: str, timing: Timing) -> None:
+    with pytest.raises(LocalProtocolError, match="master"):
+        link(source, target, timing)
+
+
+@pytest.mark.parametrize(
     ("sources", "targets"),
     [([], ["b 2009"]), (["master"], ["master"]), (["a 2008", "a 2006"], ["b 2009"]), (["master", "a 2008"], ["b 2009"])],
 )
@@ -397,6 +406,7 @@ def wishes(draw: st.DrawFn) -> list[Link]:
                 continue
             case "from":
                 source, possible = MASTER, sorted(free)
+                timing = Timing(0) if timing is EVENT else timing
             case _:
                 source = draw(st.sampled_from(SOURCES))
                 wanted = f"{int(source[2:], 16) + 1:04X}"
