@@ -15,9 +15,9 @@ The peers:
 - `canopen` (cases of run.py): its Network gets the same frames by `notify`, with twelve RemoteNodes that have the same mapping;
   node 1's TPDO is decoded each time. It does much less: it follows no SDO transfer, checks no rule, and counts nothing. So the
   ratio says what understanding a bus costs over taking its frames.
-- `canopen-monitor` 4.1.0 (here; `pip install canopen-monitor`): the same job in Python, a line of text for each frame by the
-  device's EDS. It does less here: it reads the index of an SDO in the wrong byte order, so it shows these frames as bytes; and it
-  checks no rule.
+- `canopen-monitor` 4.1.0 (here, if it is installed; in its own environment, as it brings a package `tests`): the same work in
+  Python, a line of text for each frame by the device's EDS. It does less here: it reads the index of an SDO in the wrong byte
+  order, so it shows these frames as bytes; and it checks no rule.
 - Wireshark's `tshark` (here, if it is installed): a line of text for each frame of a capture file, in C. It follows no transfer
   and knows no mapping. Its start is left out.
 """

@@ -159,7 +159,6 @@ class Observer:
             found += self._nodes.overdue(now)
         if now >= self._timings.deadline:
             found += self._timings.overdue(now)
-        self._settled = None
         sequences = self._sequences
         if now >= sequences.deadline:
             sequences.overdue(now)
@@ -171,9 +170,10 @@ class Observer:
             self._is_shared_told = True
             found += self._shared()
         bits = 0 if self._load is None else self._load.add(frame, now, found)
+        settled, self._settled = self._settled, None
         if sequences.is_part or sequences.ended:
-            return Observation(meaning, tuple(found), self._settled, bits, *sequences.take())
-        return Observation(meaning, tuple(found), self._settled, bits)
+            return Observation(meaning, tuple(found), settled, bits, *sequences.take())
+        return Observation(meaning, tuple(found), settled, bits)
 
     def idle(self, now: Time) -> tuple[tuple[Finding, ...], tuple[Summary, ...]]:
         """Return what is wrong because nothing comes, and the sequences that a silence has ended. now: ns; all frames before it
