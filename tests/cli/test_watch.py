@@ -55,6 +55,8 @@ def test_an_object_that_no_pdo_brings_is_read_at_the_given_rate(run: Run) -> Non
     assert reads["6041"] in (10, 11)
     assert reads["6064"] in (10, 11)
     assert max(reads.values()) <= 11, "and the mappings once"
+    sent = {(record.frame.can_id, record.frame.data[0]) for record in LogReader(Path("t.log")) if record.sent}
+    assert sent == {(0x603, 0x40)}, "nothing but reads"
 
 
 def test_what_would_load_the_bus_is_asked_slower(run: Run) -> None:
