@@ -187,6 +187,8 @@ def test_no_failed_node_is_ever_started(plan: dict[str, Any]) -> None:
     bench.bus.run(6 * SECOND)
     report = boot.report(bench.bus.now)
     running = {node_id for node_id, node in bench.nodes.items() if node.state == 5 and node in bench.bus.machines}
+    for node_id in running:
+        assert judge.since_boot[node_id] >= {HEARTBEAT, SETTING}, "it runs, and has booted since it was configured"
     if plan["startup"] & 8:
         assert judge.started == 0
     if not plan["events"]:
