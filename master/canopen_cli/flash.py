@@ -124,8 +124,8 @@ def flash(
 
     \b
     canopen flash 5 firmware.bin --expect 0x12345678 -b can0
-    canopen sim 5 --boot-loader -b udp_multicast                     a device to try it on
-    canopen flash 5 firmware.bin --expect crc32 -b udp_multicast     in another terminal
+    canopen sim 5 --boot-loader -b udp_multicast      a device to try it on
+    canopen flash 5 new.bin --expect crc32 -b udp_multicast
     """
     screen = settings.screen()
     image = image_in(path)
