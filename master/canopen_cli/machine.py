@@ -24,6 +24,7 @@ from canopen_master.machine_file import (
     parse_machine,
     read_machine,
 )
+from canopen_master.machine_file.boot_entries import network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.links import linked_buses, plan_bus
 from canopen_master.motion.chain_file import read_chains
@@ -59,6 +60,9 @@ def check(settings: Settings, file: Path | None) -> int:
         dictionaries = Dictionaries(found)
         for node in found.nodes.values():
             dictionaries.of(node)
+        for bus in found.buses:
+            for note in network_of(found, bus, dictionaries).notes:
+                screen.detail(escape(note))
         for bus in linked_buses(found):
             plan_bus(found, bus, dictionaries)
     except DictionaryError as error:

@@ -355,6 +355,14 @@ def test_mistakes(run: Run, arguments: tuple[str, ...], code: str, text: str) ->
     assert text in outcome.err
 
 
+def test_a_check_of_the_machine_file_reads_what_a_boot_needs(run: Run) -> None:
+    cell("right = { id = 4 }", "right = { id = 4, boot = { configuration = 'cut.bin' } }")
+    Path("cut.bin").write_bytes(b"1")
+    outcome = run("machine", "check", "cell.toml")
+    assert outcome.status == ExitCode.BAD_FILE
+    assert "cell.toml: nodes.right.boot: cut.bin is no concise DCF" in outcome.err
+
+
 def test_two_buses_are_booted_at_once(run: Run) -> None:
     nodes = "a = { id = 5, bus = 'can0' }\nb = { id = 5, bus = 'can1' }\n"
     Path("two.toml").write_text(f"[buses.can0]\n[buses.can1]\n[defaults.nodes]\nboot = {{}}\n[nodes]\n{nodes}")
