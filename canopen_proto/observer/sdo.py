@@ -32,6 +32,7 @@ from canopen_proto.observer.sdo_words import (
     a_confirmation,
     alone,
     mux_of,
+    name_of,
     too_short,
 )
 from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, END_RESPONSE, FINAL, KIND, MAX_BLOCK_SIZE, SEQUENCE, START_UPLOAD
@@ -101,9 +102,10 @@ class SdoFollower:
     """
 
     __slots__ = (
-        "_announced", "_answer", "_answered", "_block_size", "_crc", "_data", "_dictionary", "_found", "_has_crc", "_is_judged",
-        "_is_sound", "_is_upload", "_is_whole", "_last", "_length", "_pending", "_phase", "_place", "_request", "_sent", "_since",
-        "_tail", "_toggle", "_verb", "_was_final", "aborted", "node_id", "settled",
+        "_acknowledgement", "_announced", "_answer", "_answered", "_block_size", "_crc", "_data", "_dictionary", "_found",
+        "_has_crc", "_is_doubtful", "_is_judged", "_is_sound", "_is_upload", "_is_whole", "_last", "_length", "_pending",
+        "_phase", "_place", "_request", "_sent", "_since", "_tail", "_toggle", "_verb", "_was_final", "aborted",
+        "node_id", "settled",
     )  # fmt: skip
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary) -> None:
@@ -135,6 +137,8 @@ class SdoFollower:
         self._pending: list[bytes] = []  # segments of this block, without a gap
         self._sent: int = 0  # the number of the last segment
         self._was_final = False
+        self._acknowledgement = b""  # the last one
+        self._is_doubtful = False  # it came twice: the receiver said it again, or a sub-block in between was not heard
         self._is_whole: bool = True  # all that the receiver has taken was heard
         self._is_sound = True  # its size and its CRC are right
 
@@ -227,7 +231,7 @@ class SdoFollower:
             self._say("no request", "an SDO answer of another kind than the request")
             return self._by_itself(answer)
         if answer[1:4] != self._place:
-            self._say("no request", f"an SDO answer for {_name(answer[1:4])}; the request was for {_name(self._place)}")
+            self._say("no request", f"an SDO answer for {name_of(answer[1:4])}; the request was for {name_of(self._place)}")
             return self._by_itself(answer)
         if specifier == INITIATE_DOWNLOAD_RESPONSE:
             if self._request[0] & EXPEDITED_BIT:
@@ -329,7 +333,7 @@ class SdoFollower:
 
     def _check_size(self) -> None:
         if self._announced is not None and self._length != self._announced:
-            self._say("size", f"{_name(self._place)} was announced with {self._announced} bytes, and has {self._length}")
+            self._say("size", f"{name_of(self._place)} was announced with {self._announced} bytes, and has {self._length}")
             self._is_sound = False
 
     # ---- blocks ----
@@ -351,7 +355,7 @@ class SdoFollower:
         if self._is_upload and frame[0] == START_UPLOAD and self._phase is _Phase.BLOCK_START:
             self._phase = _Phase.BLOCK_SEGMENTS
             return self._step(": start")
-        if self._is_upload and frame[0] == ACKNOWLEDGEMENT and self._in_block:
+        if self._is_upload and self._may_acknowledge(frame):
             return self._acknowledged(frame)
         if self._is_upload and frame[0] == END_RESPONSE and self._phase is _Phase.BLOCK_END_ANSWER:
             self._end()
@@ -363,7 +367,7 @@ class SdoFollower:
 
     def _block_of_server(self, frame: bytes) -> Say:
         kind = frame[0] & KIND
-        if not self._is_upload and frame[0] == ACKNOWLEDGEMENT and self._in_block:
+        if not self._is_upload and self._may_acknowledge(frame):
             return self._acknowledged(frame)
         if not self._is_upload and frame[0] == END_RESPONSE and self._phase is _Phase.BLOCK_END_ANSWER:
             return self._written()
@@ -372,13 +376,18 @@ class SdoFollower:
         self._say("no request", "an SDO answer that does not fit the request")
         return self._by_itself(frame)
 
-    @property
-    def _in_block(self) -> bool:
-        return self._phase in (_Phase.BLOCK_SEGMENTS, _Phase.BLOCK_ACKNOWLEDGEMENT)
+    def _may_acknowledge(self, frame: bytes) -> bool:
+        if self._phase is _Phase.BLOCK_END:  # it may be said once more
+            return frame == self._acknowledgement
+        return frame[0] == ACKNOWLEDGEMENT and self._phase in (_Phase.BLOCK_SEGMENTS, _Phase.BLOCK_ACKNOWLEDGEMENT)
 
     def _acknowledged(self, frame: bytes) -> Say:
         """Count what the receiver has. The sender goes on behind that: with the rest of this sub-block, if something was lost."""
         taken, self._block_size = frame[1], frame[2] or MAX_BLOCK_SIZE
+        if not self._sent and frame == self._acknowledgement:
+            self._is_doubtful = True
+            return self._step(f": {taken} segments taken, once more")
+        self._acknowledgement = frame
         if taken > self._sent:
             self._say("sdo", f"{taken} segments are acknowledged, and {self._sent} were sent")
         again = ", the others must be sent again" if taken < self._sent else ""
@@ -396,10 +405,14 @@ class SdoFollower:
     def _block_end(self, frame: bytes) -> Say:
         self._phase = _Phase.BLOCK_END_ANSWER
         self._keep_tail(self._tail[: 7 - (frame[0] >> 2 & 7)])
+        said = int.from_bytes(frame[1:3], "little")
+        if self._is_doubtful:
+            has_proof = self._has_crc or self._announced is not None
+            fits = (not self._has_crc or self._crc == said) and self._announced in (None, self._length)
+            self._is_whole = self._is_whole and has_proof and fits
         if self._is_whole:
-            said = int.from_bytes(frame[1:3], "little")
             if self._has_crc and self._crc != said:
-                self._say("crc", f"the CRC of {_name(self._place)} is said to be 0x{said:04X}, and is 0x{self._crc:04X}")
+                self._say("crc", f"the CRC of {name_of(self._place)} is said to be 0x{said:04X}, and is 0x{self._crc:04X}")
                 self._is_sound = False
             self._check_size()
         return self._value()
@@ -473,10 +486,6 @@ class SdoFollower:
 def _expedited(frame: bytes) -> bytes:
     """Return the value in an initiate frame."""
     return frame[4 : 8 - (frame[0] >> 2 & 3 if frame[0] & SIZE_BIT else 0)]
-
-
-def _name(place: bytes) -> str:
-    return f"{place[1]:02X}{place[0]:02X}:{place[2]:02X}"
 
 
 _ANSWERS: Final = frozenset(

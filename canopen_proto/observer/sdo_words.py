@@ -63,3 +63,8 @@ def too_short(frame: Frame) -> Words:
 def mux_of(place: bytes) -> Mux:
     """Return the object that an SDO frame names. place: index and subindex, as they are sent."""
     return mux(place[0] | place[1] << 8, place[2])
+
+
+def name_of(place: bytes) -> str:
+    """Return the object that an SDO frame names, as "6041:00"."""
+    return f"{place[1]:02X}{place[0]:02X}:{place[2]:02X}"

@@ -67,6 +67,19 @@ def test_nothing_is_found_in_a_clean_transfer(size: int, up: bool, block: bool, 
     assert findings([*session, *[(now + SECOND * 9, frame) for now, frame in session]]) == []
 
 
+@given(SIZES, st.booleans(), st.booleans(), BLOCK_SIZES, st.sampled_from([0.0, 0.0, 0.02]), st.integers(0, 99))
+@examples(60)
+def test_a_transfer_is_put_together(size: int, up: bool, block: bool, block_size: int, loss: float, seed: int) -> None:
+    """With losses the observer has heard what the receiver has not: a block that is sent again counts once."""
+    observer = Observer()
+    session = transfer(size, up=up, block=block, block_size=block_size, loss=loss if block else 0.0, seed=seed)
+    shown = [shown for now, frame in session for shown in observer.observe(frame, now).meaning.objects]
+    held = [each.value for each in shown if each.is_held]
+    was_aborted = any(frame.data[:1] == b"\x80" for _, frame in session)
+    assert {(each.node_id, each.index, each.subindex) for each in shown} == {(12, 0x2000, 0)}
+    assert held == [pattern(size)] or was_aborted
+
+
 @given(SIZES, st.booleans(), BLOCK_SIZES, st.integers(0, 99))
 @examples(60)
 def test_nothing_is_found_in_a_block_transfer_that_repairs_losses(size: int, up: bool, block_size: int, seed: int) -> None:
@@ -176,6 +189,27 @@ def test_segments_that_the_recording_lacks_are_no_fault() -> None:
         segments = [number for number, (_, frame) in enumerate(session) if frame.can_id == (ANSWER if up else REQUEST)][1:-1]
         for number in segments[:-1]:  # without the last one it cannot be known where the sub-block ends
             assert findings(session[:number] + session[number + 1 :]) == []
+
+
+@pytest.mark.parametrize("up", [False, True])
+def test_an_acknowledgement_that_comes_once_more_is_no_fault(up: bool) -> None:
+    session = transfer(100, up=up, block=True, block_size=5)
+    numbers = [number for number, (_, frame) in enumerate(session) if frame.data[:1] == b"\xa2"]
+    assert len(numbers) == 3
+    for number in numbers:  # behind the last one the end is due
+        assert findings(session[: number + 1] + session[number:]) == []
+
+
+@pytest.mark.parametrize("up", [False, True])
+def test_a_sub_block_that_the_recording_lacks_is_no_fault(up: bool) -> None:
+    """Its acknowledgement looks like the one before, said once more: only the CRC tells."""
+    session = transfer(100, up=up, block=True, block_size=5)
+    first, second, _ = [number for number, (_, frame) in enumerate(session) if frame.data[:1] == b"\xa2"]
+    lacking = session[: first + 1] + session[second:]
+    assert findings(lacking) == []
+    observer = Observer()
+    shown = [shown for now, frame in lacking for shown in observer.observe(frame, now).meaning.objects]
+    assert not any(each.is_held for each in shown)
 
 
 def test_an_abort_in_the_middle_of_a_block_ends_the_transfer() -> None:
