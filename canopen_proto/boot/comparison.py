@@ -87,8 +87,8 @@ def _wanted(entry: BootEntry, settings: bool) -> Iterator[tuple[int, int, bytes 
     yield indices.DEVICE_TYPE, 0, _bytes(entry.device_type), False
     for subindex, number in enumerate(entry.identity, start=1):
         yield indices.IDENTITY_OBJECT, subindex, _bytes(number), False
-    if entry.software is not None:
-        yield indices.PROGRAM_SOFTWARE, 1, _bytes(entry.software), False
+    for index, subindex, number in entry.program:
+        yield index, subindex, _bytes(number), False
     last = {(index, subindex): data for index, subindex, data in entry.configuration}
     for (index, subindex), data in last.items() if settings else ():
         if index not in SIGNATURES:

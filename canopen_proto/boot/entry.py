@@ -5,6 +5,7 @@ A master keeps this in objects whose subindex is the node-ID (CiA 302-2; concise
     0x1F81  assignment                 0x1F84  device type       0x1F85..0x1F88  vendor-ID, product, revision, serial number
     0x1F22  concise DCF                0x1F26  configuration date, days since 1984-01-01; 0x1F27 time, ms after midnight
     0x1F55  software identification    0x1F8A  subindex of the node's 0x1011 to restore; 0 for none
+    0x1F53  date, 0x1F54 time of the program: older than 0x1F55, which goes before them
 
 and in 0x1016, in any subindex, the consumer heartbeat time of each node. Expected numbers of 0 are not checked.
 """
@@ -44,7 +45,8 @@ class BootEntry:
     the configuration the date is written, unless the configuration writes 0x1020 itself. save: the node stores its parameters at
     the end (0x1010:01).
 
-    software: what 0x1F56:01 has to be; None: not known.
+    software: what 0x1F56:01 has to be; None: not known. software_date: for devices of an older edition, without 0x1F56: days and
+    ms that 0x1F52:01 and :02 have to show; it counts only without `software`.
     """
 
     node_id: int
@@ -60,6 +62,7 @@ class BootEntry:
     date: tuple[int, int] | None = None
     software: int | None = None
     save: bool = False
+    software_date: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         """Raises LocalProtocolError for numbers that no node can have."""
@@ -73,6 +76,16 @@ class BootEntry:
     def identity(self) -> tuple[int | None, int | None, int | None, int | None]:
         """The expected 0x1018:01 to :04."""
         return self.vendor, self.product, self.revision, self.serial
+
+    @property
+    def program(self) -> tuple[tuple[int, int, int], ...]:
+        """What a node with the expected program shows: index, subindex, number. Empty: the master does not know."""
+        if self.software:
+            return ((indices.PROGRAM_SOFTWARE, 1, self.software),)
+        if self.software_date is not None:
+            date, time = self.software_date
+            return (indices.PROGRAM_DATE, 1, date), (indices.PROGRAM_DATE, 2, time)
+        return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +161,7 @@ class _Held:
         except ConciseError as error:
             raise LocalProtocolError(f"0x1F22:{node_id:02X}: {error}") from error
         date, time = expected(indices.CONFIGURATION_DATE), expected(indices.CONFIGURATION_TIME)
+        program = expected(indices.EXPECTED_PROGRAM_DATE), expected(indices.EXPECTED_PROGRAM_TIME)
         return BootEntry(
             node_id,
             assignment,
@@ -161,4 +175,5 @@ class _Held:
             configuration=configuration,
             date=None if date is None or time is None else (date, time),
             software=expected(indices.EXPECTED_SOFTWARE),
+            software_date=(program[0] or 0, program[1] or 0) if any(program) else None,
         )

@@ -6,7 +6,7 @@
     identity          D, M, N, O   0x1018:01 to :04, as far as they are expected
     NMT state         E, F   only for a node that is kept alive: no heartbeat, or no answer to guarding. If it is Operational,
                       only error control follows (outcome L); else it is reset, and its boot-up awaited
-    software          G, H, I   0x1F56:01 against the expected one; an update, if it is wanted and allowed, then all again
+    software          G, H, I   0x1F56:01 against the expected one (older: 0x1F52); an update, if allowed, then all again
     configuration     J   unless 0x1020 shows the expected date: restore the defaults, write, store
     error control     K   one heartbeat within the consumer time, or one answer to guarding; from then on the node is watched
 
@@ -233,10 +233,14 @@ class _NodeBoot:
     def _replace_software(self) -> Procedure[bool]:
         """Return False if the node has the expected program, and True if it was replaced."""
         self.step = BootStep.SOFTWARE
-        place, expected = (indices.PROGRAM_SOFTWARE, 1), self.entry.software
-        if not expected:
-            raise _Ended(BootLetter.NO_PROGRAM, remark="the master has no expected software identification (0x1F55)")
-        found = _number((yield from self._read(*place, BootLetter.NO_PROGRAM, expected)))
+        if not self.entry.program:
+            remark = "the master has no expected software identification (0x1F55), nor a date (0x1F53, 0x1F54)"
+            raise _Ended(BootLetter.NO_PROGRAM, remark=remark)
+        for index, subindex, expected in self.entry.program:
+            place = index, subindex
+            found = _number((yield from self._read(*place, BootLetter.NO_PROGRAM, expected)))
+            if found != expected:
+                break
         if found == expected:
             if not (yield from self._is_left_stopped()):
                 return False

@@ -27,6 +27,7 @@ Answer: TypeAlias = bytes | int | None
 """What a node answers for an object: its bytes; an abort code; or nothing at all."""
 
 DEVICE_TYPE, HEARTBEAT, PROGRAM, DATE, TIME = (0x1000, 0), (0x1017, 0), (0x1F56, 1), (0x1020, 1), (0x1020, 2)
+PROGRAM_DATE, PROGRAM_TIME = (0x1F52, 1), (0x1F52, 2)
 VENDOR, PRODUCT, REVISION, SERIAL = ((0x1018, subindex) for subindex in range(1, 5))
 LOAD, SAVE = (0x1011, 1), (0x1010, 1)
 SETTING = (0x2002, 0)

@@ -96,13 +96,13 @@ def test_all_of_it() -> None:
             (0x1016, 1): 6 << 16 | 500, (0x1016, 2): 0, (0x102A, 0): 20, (0x1F80, 0): 3, (0x1F89, 0): 5000,
             (0x1F81, 6): 0x0064_038D, (0x1F84, 6): 0x191, (0x1F85, 6): 0x360, (0x1F86, 6): 1, (0x1F87, 6): 2, (0x1F88, 6): 3,
             (0x1F22, 6): DCFGEN, (0x1F26, 6): 9, (0x1F27, 6): 8, (0x1F55, 6): 7, (0x1F8A, 6): 2, (0x1F81, 7): 1, (0x1F88, 7): 0,
-            (0x1F81, 8): 0, (0x1F88, 8): 4,
+            (0x1F81, 8): 0, (0x1F88, 8): 4, (0x1F53, 7): 12, (0x1F54, 7): 0,
         }
     )  # fmt: skip
     six = BootEntry(
         6, Assignment.from_value(0x0064_038D), 0x191, 0x360, 1, 2, 3, 500 * MILLISECOND, 2, WRITES, (9, 8), 7
     )  # fmt: skip
-    seven = BootEntry(7, Assignment(boots=False))
+    seven = BootEntry(7, Assignment(boots=False), software_date=(12, 0))
     told = entries_of(values)
     assert told == NetworkEntry(Startup(start_all=True), {6: six, 7: seven}, 5000 * MILLISECOND, 2 * MILLISECOND)
     assert six.identity == (0x360, 1, 2, 3)
