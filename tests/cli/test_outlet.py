@@ -56,7 +56,7 @@ async def read_all(reading: IO[str], found: list[str]) -> None:
         while (line := reading.readline().strip()) != "end":
             found.append(line)
 
-    await trio.to_thread.run_sync(read)
+    await trio.to_thread.run_sync(read, abandon_on_cancel=True)
 
 
 def test_a_recording_waits_for_its_reader(reading: IO[str]) -> None:
