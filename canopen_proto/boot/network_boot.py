@@ -12,9 +12,9 @@ not start: with bit 1 no node runs then, else those that are ready. `supervise` 
     a lost one is heard without a boot-up  it is reset again: the first time it was not connected
 
 **No failed node is ever started.** Right before a start command, the node still has to be as its boot-up has left it: not lost,
-not booted again. The command to all nodes (bit 1) is sent only if each listed node is ready; else the ready ones are started one
-by one. A node that is kept alive is reset only if it is not Operational. A node that boots just when it is started runs without
-its settings until its boot-up is heard; then it is reset.
+not booted again. The command to all nodes (bit 1) is sent only if each listed node is ready, and nobody else was heard; else the
+ready ones are started one by one. A node that is kept alive is reset only if it is not Operational. A node that boots just when
+it is started runs without its settings until its boot-up is heard; then it is reset.
 
 Each loss has one reaction: while a node is lost or boots, nobody waits for its heartbeats. The host may `suspend` a node while it
 gets a program.
@@ -96,12 +96,14 @@ class BootReport:
     """How the start of a network went.
 
     outcomes: by node-ID, as far as there are. missing: the mandatory nodes that are not ready. running: the nodes that were
-    started, or left running. elapsed: ns.
+    started, or left running, and are still as they were then. gone: those that were ready, and are lost or have booted again.
+    elapsed: ns.
     """
 
     outcomes: Mapping[int, BootOutcome]
     missing: tuple[int, ...]
     running: tuple[int, ...]
+    gone: tuple[int, ...]
     elapsed: Time
 
     @property
@@ -145,9 +147,14 @@ class _Member:
         return self.is_good and (self.node.heartbeat.lost or self.node.guarding.lost)
 
     @property
+    def is_gone(self) -> bool:
+        """Whether it is lost, or has booted again, since a good boot-up."""
+        return self.is_lost or (self.is_good and self.node.boots != self.boots)
+
+    @property
     def is_ready(self) -> bool:
         """Whether it is as a good boot-up has left it."""
-        return self.is_good and self.node.boots == self.boots and not self.is_lost and not self.is_suspended
+        return self.is_good and not self.is_gone and not self.is_suspended
 
     @property
     def may_start(self) -> bool:
@@ -186,13 +193,16 @@ class NetworkBoot:
         """nmt, nodes: attached to the network; a node for each entry. own_id, own: our own node-ID, and what to call with the
         commands that concern our own node too, such as `LocalNode.execute`. update, configure: as for `boot_node`.
 
-        Raises LocalProtocolError if a node is missing, or if 0x1F80 says that we are not the master.
+        Raises LocalProtocolError if a node is missing or has another node-ID, or if 0x1F80 says that we are not the master.
         """
         if not description.startup.is_master:
             raise LocalProtocolError("0x1F80 bit 0 is 0: this device is not the NMT master, and boots no network")
         missing = sorted(description.nodes.keys() - nodes.keys())
         if missing:
             raise LocalProtocolError(f"there is no RemoteNode for node {', '.join(map(str, missing))}")
+        for node_id in description.nodes:
+            if nodes[node_id].node_id != node_id:
+                raise LocalProtocolError(f"the RemoteNode for node {node_id} is that of node {nodes[node_id].node_id}")
         self.network = network
         self.startup = description.startup
         self.boot_time = description.boot_time
@@ -215,7 +225,8 @@ class NetworkBoot:
         return BootReport(
             {node_id: member.outcome for node_id, member in members if member.outcome is not None},
             tuple(node_id for node_id, member in members if member.entry.assignment.is_mandatory and not member.is_ready),
-            tuple(node_id for node_id, member in members if member.is_running),
+            tuple(node_id for node_id, member in members if member.is_running and not member.is_gone),
+            tuple(node_id for node_id, member in members if member.is_gone),
             now - self._begun,
         )
 
@@ -269,8 +280,14 @@ class NetworkBoot:
         for node_id in sorted((listed | set(self.network.heard_nodes())) - kept - {self._own_id}):
             yield from self._reset_node(NmtCommand.RESET_COMMUNICATION, node_id)
 
-    def _reset_node(self, command: NmtCommand, node_id: int) -> Procedure[None]:
-        yield from self.commands.send(command, node_id, lambda: self._forget(node_id))
+    def _reset_node(self, command: NmtCommand, node_id: int) -> Procedure[bool]:
+        """Reset a node, unless it is suspended: it may be getting a program. Return whether it was reset."""
+        member = self._members.get(node_id)
+
+        def may_reset() -> bool:
+            return (member is None or not member.is_suspended) and self._forget(node_id)
+
+        return (yield from self.commands.send(command, node_id, may_reset))
 
     def _command_all(self, command: NmtCommand) -> Procedure[None]:
         def forget_all() -> bool:
@@ -366,6 +383,8 @@ class NetworkBoot:
         members = self._members.values()
 
         def all_may_start() -> bool:
+            if set(self.network.heard_nodes()) - self._members.keys() - {self._own_id}:
+                return False  # it would start nodes that nobody has checked
             return all(member.may_start or (member.is_ready and member.is_running) for member in members)
 
         if (yield from self.commands.send(NmtCommand.START, ALL_NODES, all_may_start)):
@@ -434,7 +453,7 @@ class NetworkBoot:
             raise _MandatoryLost(lost)
         if lost.reaction is LossReaction.RESET:
             member.reset = NmtCommand.RESET_NODE
-            yield from self.commands.send(member.reset, member.node.node_id)
+            yield from self.commands.send(member.reset, member.node.node_id, lambda: not member.is_suspended)
             yield from self._await_boot_up(member)
         member.absent_since = yield from current_time()
 
@@ -464,7 +483,8 @@ class NetworkBoot:
         assignment = member.entry.assignment
         since = yield from current_time()
         if assignment.boots and not assignment.keep_alive:
-            yield from self._reset_node(member.reset, member.node.node_id)
+            if not (yield from self._reset_node(member.reset, member.node.node_id)):
+                return
             yield from self._await_boot_up(member)
         yield from self._boot(member, since)
 

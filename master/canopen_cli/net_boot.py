@@ -53,7 +53,7 @@ class Booted:
         """Tell the state of each node, for an interruption."""
         if not self.boots:
             return ["nothing was sent"]
-        states: dict[str, list[str]] = {"running": [], "ready, not started": [], "failed": [], UNFINISHED: []}
+        states: dict[str, list[str]] = {"running": [], "ready, not started": [], "failed": [], GONE: [], UNFINISHED: []}
         for network in self.chosen.networks:
             report = self.report(network)
             for node_id in network.names:
@@ -61,6 +61,7 @@ class Booted:
         return [f"{state}: {', '.join(names)}" for state, names in states.items() if names]
 
 
+GONE: Final = "was ready, and is lost or has booted again"
 UNFINISHED: Final = "not finished: reset, perhaps configured, or its program written, in part; not started"
 
 
@@ -68,6 +69,8 @@ def _state(report: BootReport, node_id: int) -> str:
     outcome = report.outcomes.get(node_id)
     if node_id in report.running:
         return "running"
+    if node_id in report.gone:
+        return GONE
     if outcome is None:
         return UNFINISHED
     return "failed" if outcome.is_failure else "ready, not started"
@@ -118,6 +121,8 @@ def watch(settings: Settings, file: Path | None, yes: bool) -> None:
     _confirm(screen, booted.chosen, yes)
     lost: list[NodeLost] = []
     run_until_interrupted(settings, screen, lambda: _watch(settings, screen, booted, lost))
+    for line in booted.story():
+        screen.say(escape(line))
     screen.say("the nodes are left as they are, and nobody watches them now")
     if lost:
         raise Problem(
@@ -276,15 +281,18 @@ def _problem_of(booted: Booted) -> Problem | None:
     reports = [(network, booted.report(network)) for network in chosen.networks]
     failed = [(network, each) for network, report in reports for each in report.outcomes.values() if each.is_failure]
     missing = {(network.bus, node_id) for network, report in reports for node_id in report.missing}
-    if not failed and not missing:
+    gone = [chosen.place(network, node_id) for network, report in reports for node_id in report.gone]
+    if not failed and not missing and not gone:
         return None
     failed.sort(key=lambda each: (each[0].bus, each[1].node_id) not in missing)
     first = next(iter(failed), None)
-    seen = "" if first is None else _line(chosen, *first)
+    seen = _line(chosen, *first) if first is not None else f"{', '.join(gone)}: {GONE}" if gone else ""
     tries = ("canopen net check",) if first is None else (_NEXT.get(first[1].letter, "canopen net check"),)
     node = None if first is None else first[1].node_id
     if not missing:
         what = f"{counted(len(failed), 'node')} of {chosen.size} failed and {'was' if len(failed) == 1 else 'were'} not started"
+        if not failed:
+            what = f"{counted(len(gone), 'node')} of {chosen.size} did not stay ready"
         return Problem(ExitCode.PARTIAL, "CO216", what, seen=seen, tries=tries, node=node)
     what = f"{counted(len(missing), 'mandatory node')} not ready: the network is not started"
     if first is not None and first[1].letter in SILENT:

@@ -296,6 +296,25 @@ def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
     assert '"event": "lost", "node": 4, "reaction": "it was reset"' in outcome.out
 
 
+def test_watch_that_is_interrupted_says_what_is_half_done(run: Run, rung: Alarm) -> None:
+    rung.set((0.06, signal.SIGINT))
+    outcome = run("net", "watch", cell(), "--yes", *DEMO)
+    assert "not finished: reset, perhaps configured, or its program written, in part; not started" in outcome.err
+
+
+def test_a_node_that_is_lost_while_others_boot_does_not_count_as_running(
+    run: Run, rung: Alarm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def silence(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+
+    rung.task = silence
+    without(monkeypatch, 4)
+    outcome = run("net", "boot", cell(), "--yes", *DEMO)
+    assert "was ready, and is lost or has booted again" in next(line for line in outcome.out.splitlines() if "left" in line)
+
+
 def test_watch_ends_with_its_reader(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def closed(*arguments: object) -> None:
         raise BrokenPipeError
