@@ -92,7 +92,8 @@ def boot_node(
     update: NodeHook | None = None,
     configure: NodeHook | None = None,
 ) -> Procedure[BootOutcome]:
-    """Boot a node; return how that ended. It is never started here. Faults of the node are outcomes: nothing is raised for them.
+    """Boot a node; return how that ended. It is never started here. Faults of the node are outcomes: nothing is raised for them,
+    nor for a full queue of its SDO client.
 
     until: the driver's time to which a silent node is asked again, once a second (`times.pause`) or when it boots; 0: it is asked
     once. update: replaces the node's program; without it, another program is outcome I. configure: runs after the configuration
@@ -168,6 +169,8 @@ class _NodeBoot:
                 return ended
             except _BootedAgain:
                 continue
+            except LocalProtocolError as refused:  # such as by the node's SDO client, whose queue others have filled
+                return _Ended(_LETTER_OF_STEP[self.step], remark=str(refused))
         return _Ended(_LETTER_OF_STEP[self.step], remark=f"it booted {1 + MAX_RESTARTS} times in the middle of its boot-up")
 
     def _steps(self) -> Procedure[None]:
@@ -449,7 +452,7 @@ _LETTER_OF_STEP: Final = {
     BootStep.CONFIGURATION: BootLetter.NOT_CONFIGURED,
     BootStep.ERROR_CONTROL: BootLetter.NO_ERROR_CONTROL,
 }
-"""The outcome if a node boots in a step over and over."""
+"""The outcome if a node boots in a step over and over, or if our own side refuses a request of the step."""
 
 
 def _number(data: bytes) -> Shown:

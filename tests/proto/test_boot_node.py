@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from canopen_proto.boot.network_boot import BootReport
 from canopen_proto.boot.node_boot import MAX_RESTARTS, boot_node
 from canopen_proto.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.frame import Frame
@@ -385,6 +386,24 @@ def test_a_configuration_of_the_host(fails: type[Exception] | None, letter: str)
     configure = Works(bench, 2, fails=fails)
     outcome = bench.run(boot_node(bench.remote, bench.commands, entry(), configure=configure))
     assert (outcome.letter, configure.calls, len(bench.node.writes)) == (letter, 1, 2)
+
+
+# ---- a crowd ----
+
+
+def test_a_node_whose_queue_others_have_filled_does_not_end_the_start_of_the_network() -> None:
+    bench = BootBench((5, 6))
+
+    def configure(node: Any, told: Any) -> Procedure[None]:
+        """Others ask node 6 for as much as its queue holds, and one more request is under way."""
+        for _ in range(node.sdo.max_queue + 1 if node.node_id == 6 else 0):
+            node.sdo.upload(*SETTING, bench.bus.now)
+        yield from sleep(0)
+
+    boot = bench.network_boot(1, entry(5, save=True), entry(6, save=True), configure=configure)
+    report: BootReport = bench.run(boot.start())
+    assert (report.outcomes[5].letter, report.outcomes[6].letter, report.running) == ("0", "J", (5,))
+    assert "256 requests are waiting already" in report.outcomes[6].remark
 
 
 # ---- what is left behind ----
