@@ -221,10 +221,6 @@ class OwnHeartbeat(HeartbeatProducer):
         """Stop sending."""
         self.set_period(0, now)
 
-    def beat(self, now: Time) -> None:
-        """Send an extra heartbeat now: a node that was told to watch us starts with the first one that it receives."""
-        self._send()
-
     def receive(self, frame: Frame, now: Time) -> None:
         """Take another node's frame with our node-ID. Event: ForeignHeartbeat, once, while ours is sent."""
         data = frame.data

@@ -8,7 +8,8 @@ core with a Device's axis (`Axis.grip`), the blocking API, a controlword that is
 - checks that no other node has its node-ID: it listens for two periods at least;
 - sends its heartbeat from then on (`OwnHeartbeat`), and not before: a program that only reads must not keep the drives of a dead
   master alive;
-- has the drive watch it (procedures/grip.py). A drive that boots forgets that; it is taken hold of again when it is enabled.
+- has the drive watch it (procedures/grip.py), and waits for the next heartbeat, with which the drive begins to watch: drives that
+  are enabled together wait for the same one. A drive that boots forgets that; it is taken hold of again when it is enabled.
 
 `let_go` restores the objects that `hold` changed, when the drive is shut down, or when the master is left and the drive stands or
 was disabled by hand. The heartbeat ends with the last drive of its bus. A drive that did not confirm that it stands keeps
@@ -38,6 +39,8 @@ from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed,
 LOGGER: Final = logging.getLogger("canopen_master")
 LOOK: Final = 10 * MILLISECOND
 """Between two looks whether another axis of the same node has been taken hold of."""
+TRIES: Final = 3
+"""How often a drive is taken hold of that boots meanwhile."""
 PERIODS_HEARD: Final = 2
 """Another master with the same node-ID and period is heard within one."""
 
@@ -78,7 +81,7 @@ class Grips:
 
     def hold(self, node: Peer, axis: int = 0) -> Procedure[None]:
         """Have the drive on an axis of a node watch over this master. If it should do so already, its objects are read once more:
-        its boot-up may have been lost.
+        its boot-up may have been lost. Ends with the next heartbeat, within one period after that.
 
         A drive that does not answer counts as one that cannot watch. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
         """
@@ -94,8 +97,15 @@ class Grips:
         self._under_way.add(node)
         try:
             yield from act(lambda now: heartbeat.start(settings.period, now))
-            yield from take_hold(hold, settings)
-            yield from act(heartbeat.beat)  # with which the drive begins to watch, before it is enabled
+            for _ in range(TRIES):
+                yield from take_hold(hold, settings)
+                yield from _next_beat(heartbeat)
+                if hold.is_taken:  # it has not booted meanwhile
+                    break
+            else:
+                hold.gap = f"it booted {TRIES} times while it was told to watch"
+                if settings.required:
+                    raise not_held(hold)
         except SdoFailed as failed:
             hold.gap = str(failed)
             if settings.required:
@@ -195,6 +205,13 @@ class Grips:
                 who = "itself" if len(names) == 1 else "themselves"
                 LOGGER.warning("%s will not stop by %s if this program dies: %s", ", ".join(names), who, clean(gap))
             self._untold.clear()
+
+
+def _next_beat(heartbeat: OwnHeartbeat) -> Procedure[None]:
+    """Wait until the next heartbeat was sent. None is sent out of turn: CiA 301 wants one in each producer time."""
+    due = heartbeat.deadline
+    while heartbeat.deadline == due:
+        yield from sleep(max(due - (yield from current_time()), MILLISECOND))
 
 
 class NodeGrip:

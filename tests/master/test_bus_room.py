@@ -123,7 +123,7 @@ async def test_a_full_bus_is_the_cause_when_positions_come_late() -> None:
         await arm.follow()
         with pytest.raises(ChainFault, match="off its path") as stopped:
             await arm.follow(swing(0.8, -0.8, duration=4.0))
-        assert "its positions come 110 ms late (11 cycles of 10 ms" in stopped.value.cause
+        assert "its positions come 80 ms late (8 cycles of 10 ms" in stopped.value.cause
         assert "`canopen plan`" in stopped.value.tries[0]
         master.sync_stop()  # then there is room for SDO, and the halt can be confirmed
         await trio.sleep(1)

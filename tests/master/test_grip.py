@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from itertools import pairwise
 
 import pytest
 import trio
@@ -184,6 +185,41 @@ async def test_a_chain_holds_its_joints_and_lets_them_go() -> None:
         assert [value(node, CONSUMERS) for node in drives(host)] == [0, 0]
         await arm.initialise()
         assert [value(node, CONSUMERS) for node in drives(host)] == [ENTRY, ENTRY]
+
+
+@virtual_time
+async def test_there_is_one_heartbeat_in_each_period_however_many_drives_are_enabled() -> None:
+    cable = Link()
+    async with simulated(3, 4, makers=standard_drives(5)), open_master(cable) as master:
+        arm = arm_of(master, 3, 4)
+        await arm.initialise()
+        await trio.sleep(0.03)
+        await master.run(drive.enable(master.device(master.node(5)).axis))
+        await arm.recover()
+        await trio.sleep(0.5)
+    times = [at for at, is_sent, frame in cable.log if is_sent and frame.can_id == 0x77F]
+    gaps = [later - earlier for earlier, later in pairwise(times)]
+    assert len(gaps) >= 5
+    assert gaps == pytest.approx([DEFAULT_GRIP.period / SECOND] * len(gaps), abs=0.002)
+
+
+@virtual_time
+async def test_a_drive_that_boots_while_it_is_taken_hold_of_is_enabled_only_when_it_watches() -> None:
+    async with one_drive() as (_, node), trio.open_nursery() as nursery, open_master(BUS) as master:
+        device = master.device(master.node(NODE))
+        await device.node.read("statusword")
+        async with await open_transport(BUS) as other:
+            nursery.start_soon(master.run, drive.enable(device.axis))
+            while value(node, CONSUMERS) == 0:
+                await trio.sleep(0.001)
+            await trio.sleep(0.03)
+            assert node.drive.state is State.SWITCH_ON_DISABLED
+            await other.send(Frame(0, bytes((0x81, NODE))))
+            await trio.sleep(0.01)
+            assert value(node, CONSUMERS) == 0
+        while node.drive.state is not State.OPERATION_ENABLED:
+            await trio.sleep(0.001)
+        assert value(node, CONSUMERS) == ENTRY
 
 
 @virtual_time

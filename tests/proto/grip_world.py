@@ -59,7 +59,7 @@ class World:
     def take_hold(self, grip: Grip = DEFAULT_GRIP) -> str:
         self.heartbeat.start(grip.period, self.bus.now)
         self.run(take_hold(self.hold, grip))
-        self.heartbeat.beat(self.bus.now)
+        self.bus.run(self.heartbeat.deadline - self.bus.now)
         return self.hold.gap
 
     def put(self, key: int, value: int) -> None:
