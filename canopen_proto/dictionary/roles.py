@@ -37,7 +37,7 @@ _ERROR_STATE: Final = (indices.ERROR_REGISTER, indices.MANUFACTURER_STATUS_REGIS
 """Error register, manufacturer status register and history: process data even if no PDO may carry them."""
 _PER_AXIS: Final = 0x800
 
-_SET_POINTS: Final[Mapping[int, Collection[int]]] = {
+SET_POINTS: Final[Mapping[int, Collection[int]]] = {
     0x6042: range(1),  # vl target velocity
     0x6071: range(1),  # target torque
     0x607A: range(1),  # target position
@@ -130,6 +130,6 @@ def carried_in(values: Mapping[Mux, Value]) -> frozenset[Mux]:
 def _is_output(index: int, subindex: int, profile: int | None) -> bool:
     if profile in (DRIVE_PROFILE, None) and index in indices.PROFILE_AREA:
         first_axis = indices.PROFILE_AREA.start + (index - indices.PROFILE_AREA.start) % _PER_AXIS
-        if subindex in _SET_POINTS.get(first_axis, ()):
+        if subindex in SET_POINTS.get(first_axis, ()):
             return True
     return profile in (IO_PROFILE, None) and any(index in each for each in _OUTPUTS)

@@ -158,6 +158,10 @@ class Feeds:
                 text = f"{target} is in RPDO {pdo.number} already, which its chain sends"
                 self._problem(link, target.member.name, target.variable.label, text)
                 return False
+        if target.mux in target.member.commanded:
+            text = f"{target} commands a drive that a chain moves; only its chain may do so"
+            self._problem(link, target.member.name, target.variable.label, text)
+            return False
         return True
 
     def _fits(self, link: Link, source: Place, target: Place) -> bool:

@@ -35,7 +35,7 @@ class Member:
 
     granularity: bits; each mapped object has a multiple of them, 0: the file does not say. dummies: the data types that the
     device takes as dummy entries (CiA 306-1, DummyUsage). used: PDOs that somebody else sets up, such as a chain of joints: they
-    stay as they are.
+    stay as they are. commanded: objects by which somebody else commands the node, in PDOs or not: no link may feed them.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Member:
     granularity: int = 0
     dummies: frozenset[int] = frozenset()
     used: tuple[PdoSettings, ...] = ()
+    commanded: frozenset[Mux] = frozenset()
 
 
 class End(NamedTuple):

@@ -226,6 +226,17 @@ def test_what_a_chain_sends_is_no_target_of_a_link() -> None:
         planned(NODES + CHAIN + LINKS)
 
 
+@pytest.mark.parametrize(
+    ("source", "target"), [("lift 6061", "gear 6060"), ("lift 6064", "gear 60FF"), ("lift 6064", "slide 60C1:01")]
+)
+def test_no_link_commands_a_drive_that_a_chain_moves(source: str, target: str) -> None:
+    """Not even by an object that the chain does not use: another mode would obey it."""
+    link = f'[[links]]\nfrom = "{source}"\nto = "{target}"\n'
+    assert planned(NODES + link).transfers
+    with pytest.raises(DictionaryError, match="commands a drive that a chain moves; only its chain may do so"):
+        planned(NODES + CHAIN + link)
+
+
 def test_a_chain_s_pdo_feeds_a_link_too() -> None:
     """The gear's chain hears its position at each SYNC; so does the lift, and nothing of the gear's changes."""
     plan = planned(NODES + CHAIN + '[[links]]\nfrom = "slide position_actual_value"\nto = "lift target_position"\n')

@@ -1,13 +1,15 @@
 """The linked PDOs of a machine, from its file and those of its devices: `plan_bus` for one bus, `linked_writes` for a boot.
 
 The state from which the links change a device is that of its file, with the configuration that a boot writes (`boot`) laid over.
-PDOs that the chains of the machine use, and those that they may switch off, are left to them.
+PDOs that the chains of the machine use, and those that they may switch off, are left to them. No link feeds a mode, a controlword
+or a set-point of a drive that a chain moves, also if the chain does not use it: the drive would obey two masters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Final
 
 from canopen_data import text_of
 from canopen_data.configured import configure
@@ -17,13 +19,25 @@ from canopen_master.machine_file.boot_entries import network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.link_entries import LINKS, name_of
 from canopen_master.machine_file.model import ChainEntry, JointEntry, MachineFile, NodeEntry
+from canopen_proto.cia402.axes import swapped
+from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.download_order import Write
+from canopen_proto.dictionary.roles import SET_POINTS
 from canopen_proto.drive.motion_plan import NoMotionPlan, plan_motion
 from canopen_proto.linking import LinkError, LinkPlan, Member, plan_links
 from canopen_proto.multiplexer import mux
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.described_pdos import EACH_SYNC
+
+_DIGITAL_OUTPUTS: Final = 0x60FE
+"""Of a drive: they move nothing, and may serve something else."""
+_COMMANDS: Final = (
+    CONTROLWORD,
+    MODES_OF_OPERATION,
+    *(mux(index, each) for index, subindices in SET_POINTS.items() if index != _DIGITAL_OUTPUTS for each in subindices),
+)
+"""Of the first axis."""
 
 
 def linked_buses(machine: MachineFile) -> list[str]:
@@ -54,6 +68,7 @@ def plan_bus(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> Link
                 description.device_info.granularity,
                 frozenset(each for each, is_usable in (description.dummies or {}).items() if is_usable),
                 tuple(_used_by_chains(machine, node, description.dictionary, dictionaries.names)),
+                frozenset(swapped(key, joint.axis) for _, joint in _axes(machine, node) for key in _COMMANDS),
             )
         )
     try:
