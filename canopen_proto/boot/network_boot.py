@@ -36,7 +36,7 @@ from canopen_proto.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boo
 from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
-from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
+from canopen_proto.machine import MILLISECOND, NEVER, Event, LocalProtocolError, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
 from canopen_proto.procedures.steps import Procedure, Wait, act, all_of, current_time
@@ -46,6 +46,10 @@ ROUNDS: Final = 3
 """How often `start` boots a node that boots again while others are not ready yet."""
 
 
+LOOK: Final = 100 * MILLISECOND
+"""Between two looks whether the others have booted."""
+
+
 class LossReaction(StrEnum):
     """What the master does about a lost node, in words."""
 
@@ -53,6 +57,9 @@ class LossReaction(StrEnum):
     RESET_ALL = "all nodes were reset"
     STOP_ALL = "all nodes were stopped"
     NONE = "nothing was sent"
+
+
+_FOR_ALL: Final = (LossReaction.STOP_ALL, LossReaction.RESET_ALL)
 
 
 class NodeLost(Event):
@@ -167,6 +174,10 @@ class _Member:
         return heard is not None and heard > self.absent_since
 
 
+class _LostAtStart(Exception):
+    """A mandatory node was lost, which concerns all, while others boot."""
+
+
 class _MandatoryLost(Exception):
     """A mandatory node was lost, which concerns all."""
 
@@ -261,7 +272,8 @@ class NetworkBoot:
     # ---- the start ----
 
     def start(self) -> Procedure[BootReport]:
-        """Reset, boot and start the network; return how it went. It ends when each node is ready or has failed.
+        """Reset, boot and start the network; return how it went. It ends when each node is ready or has failed, and early if a
+        mandatory node is lost again, and the reaction to that (bits 4, 6) is one for all nodes: `supervise` shows it at once.
 
         Mandatory nodes have `boot_time` to answer; all others, and without a limit all, are asked once, after the time for their
         boot-up. Those that come later are for `supervise`.
@@ -305,7 +317,10 @@ class NetworkBoot:
     def _boot_all(self) -> Procedure[BootReport]:
         self.is_started = False
         until = self._begun + self.boot_time if self.boot_time else 0
-        yield from all_of(*(self._first_boot(member, until) for member in self._members.values()))
+        try:
+            yield from all_of(*(self._first_boot(member, until) for member in self._members.values()))
+        except _LostAtStart:
+            return (yield from act(self.report))
         for _ in range(ROUNDS):
             again = [member for member in self._listed if member.is_good and member.node.boots != member.boots]
             if not again:
@@ -318,6 +333,12 @@ class NetworkBoot:
         if assignment.is_listed and not assignment.keep_alive:
             yield from self._await_boot_up(member)
         yield from self._boot(member, self._begun, until if assignment.is_mandatory else 0)
+        if self._reaction_to(member) not in _FOR_ALL:
+            return
+        while any(each.outcome is None and not each.is_suspended for each in self._members.values()):
+            if member.is_lost:
+                raise _LostAtStart
+            yield Wait(LOOK, member.node, _is_of(member), _TROUBLE)
 
     def _await_boot_up(self, member: _Member) -> Procedure[None]:
         """Wait for the boot-up of a node that was reset, for its time at most."""
@@ -449,7 +470,7 @@ class NetworkBoot:
     def _on_lost(self, member: _Member) -> Procedure[None]:
         lost = NodeLost(member.node.node_id, self._reaction_to(member))
         yield from act(lambda now: self._take_loss(member, lost, now))
-        if lost.reaction in (LossReaction.STOP_ALL, LossReaction.RESET_ALL):
+        if lost.reaction in _FOR_ALL:
             raise _MandatoryLost(lost)
         if lost.reaction is LossReaction.RESET:
             member.reset = NmtCommand.RESET_NODE

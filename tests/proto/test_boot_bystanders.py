@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Outbox
+from canopen_proto.procedures.steps import Procedure
 from tests.proto.boot_bench import MANDATORY, OPTIONAL, BootBench, TableNode, entry
 
 
@@ -60,6 +61,25 @@ def test_a_node_that_is_lost_while_others_boot_is_not_told_to_run() -> None:
     bench.outcome(request_id)
     report = boot.report(bench.bus.now)
     assert (report.running, report.gone, report.missing) == ((3,), (2,), ())
+
+
+@pytest.mark.parametrize(("startup", "command"), [(0x41, "000#0200"), (0x11, "000#8100")])
+def test_no_node_runs_on_without_a_mandatory_one_because_another_is_awaited(startup: int, command: str) -> None:
+    bench = BootBench([2, 3, 4])
+    described = entry(2, MANDATORY), entry(3, OPTIONAL), entry(4, MANDATORY)
+    boot = bench.network_boot(startup, *described, boot_time=60 * SECOND)
+    bench.nodes[4].boot_delay = NEVER
+
+    def both() -> Procedure[object]:
+        yield from boot.start()
+        return (yield from boot.supervise())
+
+    bench.master.run(both(), bench.bus.now)
+    bench.bus.run(4 * SECOND)
+    assert bench.commands_sent() == ["000#8200", "000#0102", "000#0103"]
+    bench.nodes[2].switch_off()
+    bench.bus.run(SECOND)
+    assert bench.commands_sent()[3] == command
 
 
 def test_nodes_that_are_mixed_up_are_refused() -> None:
