@@ -167,7 +167,7 @@ async def try_bitrates(screen: Screen, bus: str, seconds: float) -> Heard | None
     def tell(heard: Heard) -> None:
         screen.say(escape(f"{heard.locator}: {heard.frames} frames, {heard.faults} errors"))
 
-    found = await find_bitrate(bus, seconds, tell)
+    found = await find_bitrate(DEMO_LOCATOR if bus == DEMO else bus, seconds, tell)
     await trio.lowlevel.checkpoint()
     if found is None:
         screen.say("at no bit rate were frames heard without errors: does anything send at all? Try a longer time")

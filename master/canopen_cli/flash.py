@@ -21,6 +21,7 @@ from canopen_cli.questions import Questions, is_asked
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, escape, node_text
 from canopen_cli.session import Session, open_session
+from canopen_master.errors import BusError
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.program_download import (
@@ -145,18 +146,22 @@ def flash(
         if failed.so_far.step is not ProgramStep.LOOK and not failed.is_mismatch:
             problem.tries = (*problem.tries, AGAIN)
         raise problem from failed
+    except (BusError, TransportError) as lost:
+        for each in story(so_far):
+            lost.add_note(each)
+        raise
     return ExitCode.OK
 
 
 def image_in(path: Path) -> bytes:
     """Return the content of a file. Raises a Problem if it cannot be a program."""
     try:
-        size = path.stat().st_size
-        image = path.read_bytes() if size <= MAX_IMAGE else b""
+        with path.open("rb") as file:
+            image = file.read(MAX_IMAGE + 1)  # not the size that the file tells: that of /dev/zero is 0
     except OSError as error:
         raise Problem(ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)) from error
-    if not image:
-        seen = "it is empty" if not size else f"it has {size} bytes"
+    if not 0 < len(image) <= MAX_IMAGE:
+        seen = f"it has more than {MAX_IMAGE} bytes" if image else "it is empty"
         raise Problem(ExitCode.BAD_FILE, "CO340", f"{path} is no program", seen=seen, tries=("check the path",))
     return image
 

@@ -33,6 +33,8 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
         raise Problem(
             ExitCode.BAD_FILE, "CO341", f"cannot write {path}: there is no folder {target.parent}", tries=("write elsewhere",)
         )
+    if target.is_dir():
+        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: it is a folder", tries=("the name of a file",))
     _check_no_input(target, inputs)
     if settings.force or not target.is_file():
         return

@@ -176,7 +176,7 @@ class _Top:
         return Problem(
             ExitCode.NO_ANSWER,
             "CO210",
-            f"no frame came on {self._source}",
+            f"no frame came on {self._source or self._settings.required_bus()}",
             cause="no node has power or sends anything, or the bit rate or the wiring is wrong",
             tries=("canopen listen --bitrates", "canopen scan    (asks each node)"),
         )

@@ -136,7 +136,7 @@ def _head(view: TopView, shown: BusShown, width: int, paused: float | None) -> l
     if silence > SILENT:
         second = f"NOTHING HEARD FOR {age_text(silence)}"
     wrong = ", ".join(f"{count} x {rule}" for rule, count in sorted(figures.found.items(), key=lambda each: -each[1]))
-    third = f"{figures.frames} frames in {age_text(figures.elapsed)}, SDO: {counted(figures.transfers, 'value')}"
+    third = f"{counted(figures.frames, 'frame')} in {age_text(figures.elapsed)}, SDO: {counted(figures.transfers, 'value')}"
     third += f", {counted(figures.aborts, 'abort')}" if figures.aborts else ""
     return [
         first,

@@ -213,7 +213,24 @@ class _Watching:
 
     async def ask(self, every: Time) -> None:
         """Take in what is on the bus, and ask for the rest; for ever."""
-        async with open_session(self._settings, self._screen, heard=self.heard) as session:
+        failures: list[OSError] = []
+        with trio.CancelScope() as scope:
+
+            def heard(record: Record) -> None:
+                if failures:
+                    return
+                try:
+                    self.heard(record)
+                except OSError as error:  # no room for the output, or its reader has gone; who overhears a bus must not raise
+                    failures.append(error)
+                    scope.cancel()
+
+            await self._ask(every, heard)
+        if failures:
+            raise failures[0]
+
+    async def _ask(self, every: Time, heard: Callable[[Record], None]) -> None:
+        async with open_session(self._settings, self._screen, heard=heard) as session:
             self._where = self._settings.required_bus()
             self._bitrate = session.master.bus().bitrate or self._settings.told_bitrate()
             session.master.watch((FramesLost, BusChanged), self._bus_event)

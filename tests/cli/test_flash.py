@@ -7,17 +7,21 @@ from binascii import crc32
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trio
 
-from canopen_cli import questions, session
+from canopen_cli import flash, questions, session
 from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_devices
 from canopen_cli.problem import ExitCode
+from canopen_master.errors import BusError
 from canopen_proto.boot_loader import BootDone, BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_proto.lss.messages import LssConfiguration
 from canopen_proto.machine import MILLISECOND, Outbox
 from canopen_proto.programs import FlashError, ProgramControl
+from canopen_transports import TransportError
+from canopen_transports.errors import BUS_LOST
 from tests.cli.cli_support import Alarm, Run
 from tests.proto.block_pair import pattern
 
@@ -111,6 +115,21 @@ def test_ctrl_c_says_in_which_state_the_device_is_and_the_next_command_goes_on(r
     assert (outcome.status, world.memory.program) == (ExitCode.OK, IMAGE)
 
 
+def test_a_bus_that_is_lost_says_so_too(run: Run, world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = flash.shown
+
+    async def cut_off(*arguments: Any, **options: Any) -> None:
+        with trio.move_on_after(0.4):
+            await whole(*arguments, **options)
+        raise BusError("virtual:demo", TransportError(BUS_LOST, "virtual:demo", "cannot receive on virtual:demo"))
+
+    monkeypatch.setattr(flash, "shown", cut_off)
+    outcome = run("flash", "5", "firmware.bin", "--yes", *DEMO)
+    assert (outcome.status, 'it was at "clear"' in outcome.err) == (ExitCode.BUS_FAULT, True)
+    assert "its old program is erased, or about to be" in outcome.err
+    assert "the same command again" in outcome.err
+
+
 def test_a_wrong_image(run: Run, world: World) -> None:
     outcome = run("flash", "5", "firmware.bin", "--expect", "0x12345678", "--yes", *DEMO)
     assert outcome.status == ExitCode.VERIFY_MISMATCH
@@ -160,11 +179,16 @@ def test_a_boot_loader_with_another_node_id_is_named(run: Run, world: World) -> 
     [
         (("no.bin",), "CO340", "cannot read no.bin: No such file"),
         (("empty.bin",), "CO340", "empty.bin is no program"),
+        (("long.bin",), "CO340", "it has more than 4000 bytes"),
         (("firmware.bin", "--expect", "0"), "CO001", "no software identification"),
         (("firmware.bin", "--program", "255"), "CO001", "255"),
     ],
 )
-def test_mistakes(run: Run, world: World, arguments: tuple[str, ...], code: str, text: str) -> None:
+def test_mistakes(
+    run: Run, world: World, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], code: str, text: str
+) -> None:
+    monkeypatch.setattr(flash, "MAX_IMAGE", 4000)
+    Path("long.bin").write_bytes(bytes(4001))
     Path("empty.bin").touch()
     outcome = run("flash", "5", *arguments, "--yes", *DEMO)
     assert code in outcome.err

@@ -237,6 +237,7 @@ def test_nothing_came(run: Run) -> None:
     assert run("top", "empty.log").status == 6
     outcome = run("top", "-b", "virtual:nobody")
     assert (outcome.status, "no frame came on virtual:nobody" in outcome.err) == (5, True)
+    assert "no frame came on demo" in run("top", "-b", "demo", "--seconds", "0").err
     assert run("top", "t.log", "--bitrate", "5").status == 2
     assert run("top").status == 2
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import itertools
 import json
 from collections import Counter
@@ -244,3 +245,17 @@ def test_a_recording_that_is_damaged_further_on(run: Run) -> None:
     outcome = run("watch", "5", "6064", "--from", "odd.log")
     assert outcome.status == 0
     assert "1 entry passed over, the last: " in outcome.err
+
+
+def test_no_room_for_what_is_printed_ends_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("canopen_cli.watch._tell_json", full)
+    outcome = run("watch", "3", "6041", *DEMO, "--seconds", "5", "--json")
+    assert (outcome.status, "CO341" in outcome.err) == (6, True)
+
+
+def test_a_folder_is_no_csv(run: Run) -> None:
+    outcome = run("watch", "3", "6041", *DEMO, "--csv", ".")
+    assert (outcome.status, "cannot write .: it is a folder" in outcome.err) == (6, True)
