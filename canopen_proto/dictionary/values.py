@@ -16,6 +16,9 @@ The object then starts with a value from `nearest`, so that it can be read, and 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from functools import lru_cache
+
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, zero_of
 from canopen_proto.dictionary.model import Key, ObjectDictionary, ObjectNotFound, Variable
 from canopen_proto.multiplexer import Mux, mux_text
@@ -32,8 +35,11 @@ class Values:
     def __init__(self, dictionary: ObjectDictionary, node_id: int = 0) -> None:
         self.dictionary = dictionary
         self.node_id = node_id
-        self.store: dict[Mux, Value] = {variable.mux: variable.initial_of(node_id) for variable in dictionary}
-        self.unfit = tuple(variable for variable in dictionary if not _takes(variable, self.store[variable.mux]))
+        initial, dependent, unfit = _initial(dictionary)
+        self.store: dict[Mux, Value] = initial.copy()
+        for variable in dependent:
+            self.store[variable.mux] = variable.initial_of(node_id)
+        self.unfit = _unfit(dependent, node_id, unfit)
         self._mend()
 
     def __getitem__(self, mux: Mux) -> Value:
@@ -84,14 +90,13 @@ class Values:
         """
         old_id, self.node_id = self.node_id, node_id
         moved: dict[Mux, tuple[Value, Value]] = {}
-        for variable in self.dictionary:
-            if not (variable.adds_node_id or variable.configured_adds_node_id):
-                continue
+        _, dependent, unfit = _initial(self.dictionary)
+        for variable in dependent:
             old, new = (_fitting(variable, variable.initial_of(each)) for each in (old_id, node_id))
             moved[variable.mux] = old, new
             if self.store[variable.mux] == old:
                 self.store[variable.mux] = new
-        self.unfit = tuple(variable for variable in self.dictionary if not _takes(variable, variable.initial_of(node_id)))
+        self.unfit = _unfit(dependent, node_id, unfit)
         return moved
 
     def put_default(self, variable: Variable) -> None:
@@ -108,6 +113,22 @@ class Values:
         if variable.mux not in self.store:
             raise ObjectNotFound(f"{variable.label} is no object of this device")
         return variable
+
+
+@lru_cache(maxsize=32)
+def _initial(dictionary: ObjectDictionary) -> tuple[dict[Mux, Value], tuple[Variable, ...], tuple[Variable, ...]]:
+    """Return what all devices with a dictionary have in common, which is found once for all of them: the initial values for
+    node-ID 0, the variables whose value depends on the node-ID, and the others that are unfit."""
+    initial = {variable.mux: variable.initial_of(0) for variable in dictionary}
+    dependent = tuple(variable for variable in dictionary if variable.adds_node_id or variable.configured_adds_node_id)
+    others = initial.keys() - {variable.mux for variable in dependent}
+    unfit = (variable for variable in dictionary if variable.mux in others and not _takes(variable, initial[variable.mux]))
+    return initial, dependent, tuple(unfit)
+
+
+def _unfit(dependent: Iterable[Variable], node_id: int, others: Iterable[Variable]) -> tuple[Variable, ...]:
+    found = [variable for variable in dependent if not _takes(variable, variable.initial_of(node_id))]
+    return tuple(sorted([*others, *found], key=lambda variable: variable.mux))
 
 
 def nearest(variable: Variable, value: Value) -> Value:

@@ -9,7 +9,7 @@ import functools
 from collections import deque
 from dataclasses import replace
 from enum import Enum
-from typing import Final
+from typing import Any, Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.boot_loader import BootLoader, BootLoaderSettings
@@ -43,10 +43,29 @@ WAKES: Final = 40
 _DESCRIPTION: Final = (ObjectDictionary, Object, Variable, PdoDescription)  # shared, and never changes
 
 
-@functools.cache
-def _counts(kind: type) -> bool:
-    """Whether objects of this type are looked at: not those that hold nothing, or are shared."""
-    return not issubclass(kind, (*_DESCRIPTION, Enum, type, int, float, type(None)))
+def _look_into(kind: type) -> type | None:
+    """How to look into objects of a type: as into a `str`, `dict` or `list`, or (`object`) at its attributes; None: not at all,
+    as it holds nothing, or is shared."""
+    if issubclass(kind, (*_DESCRIPTION, Enum, type, int, float, type(None))):
+        return None
+    if issubclass(kind, bytes | bytearray | str):
+        return str
+    if issubclass(kind, dict):
+        return dict
+    if issubclass(kind, list | tuple | set | frozenset | deque):
+        return list
+    return object if kind.__module__.startswith("canopen_proto") else None
+
+
+class _Looks(dict[type, "type | None"]):
+    """`_look_into`, by type."""
+
+    def __missing__(self, kind: type) -> type | None:
+        self[kind] = found = _look_into(kind)
+        return found
+
+
+_LOOKS: Final = _Looks()
 
 
 @functools.cache
@@ -54,29 +73,28 @@ def _slots(kind: type) -> tuple[str, ...]:
     return tuple(name for each in kind.__mro__ for name in getattr(each, "__slots__", ()))
 
 
-def held(root: object) -> int:
-    """All that is reachable from an object: the elements of its containers, and the bytes of its buffers and texts."""
+def held(root: object, seen: set[int] | None = None) -> int:
+    """All that is reachable from an object: the elements of its containers, and the bytes of its buffers and texts.
+
+    seen: the ids of what was counted before and does not count again.
+    """
     total = 0
-    seen: set[int] = set()
-    waiting: list[object] = [root]
+    seen = set() if seen is None else seen
+    waiting: list[Any] = [root]
     while waiting:
         item = waiting.pop()
-        kind = type(item)
-        if id(item) in seen or not _counts(kind):
+        if id(item) in seen:
             continue
         seen.add(id(item))
-        if isinstance(item, bytes | bytearray | str):
+        kind = type(item)
+        look = _LOOKS[kind]
+        if look is object:
+            inner = [getattr(item, name, None) for name in _slots(kind)]
+            inner += getattr(item, "__dict__", {}).values()
+        else:
             total += len(item)
-        elif isinstance(item, dict):
-            total += len(item)
-            waiting += item.keys()
-            waiting += item.values()
-        elif isinstance(item, list | tuple | set | frozenset | deque):
-            total += len(item)
-            waiting += item
-        elif kind.__module__.startswith("canopen_proto"):
-            waiting += [getattr(item, name) for name in _slots(kind) if hasattr(item, name)]
-            waiting += getattr(item, "__dict__", {}).values()
+            inner = [] if look is str else item if look is list else [*item.keys(), *item.values()]
+        waiting += [each for each in inner if _LOOKS[type(each)] is not None]
     return total
 
 
@@ -127,9 +145,10 @@ class Subject:
 
     def check(self) -> None:
         """What must hold at any time."""
-        memory = held(self.network._knowledge)  # of what was heard: as large as its slots from the beginning
+        seen: set[int] = set()
+        memory = held(self.network._knowledge, seen)  # of what was heard: as large as its slots from the beginning
         assert memory <= MOST_REMEMBERED, f"it remembers {memory}"
-        amount = held(self.network) - memory - len(self.network._near)  # a list of routes, as long from the beginning
+        amount = held(self.network, seen) - len(self.network._near)  # a list of routes, as long from the beginning
         assert amount <= MOST_HELD, f"it holds {amount}"
         assert self.network.next_deadline() <= NEVER
 

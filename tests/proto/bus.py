@@ -100,7 +100,9 @@ class Bus:
     ) -> None:
         """From now on, frames have these fates and delays."""
         self._delay = delay
-        self._odds = ((Fate.LOST, loss), (Fate.COPIED, copies), (Fate.COPIED_LATE, late_copies), (Fate.LATE, reordering))
+        odds = ((Fate.LOST, loss), (Fate.COPIED, copies), (Fate.COPIED_LATE, late_copies), (Fate.LATE, reordering))
+        self._odds = tuple((fate, probability) for fate, probability in odds if probability)
+        self._is_plain = not self._odds and delay[0] == delay[1]  # then nothing is drawn
 
     def detach(self, machine: Machine | Network) -> None:
         """The machine vanishes from the bus (a cable is pulled)."""
@@ -137,6 +139,10 @@ class Bus:
         """Let the next thing happen: one arrival, or one deadline if no frame arrives by then. False if there is nothing by
         `end`."""
         self.pump()
+        return self._happen(end)
+
+    def _happen(self, end: Time) -> bool:
+        """As `step`, where nobody did anything since the last one: the outboxes are empty."""
         time, first = self._next()
         if time == NEVER or time > end:
             return False
@@ -152,8 +158,9 @@ class Bus:
     def settle(self, limit: Time = 3600 * SECOND) -> None:
         """Run until nothing is on the way and no deadline is set. Fails if that takes longer than `limit`."""
         end = self.now + limit
+        self.pump()
         for _ in range(MAX_STEPS):
-            if not self.step():
+            if not self._happen(NEVER):
                 return
             assert self.now <= end, f"still busy after {limit} ns"
         raise AssertionError(f"still busy after {MAX_STEPS} steps")
@@ -161,8 +168,9 @@ class Bus:
     def run(self, duration: Time) -> None:
         """Run for `duration`; `now` is exactly that much later then."""
         end = self.now + duration
+        self.pump()
         for _ in range(MAX_STEPS):
-            if not self.step(end):
+            if not self._happen(end):
                 self.now = end
                 return
         raise AssertionError(f"more than {MAX_STEPS} steps in {duration} ns")
@@ -218,7 +226,7 @@ class Bus:
         fate = self._fate()
         if fate is Fate.LOST:
             return
-        arrival = self.now + self._random.randint(*self._delay)
+        arrival = self.now + (self._delay[0] if self._is_plain else self._random.randint(*self._delay))
         if fate is Fate.LATE:
             self._enter(arrival + self._random.randint(*self._late), receiver, frame)
             return
@@ -242,7 +250,7 @@ class Bus:
         if fate is not None:
             return fate
         for fate, odds in self._odds:
-            if odds and self._random.random() < odds:
+            if self._random.random() < odds:
                 return fate
         return Fate.DELIVERED
 
