@@ -30,6 +30,7 @@ from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_proto.sync import SyncSent
+from tests.examples import takes_all
 from tests.master.world import BUS, drives, simulated, value, virtual_time
 
 PERIOD = 0.05
@@ -210,7 +211,9 @@ WAYS: dict[str, set[type[BaseException]]] = {
 
 @pytest.mark.parametrize("way", WAYS)
 def test_every_way_out_stops_every_drive(way: str) -> None:
-    velocities, came = after(way, ROWS, 400_000)
+    """Every day each drive is left by two ways."""
+    place = 0 if takes_all() else [*WAYS].index(way) % 3
+    velocities, came = after(way, ROWS[place :: 1 if takes_all() else 3], 400_000)
     assert {str(row): speed for row, speed in velocities.items() if speed} == {}
     kinds, text = kinds_and_notes(came)
     assert kinds == WAYS[way]

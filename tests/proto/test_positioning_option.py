@@ -27,6 +27,7 @@ def turntable(position: int = 10_000) -> Rig:
     rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=position, lag=0, track=ENDLESS))
     rig.axis.settings = DEGREES
     store = rig.node.values.store
+    store[objects.PROFILE_VELOCITY] = 100_000
     store[objects.MIN_POSITION_RANGE_LIMIT], store[objects.MAX_POSITION_RANGE_LIMIT] = 0, 359_999
     return rig
 
