@@ -29,8 +29,8 @@ from typing import Final
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.compiling import mypyc_attr
-from canopen_proto.datatypes import DataType, Value
-from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -202,17 +202,12 @@ def boot_loader_dictionary(node_id: int, heartbeat_ms: int = HEARTBEAT_MS) -> Ob
             standard_object(indices.MANUFACTURER_DEVICE_NAME, "Boot loader"),
             standard_object(indices.PRODUCER_HEARTBEAT_TIME, heartbeat_ms),
             standard_object(indices.IDENTITY_OBJECT, highest=4, defaults=identity),
-            _programs(indices.PROGRAM_DATA, "program_data", DataType.DOMAIN, Access.WO),
-            _programs(indices.PROGRAM_CONTROL, "program_control", DataType.UNSIGNED8, Access.RW),
-            _programs(indices.PROGRAM_SOFTWARE, "program_software_identification", DataType.UNSIGNED32, Access.RO),
-            _programs(indices.FLASH_STATUS, "flash_status_identification", DataType.UNSIGNED32, Access.RO),
+            standard_object(indices.PROGRAM_DATA, highest=PROGRAM),
+            standard_object(indices.PROGRAM_CONTROL, highest=PROGRAM),
+            standard_object(indices.PROGRAM_SOFTWARE, highest=PROGRAM),
+            standard_object(indices.FLASH_STATUS, highest=PROGRAM),
         ]
     )
-
-
-def _programs(index: int, name: str, data_type: DataType, access: Access) -> Object:
-    count = Variable(index, 0, f"{name}:highest_subindex", DataType.UNSIGNED8, Access.CONST, PROGRAM)
-    return Object.of(name, [count, Variable(index, PROGRAM, f"{name}:program_{PROGRAM}", data_type, access)])
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

@@ -1,4 +1,4 @@
-"""The objects that the standards define: communication objects of CiA 301 and drive objects of CiA 402.
+"""The objects that the standards define: communication objects of CiA 301 and CiA 302, and drive objects of CiA 402.
 
 Two tables give each object its name, type and access. They are text because they are read more often than changed. Their users:
 
@@ -11,10 +11,10 @@ counts the indices of a range from 1, `{m}` from 2, and `{s}` is the subindex; `
 TPDO may carry the object, `rww` that an RPDO may. If subindex 0 of a record has no row, it is the constant "highest sub-index
 supported". A device may have eight axes; each one has the CiA 402 objects 0x800 above those of the axis before.
 
-Sources: CiA 301 v4.2.0, 7.5.2. CiA 402: a majority of seven drives' dictionaries and CiA's own sample. They differ in two
-objects: 6060 is `wo` in the sample and readable in every drive; 60B2 has 32 bits in one drive and 16, like all torques, in the
-others. 60D5 to 60D8, 60E3 and 60E4 are of the newer edition, as two makers have them. Other objects that only CiA 302 and newer
-profile versions have are left out.
+Sources: CiA 301 v4.2.0, 7.5.2. CiA 302-2 and 302-3: boot-up, configuration and program download, from memory. CiA 402: a
+majority of seven drives' dictionaries and CiA's own sample. They differ in two objects: 6060 is `wo` in the sample and readable
+in every drive; 60B2 has 32 bits in one drive and 16, like all torques, in the others. 60D5 to 60D8, 60E3 and 60E4 are of the
+newer edition, as two makers have them. Left out: other objects that only newer profile versions have, and the rest of CiA 302.
 """
 
 from __future__ import annotations
@@ -105,6 +105,25 @@ _COMMUNICATION: Final = """
 1800-19FF 06    U8   rw    tpdo{n}_communication_parameter:sync_start_value
 1A00-1BFF 00    U8   rw    tpdo{n}_mapping_parameter:number_of_mapped_objects
 1A00-1BFF 01-40 U32  rw    tpdo{n}_mapping_parameter:object_{s}
+1F22      01-7F DOM  rw    concise_dcf:node_{s}
+1F26      01-7F U32  rw    expected_configuration_date:node_{s}
+1F27      01-7F U32  rw    expected_configuration_time:node_{s}
+1F50      01-FE DOM  wo    program_data:program_{s}
+1F51      01-FE U8   rw    program_control:program_{s}
+1F55      01-7F U32  rw    expected_software_identification:node_{s}
+1F56      01-FE U32  ro    program_software_identification:program_{s}
+1F57      01-FE U32  ro    flash_status_identification:program_{s}
+1F80      00    U32  rw    nmt_startup
+1F81      01-7F U32  rw    slave_assignment:node_{s}
+1F82      01-80 U8   rw    request_nmt:node_{s}
+1F83      01-80 U8   rw    request_guarding:node_{s}
+1F84      01-7F U32  rw    device_type_identification:node_{s}
+1F85      01-7F U32  rw    vendor_identification:node_{s}
+1F86      01-7F U32  rw    product_code:node_{s}
+1F87      01-7F U32  rw    revision_number:node_{s}
+1F88      01-7F U32  rw    serial_number:node_{s}
+1F89      00    U32  rw    boot_time
+1F8A      01-7F U8   rw    restore_configuration:node_{s}
 1FA0-1FCF 01-FE U32  rw    object_scanner_list_{n}:scan_{s}
 1FD0-1FFF 01-FE U64  rw    object_dispatching_list_{n}:dispatch_{s}
 """

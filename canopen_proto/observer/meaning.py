@@ -13,8 +13,10 @@ from canopen_proto.cia402.modes import describe_command
 from canopen_proto.cia402.names import names_in_mode
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
-from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.frame import Frame
+from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.multiplexer import mux
 
 MAX_SHOWN: Final = 32
@@ -86,11 +88,17 @@ class Meaning:
         return f"<Meaning {self.service} {self.node_id} {self.text}>"
 
 
+def variable_at(dictionary: ObjectDictionary, index: int, subindex: int) -> Variable | None:
+    """Return an object of a device, or None. A communication object that the dictionary lacks is that of the standard."""
+    found = dictionary.get(index, subindex)
+    return find_standard(index, subindex) if found is None and index in COMMUNICATION_AREA else found
+
+
 def shown_of(
     dictionary: ObjectDictionary, node_id: int, index: int, subindex: int, data: bytes | None, *, is_held: bool
 ) -> Shown:
     """Return an object with the value in these bytes; None: without one."""
-    variable = dictionary.get(index, subindex)
+    variable = variable_at(dictionary, index, subindex)
     name = variable.name if variable is not None else ""
     if data is None:
         return Shown(node_id, index, subindex, name, None, "", False)
@@ -110,7 +118,7 @@ def shown_of(
 
 def object_text(dictionary: ObjectDictionary, index: int, subindex: int) -> str:
     """Return an object in words: "6041:00 statusword"."""
-    variable = dictionary.get(index, subindex)
+    variable = variable_at(dictionary, index, subindex)
     return f"{index:04X}:{subindex:02X}" + (f" {variable.name}" if variable is not None else "")
 
 

@@ -29,6 +29,8 @@ from canopen_cli.values import (
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.sdo.client import AUTO_BLOCK, Block
 
 _TYPE = click.option(
@@ -102,7 +104,8 @@ def block_of(variable: Variable, block: bool | None) -> Block:
 
 
 def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
-    """Return the object that a key names, or that --type describes. Raises ObjectNotFound, Problem."""
+    """Return the object that a key names, or that --type describes. A communication object that the dictionary lacks is that
+    of the standard. Raises ObjectNotFound, Problem."""
     try:
         return dictionary.variable(key)
     except ObjectNotFound as unknown:
@@ -113,6 +116,9 @@ def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Varia
             raise unknown from None
         if not (0 < place[0] <= 0xFFFF and place[1] <= 0xFF and len(index) == 4):
             raise unknown from None
+        standard = find_standard(*place) if place[0] in COMMUNICATION_AREA else None
+        if type_name is None and standard is not None:
+            return standard
         if type_name is None:
             raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
         return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]

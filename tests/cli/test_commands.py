@@ -54,6 +54,13 @@ def test_read_several_objects_by_number_and_as_json(run: Run) -> None:
     assert run("read", "3", "6041", *DEMO, "--json").json["node"] == 3
 
 
+def test_a_communication_object_that_the_dictionary_lacks_has_the_type_of_the_standard(run: Run) -> None:
+    outcome = run("read", "3", "1F56:01", *DEMO)
+    assert "refused reading 1F56:01" in outcome.err
+    assert "program_data:program_1 (0x1F50:01) is write-only" in run("read", "3", "1F50:01", *DEMO).err
+    assert "CO302" in run("read", "3", "1F4F:01", *DEMO).err
+
+
 def test_options_may_stand_before_the_command(run: Run) -> None:
     assert run("-b", "demo", "--json", "read", "3", "6041").json["value"] == 0x240
 

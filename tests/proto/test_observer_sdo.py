@@ -223,3 +223,11 @@ def test_a_server_may_answer_a_block_upload_in_segments() -> None:
     session = frames("60C#A40020007F150000", "58C#4100200008000000", "60C#6000000000000000", "58C#0041424344454647")
     session += frames("60C#7000000000000000", "58C#1D48000000000000")
     assert findings(session) == []
+
+
+def test_the_objects_of_the_standard_have_names_and_types_without_a_file() -> None:
+    session = frames("60C#40561F0100000000", "58C#43561F0178563412", "60C#2F511F0103000000", "58C#60511F0100000000")
+    observer = Observer()
+    shown = [observer.observe(frame, now).meaning.objects[0] for now, frame in session]
+    assert [each.name for each in shown] == ["program_software_identification:program_1"] * 2 + ["program_control:program_1"] * 2
+    assert (shown[1].value, shown[2].value) == (0x12345678, 3)
