@@ -1,8 +1,9 @@
 """The CAN-IDs of linked PDOs: one for each, which all its ends have.
 
 The first free one of these is taken: the predefined CAN-ID of the PDO that sends (or, if the master sends, of the one that
-receives); the one that its file gives it; the other predefined PDO CAN-IDs of that node; those of node-IDs that nobody on the bus
-has; and at last 0x680 to 0x6DF, which no service has. None of them is restricted (CiA 301 v4.2.0, 7.3.5, table 40).
+receives); the one that its file gives it; the other predefined PDO CAN-IDs of that node; 0x680 to 0x6DF, which no service has;
+and at last those of node-IDs that nobody on the bus has, for a device that is new on the bus would send or obey on them. None of
+them is restricted (CiA 301 v4.2.0, 7.3.5, table 40).
 
 Not free is a CAN-ID that a file gives to another PDO that is valid and stays, or to SYNC, TIME, EMCY or an SDO channel. A PDO
 whose COB-ID cannot be written brings its own.
@@ -92,10 +93,15 @@ class CanIds:
             yield bases[slot.number - 1] + node_id
         if slot.is_valid and slot.is_ours and not slot.cob_id & COB_ID_EXTENDED:
             yield slot.cob_id & _CAN_ID
-        for each in (node_id, *(free for free in range(MAX_NODE_ID, 0, -1) if free not in self._node_ids)):
-            for direction in (slot.direction, *(other for other in Direction if other is not slot.direction)):
-                yield from (base + each for base in _PREDEFINED[direction])
+        yield from self._predefined(node_id, slot.direction)
         yield from _WITHOUT_SERVICE
+        for free in range(MAX_NODE_ID, 0, -1):
+            if free not in self._node_ids:
+                yield from self._predefined(free, slot.direction)
+
+    def _predefined(self, node_id: int, first: Direction) -> Iterator[int]:
+        for direction in (first, *(other for other in Direction if other is not first)):
+            yield from (base + node_id for base in _PREDEFINED[direction])
 
 
 def _services(member: Member) -> Iterator[tuple[str, int]]:

@@ -24,7 +24,7 @@ from canopen_master.subscription import Subscription
 from canopen_proto.boot.network_boot import BootReport, NetworkBoot, NetworkStarted, NodeLost
 from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.machine import SECOND, Event
-from canopen_proto.procedures.steps import all_of
+from canopen_proto.procedures.steps import Procedure, all_of
 
 COLUMNS: Final = ("bus", "node", "name", "result", "meaning", "seconds", "state")
 SILENT: Final = (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING, BootLetter.NO_ERROR_CONTROL)
@@ -197,7 +197,11 @@ async def _watch(settings: Settings, screen: Screen, booted: Booted, lost: list[
         problem = _problem_of(booted)
         if problem is not None:
             screen.say(f"[yellow]{escape(problem.failed)}; going on: they are booted when they come[/]")
-        lost += await opened.master.run(all_of(*(each.supervise() for each in booted.boots.values())))
+
+        def supervised(each: NetworkBoot) -> Procedure[None]:
+            lost.append((yield from each.supervise()))  # at once: other buses go on
+
+        await opened.master.run(all_of(*(supervised(each) for each in booted.boots.values())))
 
 
 def _line(chosen: ChosenNetwork, network: BusNetwork, outcome: BootOutcome) -> str:

@@ -315,6 +315,20 @@ def test_a_node_that_is_lost_while_others_boot_does_not_count_as_running(
     assert "was ready, and is lost or has booted again" in next(line for line in outcome.out.splitlines() if "left" in line)
 
 
+def test_watch_of_two_buses_tells_at_its_end_that_one_was_stopped(run: Run, rung: Alarm) -> None:
+    async def silence(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+
+    rung.task = silence
+    rung.set((4, signal.SIGINT))
+    nodes = CELL.replace("id = 3", "bus = 'can1', id = 3").replace("id = 4", "bus = 'can0', id = 4")
+    nodes = nodes.replace("id = 9", "bus = 'can0', id = 9")
+    Path("two.toml").write_text(f"[buses.can1]\n[network]\nmandatory_lost = 'stop all'\n{nodes}")
+    outcome = run("net", "watch", "two.toml", "--yes", *DEMO)
+    assert (outcome.status, "node 3 is mandatory and was lost" in outcome.err) == (ExitCode.NO_ANSWER, True), outcome.err
+
+
 def test_watch_ends_with_its_reader(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def closed(*arguments: object) -> None:
         raise BrokenPipeError

@@ -210,14 +210,14 @@ def test_a_can_id_that_another_node_listens_to_is_not_used() -> None:
     assert shown(plan) == ["281 a TPDO 1 type 1 20080020; b RPDO 1 type 1 20090020"]
 
 
-def test_can_ids_beyond_the_predefined_ones_are_those_of_nodes_that_are_not_there() -> None:
+def test_can_ids_beyond_the_predefined_ones_belong_to_no_service() -> None:
     dictionary = dictionary_with(rpdos=12, tpdos=12)
     links = [link("a 200C", "b 200D", Timing(every=1))]
     links += [link("a 200C", "master", Timing(every=every)) for every in range(2, 12)]
     plan = plan_links((member("a", 1, dictionary), member("b", 2)), links, node_ids=[127])
     can_ids = [each.can_id for each in plan.transfers]
     assert len(set(can_ids)) == 11
-    assert {can_id & 0x7F for can_id in can_ids} == {1, 126}
+    assert can_ids[8:] == [0x680, 0x681, 0x682]  # a device that is new on the bus has none of them
 
 
 def test_a_fixed_mapping_is_used_as_it_is() -> None:
