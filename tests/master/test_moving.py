@@ -31,7 +31,7 @@ def assert_within_limits(record: Record) -> None:
 targets = st.lists(st.floats(-3, 3), min_size=2, max_size=2)
 
 
-@examples(6)
+@examples(6, least=3)
 @given(st.lists(st.tuples(targets, st.floats(0.05, 2.5), st.floats(0.1, 1.0)), min_size=1, max_size=4))
 def test_moves_and_blends_keep_every_limit_and_arrive(moves: list[tuple[list[float], float, float]]) -> None:
     @virtual_time
@@ -54,7 +54,7 @@ def test_moves_and_blends_keep_every_limit_and_arrive(moves: list[tuple[list[flo
     run()
 
 
-@examples(6)
+@examples(6, least=3)
 @given(st.lists(st.tuples(st.sampled_from([0.0, 0.1, 0.5, 0.9, 1.0]), st.floats(0.01, 0.6)), min_size=1, max_size=6))
 def test_the_override_changes_the_rate_on_the_path_and_within_the_limits(changes: list[tuple[float, float]]) -> None:
     @virtual_time

@@ -76,7 +76,7 @@ async def watched(record: Record) -> AsyncIterator[list[float]]:
 @pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
 @pytest.mark.parametrize("keeps_its_speed", [False, True])
 @example([(True, 0.009, 0.2), (True, 0.045, 0.2), (True, 0.015, 0.1), (True, 0.095, 0.2)])
-@examples(3)
+@examples(3, least=2)
 @given(turns)
 def test_whatever_is_late_no_joint_exceeds_its_speed(mode: Mode, keeps_its_speed: bool, turns: Sequence[Turn]) -> None:
     """keeps_its_speed: the drives limit it themselves (0x607F)."""
