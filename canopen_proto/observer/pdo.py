@@ -2,7 +2,7 @@
 
 Three sources say which settings a device's PDOs have, the surer one first: the recording, the device's own file (parameters.py),
 and, if there is neither of these, the PDO descriptions of the dictionary (PDOs.csv): the first one with the frame's CAN-ID and
-length.
+length. They may be those of another device: the name of such a PDO ends with "?".
 
 If the mapping of a PDO is known and its COB-ID is not, the COB-ID is that of the predefined connection set (CiA 301 v4.2.0,
 7.3.5). If two devices have the same COB-ID, the recording goes before a file, the sender before a receiver, then the lower
@@ -36,7 +36,7 @@ _Place: TypeAlias = tuple[Direction, int]
 class OverheardPdo:
     """A PDO of a device. Never changes.
 
-    name: "TPDO 1", or its name in PDOs.csv; is_guess: the latter, which may be of another device. is_recorded: the recording has
+    name: "TPDO 1", or its name in PDOs.csv and "?"; is_guess: the latter. is_recorded: the recording has
     shown its parameters. mapping: None for a multiplexed PDO. byte_length: of its frames. say: puts a frame in words.
     """
 
@@ -160,7 +160,7 @@ class OverheardPdos:
                     mapping = PdoMapping.from_description(each)
                 except MappingError:
                     continue
-                found.append(OverheardPdo(node_id, each.name, each.direction, mapping, dictionaries, is_guess=True))
+                found.append(OverheardPdo(node_id, f"{each.name}?", each.direction, mapping, dictionaries, is_guess=True))
         return tuple(found)
 
     def _pdo_of(self, node_id: int, direction: Direction, number: int) -> tuple[RoutingKey, OverheardPdo] | None:
