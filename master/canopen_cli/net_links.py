@@ -79,6 +79,8 @@ def _write(settings: Settings, screen: Screen, plans: dict[str, LinkPlan], folde
         str(folder / f"{node}{ENDING}"): pack_concise(plan.writes_of(node)) for plan in plans.values() for node in plan.changed
     }
     for path in files:
+        if Path(path).parent != folder:
+            raise usage("CO123", f"the name of a node leads out of {folder}: {path}", tries=("another name in the machine file",))
         check_new_file(settings, screen, path)
     for path, data in files.items():
         write_file(path, data)

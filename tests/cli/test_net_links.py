@@ -56,6 +56,14 @@ def test_concise_dcfs(run: Run, cell: Path) -> None:
     assert run("net", "links", str(cell), "--dcf", "nowhere").status == 6
 
 
+def test_a_node_s_name_leads_out_of_no_folder(run: Run, cell: Path) -> None:
+    cell.write_text(CELL.replace("[nodes.panel]", '[nodes."../panel"]').replace('"panel 6000:01"', '"../panel 6000:01"'))
+    Path("concise").mkdir()
+    outcome = run("net", "links", str(cell), "--dcf", "concise")
+    assert (outcome.status, "CO123" in outcome.err) == (2, True)
+    assert [*Path("concise").iterdir(), *Path().glob("*.cdcf")] == []
+
+
 def test_a_link_that_cannot_be(run: Run, cell: Path) -> None:
     cell.write_text(CELL + '[[links]]\nfrom = "lift 6041"\nto = "slide 6060"\n')
     text = "lift statusword (0x6041:00) has 16 bits, slide modes_of_operation (0x6060:00) has 8"
