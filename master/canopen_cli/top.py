@@ -172,7 +172,8 @@ class _Top:
 
     def _nothing_came(self, *, is_recording: bool) -> Problem:
         if is_recording:
-            return Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {self._source}")
+            seen = "; ".join(self._notes.values())  # why: entries that are no frames of CAN
+            return Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {self._source}", seen=seen)
         return Problem(
             ExitCode.NO_ANSWER,
             "CO210",

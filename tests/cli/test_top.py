@@ -235,6 +235,8 @@ def test_a_file_with_a_name_for_each_frame_takes_no_more_memory(run: Run) -> Non
 def test_nothing_came(run: Run) -> None:
     Path("empty.log").write_text("")
     assert run("top", "empty.log").status == 6
+    Path("fd.log").write_text("(1.0) can0 123##1AA\n")
+    assert "seen:  1 entry passed over, the last: a CAN FD frame" in run("top", "fd.log").err
     outcome = run("top", "-b", "virtual:nobody")
     assert (outcome.status, "no frame came on virtual:nobody" in outcome.err) == (5, True)
     assert "no frame came on demo" in run("top", "-b", "demo", "--seconds", "0").err
