@@ -32,7 +32,7 @@ from canopen_master.participant import Participant
 from canopen_master.peer import Peer
 from canopen_master.plain_text import clean
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
-from canopen_proto.machine import MILLISECOND, SECOND, Event
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event
 from canopen_proto.procedures.grip import Grip, Hold, not_held, release, take_hold
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
 
@@ -208,9 +208,9 @@ class Grips:
 
 
 def _next_beat(heartbeat: OwnHeartbeat) -> Procedure[None]:
-    """Wait until the next heartbeat was sent. None is sent out of turn: CiA 301 wants one in each producer time."""
+    """Wait for the next heartbeat, if one will be sent. None is sent out of turn: CiA 301 wants one in each producer time."""
     due = heartbeat.deadline
-    while heartbeat.deadline == due:
+    while heartbeat.deadline == due < NEVER:
         yield from sleep(max(due - (yield from current_time()), MILLISECOND))
 
 

@@ -144,12 +144,13 @@ class Streaming(_TopicMotion):
             self._positions = self.chain.desired
             self._targets = targets
             self._aim(targets)
+            begun = trio.current_time()  # a chain may take longer than QUIET to follow set-points
             motion = self.chain.motion
             while motion is not None and not motion.is_over:
                 if self._velocities and trio.current_time() - self._given_at > SILENT:
                     self._velocities = {}
                     self._aim(targets)
-                if motion.course.is_at_rest and trio.current_time() - self._given_at > QUIET:
+                if motion.course.is_at_rest and trio.current_time() - max(begun, self._given_at) > QUIET:
                     break
                 with trio.move_on_after(QUIET) as silence:
                     await motion.news.park()
