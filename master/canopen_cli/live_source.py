@@ -30,7 +30,7 @@ import trio
 
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_cli.options import DEMO, Settings
-from canopen_cli.problem import usage
+from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, escape
 from canopen_proto.machine import SECOND, Time
 from canopen_transports import open_transport
@@ -134,6 +134,12 @@ def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
     """Tell how many entries of a recording were no frames, if any."""
     if source.skipped:
         screen.say(f"[yellow]{source.skipped} entries passed over, the last: {escape(source.last_skip)}[/]")
+
+
+def require_frames(source: LogReader | LiveSource, name: str, frames: int) -> None:
+    """Raise a Problem if a recording has entries, and none of them is a frame: silence would look like a bus without faults."""
+    if source.skipped and not frames:
+        raise Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
 
 
 class _Bus(LiveSource):

@@ -12,7 +12,7 @@ import click
 import trio
 
 from canopen_cli.frame_lines import Buses, FrameChoice, choosing, finding_text
-from canopen_cli.live_source import FILE_OR_INPUT, tell_skipped
+from canopen_cli.live_source import FILE_OR_INPUT, require_frames, tell_skipped
 from canopen_cli.monitor import Watch
 from canopen_cli.new_files import check_new_file
 from canopen_cli.node_files import NodeFiles
@@ -214,6 +214,7 @@ def decode(
     watch = Watch(settings, screen, choice, source)
     run(settings, screen, watch.show, reads=source)
     watch.tell_skipped()
+    watch.require_frames()
 
 
 @log.command()
@@ -261,6 +262,7 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
     total = sum(counts.values())
     screen.say(f"{counted(number, 'frame')}, {counted(total, 'finding') if total else 'no findings'}")
     tell_skipped(screen, reader)
+    require_frames(reader, str(source), number)
     return ExitCode.DIFFERENT if counts else ExitCode.OK
 
 

@@ -10,7 +10,7 @@ import click
 import trio
 
 from canopen_cli.frame_lines import Buses, FrameChoice, FrameLines, choosing
-from canopen_cli.live_source import FILE_OR_INPUT, Heard, LiveSource, open_live_source, tell_skipped
+from canopen_cli.live_source import FILE_OR_INPUT, Heard, LiveSource, open_live_source, require_frames, tell_skipped
 from canopen_cli.node_files import NodeFiles
 from canopen_cli.options import FiniteRange, Settings, common
 from canopen_cli.outlet import Outlet, open_outlet
@@ -61,6 +61,7 @@ def monitor(
         try:
             with trio.move_on_after(math.inf if seconds is None else seconds):
                 await watch.show()
+                watch.require_frames()
         finally:
             watch.tell_counts()
 
@@ -151,6 +152,11 @@ class Watch:
         if self._live.lost:
             self._screen.say(f"[yellow]{counted(self._live.lost, 'frame')} lost before they came here[/]")
         self.tell_skipped()
+
+    def require_frames(self) -> None:
+        """Raise a Problem if nothing in the recording was a frame."""
+        if self._live is not None and not self._live.is_live:
+            require_frames(self._live, self._live.name, self._frames)
 
     def tell_skipped(self) -> None:
         """Tell what in the recording was no frame."""

@@ -9,6 +9,8 @@ from canopen_master.machine_file.boot_entries import BusNetwork, network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
+from canopen_master.motion.chain_errors import not_now
+from canopen_master.motion.chain_view import ChainState
 from canopen_proto.boot.entry import BootEntry
 from canopen_proto.boot.network_boot import BootReport, NetworkBoot
 from canopen_proto.procedures.program_download import updating
@@ -21,8 +23,11 @@ async def boot_network(master: Master, machine: MachineFile | str | Path) -> dic
 
     master: opened with this machine, or with buses of the same names. A node that fails is not started, and is no exception: see
     `BootReport.missing`. If the task is cancelled, nodes that run go on running. Raises DataError, DictionaryError for a file
-    that cannot be used.
+    that cannot be used; ChainError, with nothing sent, if a chain of this master has been initialised: its drives would be reset.
     """
+    for chain in master.chains.values():
+        if chain.state is not ChainState.OFF:
+            raise not_now(chain.name, "be booted", f"it is {chain.state.value}", "await chain.shut_down()")
     if not isinstance(machine, MachineFile):
         machine = read_machine(machine)
     dictionaries = Dictionaries(machine, master.dictionary)

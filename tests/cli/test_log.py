@@ -287,6 +287,13 @@ def test_decode_by_a_devices_file(run: Run, tmp_path: Path) -> None:
     assert "1 entries passed over" in outcome.err
 
 
+def test_a_recording_without_any_frame_is_no_bus_without_faults(run: Run) -> None:
+    Path("fd.log").write_text("(1.2) can0 123##1AA\n")
+    for command in (("log", "check"), ("log", "decode"), ("monitor",)):
+        outcome = run(*command, "fd.log")
+        assert (outcome.status, "CO342" in outcome.err, "a CAN FD frame" in outcome.err) == (6, True, True), command
+
+
 BAD = (
     "(1.0) can0 603#4041600000000000\n(1.1) can0 583#4B41600037020000\n(1.2) can0 583#4B41600037060000\n"
     "(1.3) can1 603#4041600000000000\n(1.4) can1 583#4B41600037020000\n(1.5) can1 000#01\n"
