@@ -2,7 +2,7 @@
 
 It is a LocalNode with a boot loader and, while its program runs, an "application", which looks the same from outside. Its flash
 is a `ProgramMemory`, which outlives the node: to cut its power, drop the BootLoader at any moment, and make another with the same
-memory. What was being erased or written then is no valid program.
+memory. A program that was being erased or written then is not valid.
 
     0x1F51  written   stop      the program stops; perhaps the device jumps to its boot loader without an answer (`jumps`)
                       clear     after "stop": the memory is erased, 0x1F57 is busy meanwhile
@@ -278,7 +278,7 @@ class BootLoader(LocalNode):
     # ---- power and reset ----
 
     def _on_reset(self, request: NmtResetRequested, now: Time) -> None:
-        """Be away for the boot time; then boot. What the flash was doing is broken off."""
+        """Be away for the boot time; then boot. The work of the flash is broken off."""
         self.runs = False
         self._done, self._held = None, 0
         self._waiting.clear()

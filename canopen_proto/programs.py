@@ -68,7 +68,7 @@ class FlashStatus(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What the status says, for people."""
+        """The status in words, for people."""
         if self.is_busy:
             return "busy"
         text = _TEXTS.get(self.error)

@@ -41,7 +41,7 @@ class Compared:
 
     @property
     def is_right(self) -> bool:
-        """Whether the node has what is expected. What could not be read counts as wrong, unless anything is right."""
+        """Whether the node has what is expected. An object that could not be read counts as wrong, unless anything is right."""
         if self.expected is None or self.expected == self.found:
             return True
         if self.found is None or len(self.found) != len(self.expected):

@@ -1,4 +1,4 @@
-"""What an NMT master knows of each node that it boots: `BootEntry`, and `entries_of` for a master's object dictionary.
+"""The nodes that an NMT master boots, as it knows them: `BootEntry`, and `entries_of` for a master's object dictionary.
 
 A master keeps this in objects whose subindex is the node-ID (CiA 302-2; concise DCF and dates: CiA 302-3):
 
@@ -35,7 +35,7 @@ MAX_RESTORE: Final = 0x7F
 
 @dataclass(frozen=True, slots=True)
 class BootEntry:
-    """What the master knows of one node.
+    """A node, as the master knows it.
 
     device_type, vendor, product, revision, serial: what 0x1000 and 0x1018:01 to :04 have to be; None: any. consumer_time: ns
     within which its heartbeats have to come; 0: no heartbeat is watched. restore_subindex: of its 0x1011; 0: none.
@@ -79,7 +79,7 @@ class BootEntry:
 
     @property
     def program(self) -> tuple[tuple[int, int, int], ...]:
-        """What a node with the expected program shows: index, subindex, number. Empty: the master does not know."""
+        """The objects that show the expected program: index, subindex, number. Empty: the master does not know."""
         if self.software:
             return ((indices.PROGRAM_SOFTWARE, 1, self.software),)
         if self.software_date is not None:
@@ -90,7 +90,7 @@ class BootEntry:
 
 @dataclass(frozen=True, slots=True)
 class NetworkEntry:
-    """What a master's dictionary says about its network.
+    """A network, as the master's dictionary has it.
 
     nodes: the listed nodes, by node-ID. boot_time: ns that mandatory nodes have to answer (0x1F89); 0: without limit. pause: ns
     between two NMT commands (0x102A).

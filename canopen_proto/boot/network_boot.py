@@ -51,7 +51,7 @@ LOOK: Final = 100 * MILLISECOND
 
 
 class LossReaction(StrEnum):
-    """What the master does about a lost node, in words."""
+    """The reaction of the master to a lost node, in words."""
 
     RESET = "it was reset"
     RESET_ALL = "all nodes were reset"
@@ -379,7 +379,7 @@ class NetworkBoot:
             yield from act(member.take_start)
 
     def _start_network(self) -> Procedure[None]:
-        """Start the network, if the time for it has come. What is right before a pause may be wrong after it."""
+        """Start the network, if the time for it has come. A start that is right before a pause may be wrong after it."""
         if self.startup.start_all and self._may_start_network():
             yield from self.commands.wait()
         if not self._may_start_network():

@@ -4,7 +4,7 @@ All feeds of a PDO have one sender and one timing. Those with the same receivers
 of different receivers become one while it has room, and while each receiver can leave out what is not for it: by dummy entries
 (CiA 301 v4.2.0, 7.4.7.1), as far as its file allows them. So a bus carries few frames and a device needs few PDOs. A receiver
 maps all bytes of a PDO, also those behind the last one that it wants, because a length that differs from its mapping is an error
-(7.5.2.36). What the master sends goes to one node.
+(7.5.2.36). A PDO of the master goes to one node.
 """
 
 from __future__ import annotations

@@ -235,7 +235,7 @@ class BusView:
 
 
 class _Node:
-    """What was heard of one node; see `NodeFigures`."""
+    """One node, as it was heard; see `NodeFigures`."""
 
     __slots__ = (
         "_emergencies",

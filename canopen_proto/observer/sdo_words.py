@@ -1,6 +1,6 @@
 """The frames of SDO transfers in words.
 
-What a frame says depends on those before it: the follower (sdo.py) keeps that in an `SdoStep`.
+The meaning of a frame depends on those before it: the follower (sdo.py) keeps that in an `SdoStep`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ WRITTEN: Final = "written"
 
 
 class SdoStep:
-    """What one frame of a transfer says: kept until somebody reads it in words. place: index and subindex, as they are sent."""
+    """The content of one frame of a transfer, kept until somebody reads it in words. place: index and subindex, as sent."""
 
     __slots__ = ("after", "before", "data", "dictionary", "is_held", "node_id", "place")
 

@@ -182,7 +182,7 @@ class _Fastscan:
 
 
 class _Boot:
-    """What a node was asked and told since its boot-up."""
+    """The requests to a node since its boot-up, and its answers."""
 
     __slots__ = ("_aborted", "_aborts", "_reads", "_writes", "begin", "has_frames", "last")
 

@@ -47,7 +47,7 @@ def is_lost(failed: SdoFailed) -> bool:
 
 
 class ProgramFound(NamedTuple):
-    """What a device has: 0x1F51, 0x1F56, 0x1F57. None for an object that it does not have, or that cannot be read."""
+    """The state of a device: 0x1F51, 0x1F56, 0x1F57. None for an object that it does not have, or that cannot be read."""
 
     control: int | None
     identification: int | None

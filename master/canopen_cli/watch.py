@@ -362,7 +362,7 @@ def _document(node_id: int, sample: Sample) -> dict[str, Any]:
 
 @contextmanager
 def _csv_sink(path: str, node_id: int) -> Iterator[Callable[[Sample], None]]:
-    """Open a CSV file with a line for each value. What came until a second ago is in it, however the program ends."""
+    """Open a CSV file with a line for each value. Values that came until a second ago are in it, however the program ends."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("time", "node", "object", "name", "value", "physical", "unit", "source"))

@@ -1,4 +1,4 @@
-"""`canopen monitor`: in virtual time. What a terminal shows: test_live_terminal.py; `canopen log decode`: test_log.py."""
+"""`canopen monitor`: in virtual time. On a terminal: test_live_terminal.py; `canopen log decode`: test_log.py."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 
 class Sent(NamedTuple):
-    """What passed on the bus while a command ran."""
+    """The frames that passed on the bus while a command ran."""
 
     frames: list[Frame]
 

@@ -22,7 +22,7 @@ MANY = 3000
 
 @pytest.fixture
 def stdout(monkeypatch: pytest.MonkeyPatch) -> Iterator[IO[str]]:
-    """What outlets write to: the end of a pipe. Few lines wait for its reader."""
+    """The end of a pipe, to which outlets write. Few lines wait for its reader."""
     ours, theirs = os.pipe()
     monkeypatch.setattr(outlet, "FULL", 100)
     monkeypatch.setattr(outlet, "CHUNK", 10)

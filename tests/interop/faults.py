@@ -101,8 +101,8 @@ CHANGES = [
 
 @dataclass(frozen=True)
 class Scene:
-    """What nodes 98 and 99 do. rule: the one that is broken. frames: with the time since the frame before, in ms. is_faulty: else
-    nothing is wrong."""
+    """A scene that nodes 98 and 99 play. rule: the one that is broken. frames: with the time since the frame before, in ms.
+    is_faulty: else nothing is wrong."""
 
     rule: str
     frames: list[tuple[float, str]]

@@ -1,8 +1,8 @@
 """Each frame of each recorded session: the observer says what Wireshark says, where Wireshark knows the service.
 
-What the observer has to say is made of Wireshark's fields alone. Of SDO block transfers Wireshark 4.0 knows the frames around the
-blocks, and takes the segments for other commands: see test_wireshark_sdo. It never puts the frames of a transfer together: whole
-values are compared in test_decoding.
+The text that the observer has to give is made of Wireshark's fields alone. Of SDO block transfers Wireshark 4.0 knows the
+frames around the blocks, and takes the segments for other commands: see test_wireshark_sdo. It never puts the frames of a
+transfer together: whole values are compared in test_decoding.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ LONE = "part of a transfer whose beginning was not heard: .*"
 
 
 def words(packet: Packet) -> str:
-    """What the observer has to say, as a regular expression."""
+    """The text that the observer has to give, as a regular expression."""
     if packet.kind == "NMT":
         target = packet["nmt_ctrl.node_id"]
         return f"{COMMANDS[packet['nmt_ctrl.cd']]}: {f'node {target}' if target else 'all nodes'}"
@@ -92,7 +92,7 @@ def words(packet: Packet) -> str:
 
 
 def lss(packet: Packet) -> str:
-    """What it has to say of an LSS frame."""
+    """Its text for an LSS frame."""
     for name in ("vendor", "product", "revision", "serial"):
         value = packet[f"lss.addr.{name}"]
         if value is not None:
@@ -102,7 +102,7 @@ def lss(packet: Packet) -> str:
 
 
 def sdo(packet: Packet) -> str:
-    """What it has to say of an SDO frame."""
+    """Its text for an SDO frame."""
     is_request = packet.kind.endswith("(rx)")
     service = packet["sdo.ccs" if is_request else "sdo.scs"]
     index, subindex = packet["sdo.main_idx"], packet["sdo.sub_idx"]

@@ -1,4 +1,4 @@
-"""What the machine file says of the boot-up of its network: entries of nodes, made of their files, DCFs and settings."""
+"""The boot-up of a network, as the machine file has it: entries of nodes, made of their files, DCFs and settings."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from tests.proto.bus import Bus
 T = TypeVar("T")
 Object: TypeAlias = tuple[int, int]
 Answer: TypeAlias = bytes | int | None
-"""What a node answers for an object: its bytes; an abort code; or nothing at all."""
+"""The answer of a node for an object: its bytes; an abort code; or nothing at all."""
 
 DEVICE_TYPE, HEARTBEAT, PROGRAM, DATE, TIME = (0x1000, 0), (0x1017, 0), (0x1F56, 1), (0x1020, 1), (0x1020, 2)
 PROGRAM_DATE, PROGRAM_TIME = (0x1F52, 1), (0x1F52, 2)
@@ -55,7 +55,7 @@ def objects() -> dict[Object, Answer]:
 
 
 def entry(node_id: int = 6, assignment: int = 5, **fields: object) -> BootEntry:
-    """What the master knows of a node, with the value of its 0x1F81."""
+    """A node, as the master knows it, with the value of its 0x1F81."""
     known = {"consumer_time": 500 * MILLISECOND, "configuration": WRITES, "device_type": KIND}
     identity = dict(zip(("vendor", "product", "revision", "serial"), IDENTITY, strict=True))
     return BootEntry(node_id, Assignment.from_value(assignment), **{**known, **identity, **fields})  # type: ignore[arg-type]

@@ -115,5 +115,5 @@ class FlashBench:
         return list(dict.fromkeys(each.step for each in self.progress))
 
     def to_device(self) -> list[str]:
-        """What the master sent."""
+        """The frames that the master sent."""
         return [line for line in self.bus.trace() if line.startswith(("606", "000"))]

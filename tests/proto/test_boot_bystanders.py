@@ -1,4 +1,4 @@
-"""Whom the start of a network leaves alone: nodes in no list, and nodes that get a program. Who is gone meanwhile is told."""
+"""The start of a network leaves nodes alone that are in no list, or get a program. It tells which ones are gone meanwhile."""
 
 from __future__ import annotations
 

@@ -531,7 +531,7 @@ def test_all_are_reset_and_have_their_whole_time_again() -> None:
 
 @pytest.mark.parametrize("moment", [0, 1, 12, 13, 14, 100, 212, 213, 1000])
 def test_after_a_cancel_nothing_is_sent_any_more(moment: int) -> None:
-    """But the abort of the transfer under way. What runs goes on running, and the report tells it."""
+    """But the abort of the transfer under way. A node that runs goes on running, and the report tells it."""
     bench = BootBench([2, 3])
     bench.nodes[3].boot_delay = SECOND
     boot = bench.network_boot()

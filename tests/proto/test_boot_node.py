@@ -342,7 +342,7 @@ def test_a_node_that_is_kept_alive_and_not_operational_is_reset() -> None:
 
 
 class Works:
-    """What a host does with a node."""
+    """A host's own work on a node."""
 
     def __init__(self, bench: BootBench, software: int, *, boots: bool = False, fails: type[Exception] | None = None) -> None:
         self.bench, self.software, self.boots, self.fails = bench, software, boots, fails

@@ -147,7 +147,7 @@ def test_answers_that_come_late(seed: int, blocks: bool) -> None:
 
 @pytest.mark.parametrize("settings", [BootLoaderSettings(), BootLoaderSettings(blocks=False), BootLoaderSettings(trial=True)])
 def test_the_power_may_be_cut_at_any_moment(settings: BootLoaderSettings) -> None:
-    """What flash keeps is all that is left; the next call makes it whole."""
+    """The flash keeps all that is left; the next call makes it whole."""
     bench = FlashBench(settings)
     begun = bench.bus.now
     bench.flash(IMAGE, expected_id=ID, confirm=settings.trial)

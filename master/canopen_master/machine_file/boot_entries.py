@@ -1,4 +1,4 @@
-"""What the NMT master of a bus has to know of its nodes, by the machine file: `network_of` (CiA 302-2).
+"""The nodes of a bus, as its NMT master has to know them, by the machine file: `network_of` (CiA 302-2).
 
 The expected identity is that of the node's file, unless `boot` says another one. The configuration of a node is that of its DCF,
 in an order in which a device takes it, or its concise DCF as it is; then come the writes that the caller adds (links), then the
@@ -52,7 +52,7 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class BusNetwork:
-    """What the master of one bus knows. names, programs: of its nodes, by node-ID. notes: what is not written of their DCFs, for
+    """One bus, as its master knows it. names, programs: of its nodes, by node-ID. notes: what is not written of their DCFs, for
     people."""
 
     bus: str

@@ -15,7 +15,7 @@ MAX_RESTORE: Final = 0x7F
 
 
 class StartOrder(StrEnum):
-    """Which nodes the master starts, and when (0x1F80, bits 1 and 3)."""
+    """The nodes that the master starts, and when (0x1F80, bits 1 and 3)."""
 
     EACH = "each"
     """Each node as soon as it has booted well."""
