@@ -231,9 +231,9 @@ def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
         for text in ("205#0F00", "205#0F00000001000000", "205#0F", "285#0F00", "180#")
     ]
     assert [f"{each.service} {each.text}" for each in seen] == [
-        "short controlword = 15 (enable operation)",
-        "long controlword = 15 (enable operation), position = 1",
-        "short shorter than its mapping of 2 bytes: 0f",
+        "short? controlword = 15 (enable operation)",
+        "long? controlword = 15 (enable operation), position = 1",
+        "short? shorter than its mapping of 2 bytes: 0f",
         "TPDO 2 0f 00",
         "? nothing",
     ]
@@ -374,7 +374,7 @@ def test_recorded_transfers_come_out_whole() -> None:
         frames = [Frame.parse(line.split()[2]) for line in path.read_text().splitlines()]
         seen += [observer.observe(frame, 0).meaning for frame in frames]
     texts = [meaning.text for meaning in seen]
-    assert "read 1008:00 = 'CANopenDemoLinux'" in texts
+    assert "read 1008:00 manufacturer_device_name = 'CANopenDemoLinux'" in texts
     assert "write 2121:02 = 'ABCDEFGHIJKLMNOPQRSTUVWX'" in texts
     assert any(text.startswith("write 2122:00 = ") and text.endswith("(3000 bytes)") for text in texts)
     assert not any("not heard" in text for text in texts)
