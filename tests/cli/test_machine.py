@@ -162,10 +162,10 @@ def test_the_next_command_asks_the_same_bus(run: Run, cell: str) -> None:
 
 def test_the_files_of_the_machine_serve_every_command(run: Run, cell: str, tmp_path: Path) -> None:
     assert run("info", "wrist", "-m", cell, "--json").json["file"]["name"] == "sample_drive.eds"
-    (tmp_path / "a.log").write_text("(0.000000) can0 604#4001140100000000\n")
+    (tmp_path / "a.log").write_text("(0.000000) can0 604#40C1600000000000\n")
     of_machine, of_data_files = (run("log", "decode", "a.log", *options).out for options in (("-m", cell, "-b", "right"), ()))
-    assert of_machine.rpartition("1401:01")[2].strip()  # a name, which only the device's own file has
-    assert not of_data_files.rpartition("1401:01")[2].strip()
+    assert of_machine.rpartition("60C1:00")[2].strip()  # a name, which only the device's own file has
+    assert not of_data_files.rpartition("60C1:00")[2].strip()
     assert run("compare", "wrist", "sample_drive.eds", "-m", cell).status in (ExitCode.DIFFERENT, ExitCode.PARTIAL)
     assert run("drive", "wrist", "plan", "-m", cell, "--json").json["mode"] in ("csp", "ip", "pp")
     assert "CO134" in run("drive", "shoulder", "plan", "-m", cell).err

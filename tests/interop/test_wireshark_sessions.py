@@ -108,7 +108,7 @@ def sdo(packet: Packet) -> str:
     index, subindex = packet["sdo.main_idx"], packet["sdo.sub_idx"]
     mux = OBJECT if index is None else f"{index:04X}:{subindex:02X}"
     if service == 4:
-        return rf"aborted by the {'client' if is_request else 'server'}, {mux}: .*0x{packet['sdo.abort_code']:08X}.*"
+        return rf"aborted by the {'client' if is_request else 'server'}, {mux}.*: .*0x{packet['sdo.abort_code']:08X}.*"
     if service in (5, 6, 7):
         return f"(read|write|written) {mux}.*|a block transfer is confirmed|{LONE}"
     verb = "read" if (service == 2) else "write"
@@ -120,7 +120,7 @@ def sdo(packet: Packet) -> str:
     if service == 2:
         return f"read {mux}.*"
     if service == 3:
-        return f"read {OBJECT}: next segment|{LONE}" if is_request else f"written {mux}|write {mux}: go on"
+        return f"read {OBJECT}: next segment|{LONE}" if is_request else f"written {mux}.*|write {mux}.*: go on"
     if service == 1:
         return f"write {OBJECT}: segment confirmed|written {OBJECT}|a segment is confirmed"
     verb = "write" if is_request else "read"
@@ -128,9 +128,9 @@ def sdo(packet: Packet) -> str:
 
 
 def value(data: bytes) -> str:
-    """The value of an expedited transfer, whose type nobody knows here."""
-    number = f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
-    return number if len(data) in (1, 2, 4) else f"({data.hex(' ')}|'.*')"
+    """The value of an expedited transfer: objects of the standard have their type, the type of others nobody knows here."""
+    number = int.from_bytes(data, "little")
+    return rf"({number}\b|0x0*{number:X}\b|{data.hex(' ')}|'.*')"
 
 
 def session() -> list[Frame]:
