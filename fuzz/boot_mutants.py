@@ -7,11 +7,12 @@ from typing import Final
 from fuzz.mutant import Mutant
 
 ONE: Final = ("tests/proto/test_boot_node.py",)
-ALL: Final = ("tests/proto/test_boot_network.py",)
+ALL: Final = ("tests/proto/test_boot_network.py", "tests/proto/test_boot_moments.py")
 ANY_FAULT: Final = ("tests/proto/test_boot_twenty.py",)
 
 _NODE: Final = "boot/node_boot.py"
 _NETWORK: Final = "boot/network_boot.py"
+_MEMBER: Final = "boot/member.py"
 _COMMANDS: Final = "boot/commands.py"
 
 BOOT_MUTANTS: Final = tuple(
@@ -77,7 +78,7 @@ BOOT_MUTANTS: Final = tuple(
         # ---- the network ----
         (
             "booted_again_is_ready",
-            _NETWORK,
+            _MEMBER,
             "return self.is_lost or (self.is_good and self.node.boots != self.boots)",
             "return self.is_lost",
             "a node that has booted since it was configured is started",
@@ -85,7 +86,7 @@ BOOT_MUTANTS: Final = tuple(
         ),
         (
             "lost_is_ready",
-            _NETWORK,
+            _MEMBER,
             "return self.is_lost or (self.is_good and self.node.boots != self.boots)",
             "return self.is_good and self.node.boots != self.boots",
             "the network starts without a node that is lost meanwhile",

@@ -31,7 +31,8 @@ from enum import StrEnum
 from typing import Final
 
 from canopen_proto.boot.commands import NmtCommands
-from canopen_proto.boot.entry import BootEntry, NetworkEntry
+from canopen_proto.boot.entry import NetworkEntry
+from canopen_proto.boot.member import Member
 from canopen_proto.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node
 from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.guarding import NodeGuardingLost
@@ -119,61 +120,6 @@ class BootReport:
         return not self.missing
 
 
-class _Member:
-    """A node of the network. outcome: of its last boot-up. boots: the node's count of boot-ups that were seen to.
-
-    started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. reset: how it is
-    reset when it is heard again.
-    """
-
-    def __init__(self, entry: BootEntry, node: RemoteNode) -> None:
-        self.entry = entry
-        self.node = node
-        self.outcome: BootOutcome | None = None
-        self.boots = node.boots
-        self.reset = NmtCommand.RESET_COMMUNICATION
-        self.started_at: Time = -NEVER
-        self.absent_since: Time = NEVER
-        self.is_booting = False
-        self.is_running = False
-        self.is_requested = False
-        self.is_suspended = False
-
-    def take_start(self, now: Time) -> None:
-        """Take note of a start command."""
-        self.is_running, self.started_at = True, now
-
-    @property
-    def is_good(self) -> bool:
-        """Whether its last boot-up went well."""
-        return self.outcome is not None and not self.outcome.is_failure
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether it shows no sign of life since a good boot-up."""
-        return self.is_good and (self.node.heartbeat.lost or self.node.guarding.lost)
-
-    @property
-    def is_gone(self) -> bool:
-        """Whether it is lost, or has booted again, since a good boot-up."""
-        return self.is_lost or (self.is_good and self.node.boots != self.boots)
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether it is as a good boot-up has left it."""
-        return self.is_good and not self.is_gone and not self.is_suspended
-
-    @property
-    def may_start(self) -> bool:
-        return self.is_ready and self.entry.assignment.boots and not self.is_running
-
-    @property
-    def has_come_back(self) -> bool:
-        """Whether it was away, and was heard without a boot-up."""
-        heard = self.node.heartbeat.last_heard
-        return heard is not None and heard > self.absent_since
-
-
 class _LostAtStart(Exception):
     """A mandatory node was lost, which concerns all, while others boot."""
 
@@ -224,7 +170,7 @@ class NetworkBoot:
         self._times = times
         self._update = update
         self._configure = configure
-        self._members = {node_id: _Member(entry, nodes[node_id]) for node_id, entry in sorted(description.nodes.items())}
+        self._members = {node_id: Member(entry, nodes[node_id]) for node_id, entry in sorted(description.nodes.items())}
         self._listed = [member for member in self._members.values() if member.entry.assignment.is_listed]
         self._begun: Time = 0
 
@@ -263,7 +209,7 @@ class NetworkBoot:
         member.is_requested = True
         member.node.out.events.append(_BootRequested(node_id))
 
-    def _member(self, node_id: int) -> _Member:
+    def _member(self, node_id: int) -> Member:
         member = self._members.get(node_id)
         if member is None:
             raise LocalProtocolError(f"node {node_id} is not in the network list")
@@ -328,7 +274,7 @@ class NetworkBoot:
             yield from all_of(*(self._on_boot_up(member) for member in again))
         return (yield from act(self.report))
 
-    def _first_boot(self, member: _Member, until: Time) -> Procedure[None]:
+    def _first_boot(self, member: Member, until: Time) -> Procedure[None]:
         assignment = member.entry.assignment
         if assignment.is_listed and not assignment.keep_alive:
             yield from self._await_boot_up(member)
@@ -340,12 +286,12 @@ class NetworkBoot:
                 raise _LostAtStart
             yield Wait(LOOK, member.node, _is_of(member), _TROUBLE)
 
-    def _await_boot_up(self, member: _Member) -> Procedure[None]:
+    def _await_boot_up(self, member: Member) -> Procedure[None]:
         """Wait for the boot-up of a node that was reset, for its time at most."""
         if member.node.boots == member.boots:
             yield Wait(self._times.boot_up, member.node, _is_of(member), (NodeBooted,))
 
-    def _boot(self, member: _Member, since: Time, until: Time = 0) -> Procedure[None]:
+    def _boot(self, member: Member, since: Time, until: Time = 0) -> Procedure[None]:
         """Boot a node, report its outcome, and start what is ready now. since: a node that was not heard since then is away."""
         if member.is_suspended:
             return
@@ -371,7 +317,7 @@ class NetworkBoot:
             yield from self._start(member)
         yield from self._start_network()
 
-    def _start(self, member: _Member) -> Procedure[None]:
+    def _start(self, member: Member) -> Procedure[None]:
         """Start a node, if that is allowed."""
         if self.startup.application_starts:
             return
@@ -442,7 +388,7 @@ class NetworkBoot:
         yield from self._command_all(command)
         yield from act(lambda now: self._own(command, now))
 
-    def _watch(self, member: _Member) -> Procedure[None]:
+    def _watch(self, member: Member) -> Procedure[None]:
         """Look after one node, for ever."""
         while True:
             if member.is_suspended:
@@ -459,7 +405,7 @@ class NetworkBoot:
                 sign_of_life = (HeartbeatReceived,) if member.absent_since < NEVER else ()
                 yield Wait(None, member.node, _is_of(member), (*_TROUBLE, *sign_of_life))
 
-    def _on_boot_up(self, member: _Member) -> Procedure[None]:
+    def _on_boot_up(self, member: Member) -> Procedure[None]:
         """Boot a node that has booted. If a start command has passed its boot-up, it runs without its settings: it is reset."""
         now = yield from current_time()
         if now - member.started_at < NMT_REACTION_TIME:
@@ -467,7 +413,7 @@ class NetworkBoot:
             yield from self._await_boot_up(member)
         yield from self._boot(member, now)
 
-    def _on_lost(self, member: _Member) -> Procedure[None]:
+    def _on_lost(self, member: Member) -> Procedure[None]:
         lost = NodeLost(member.node.node_id, self._reaction_to(member))
         yield from act(lambda now: self._take_loss(member, lost, now))
         if lost.reaction in _FOR_ALL:
@@ -478,7 +424,7 @@ class NetworkBoot:
             yield from self._await_boot_up(member)
         member.absent_since = yield from current_time()
 
-    def _reaction_to(self, member: _Member) -> LossReaction:
+    def _reaction_to(self, member: Member) -> LossReaction:
         assignment = member.entry.assignment
         if assignment.is_mandatory and self.startup.stop_all_on_loss:
             return LossReaction.STOP_ALL
@@ -486,7 +432,7 @@ class NetworkBoot:
             return LossReaction.RESET_ALL
         return LossReaction.RESET if assignment.boots and not assignment.keep_alive else LossReaction.NONE
 
-    def _take_loss(self, member: _Member, lost: NodeLost, now: Time) -> None:
+    def _take_loss(self, member: Member, lost: NodeLost, now: Time) -> None:
         member.node.heartbeat.set_timeout(0, now)  # guarding goes on: only so a node that is connected again is heard
         member.boots, member.outcome, member.is_running, member.absent_since = member.node.boots, None, False, now
         member.node.out.events.append(lost)
@@ -495,11 +441,11 @@ class NetworkBoot:
         for member in self._members.values():
             self._stop_watching(member, now)
 
-    def _stop_watching(self, member: _Member, now: Time) -> None:
+    def _stop_watching(self, member: Member, now: Time) -> None:
         member.node.heartbeat.set_timeout(0, now)
         member.node.stop_guarding()
 
-    def _reset_and_boot(self, member: _Member) -> Procedure[None]:
+    def _reset_and_boot(self, member: Member) -> Procedure[None]:
         """Boot a node that has not just booted: reset it, unless the master leaves that to the application, or keeps it alive."""
         assignment = member.entry.assignment
         since = yield from current_time()
@@ -510,6 +456,6 @@ class NetworkBoot:
         yield from self._boot(member, since)
 
 
-def _is_of(member: _Member) -> Callable[[Event], bool]:
+def _is_of(member: Member) -> Callable[[Event], bool]:
     node_id = member.node.node_id
     return lambda event: event.node_id == node_id

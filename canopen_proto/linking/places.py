@@ -1,9 +1,9 @@
 """The PDOs of the nodes that carry the links: which one of a device, with which transmission type.
 
 A PDO that somebody else sets up (`Member.used`) stays as it is; if it sends what a link wants, the link's receivers listen to it.
-Of the others the best one loses nothing: it is not in use by the file, or all that it carries is wanted. Then come those that are
-lost anyway, because they would set an object that a link feeds, then the rest. A PDO that cannot be mapped anew is usable if it
-has just the entries that are wanted.
+Of the others the best one loses nothing: the file does not use it, or a link wants all that it carries. As good is an RPDO that
+would set an object which a link feeds: it has to go anyway. The rest comes last. A PDO with a fixed mapping is usable if it has
+just the entries that a link wants.
 
 Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 """
@@ -53,8 +53,8 @@ class Places:
         return [slot for slot in slots if slot.direction is direction and (node, direction, slot.number) not in self._taken]
 
     def ready(self, member: Member, wanted: set[int], timing: Timing) -> Chosen | None:
-        """Take a TPDO that carries one of these entries as it is: one that somebody else sets up, or one of a device without any
-        TPDO that can be mapped anew. None if there is none."""
+        """Take a TPDO that carries one of these entries as it is. Somebody else sets it up, or all TPDOs of the device have fixed
+        mappings. Returns None if there is none."""
         for pdo in member.used:
             key = (member.name, pdo.number)
             if (

@@ -298,7 +298,9 @@ def _problem_of(booted: Booted) -> Problem | None:
         if not failed:
             what = f"{counted(len(gone), 'node')} of {chosen.size} did not stay ready"
         return Problem(ExitCode.PARTIAL, "CO216", what, seen=seen, tries=tries, node=node)
-    what = f"{counted(len(missing), 'mandatory node')} not ready: the network is not started"
+    running = sum(len(report.running) for _, report in reports)
+    rest = f"{counted(running, 'other')} {'runs' if running == 1 else 'run'}" if running else "no node runs"
+    what = f"{counted(len(missing), 'mandatory node')} not ready: the network is not started as a whole; {rest}"
     if first is not None and first[1].letter in SILENT:
         return Problem(ExitCode.NO_ANSWER, "CO215", what, seen=seen, tries=tries, node=node)
     return Problem(ExitCode.PARTIAL, "CO215", what, seen=seen, tries=tries, node=node)

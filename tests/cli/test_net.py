@@ -176,7 +176,7 @@ def test_boot_must_be_confirmed(run: Run, monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_mandatory_node_that_fails_is_not_started(run: Run) -> None:
     outcome = run("net", "boot", cell("left = { id = 3 }", SERIAL_OF_LEFT), "--yes", *DEMO, *TRACE)
     assert outcome.status == ExitCode.PARTIAL
-    assert "CO215: 1 mandatory node not ready: the network is not started" in outcome.err
+    assert "CO215: 1 mandatory node not ready: the network is not started as a whole; 2 others run" in outcome.err
     assert "0x1018:04 is 0x00000001, expected 0x00000063" in outcome.err
     assert "canopen net check -m cell.toml -b demo" in outcome.err
     assert sorted(sent().nmt) == ["0104", "0109", "8200"]
@@ -189,6 +189,7 @@ def test_nobody_is_started_by_all_if_a_mandatory_node_fails(run: Run) -> None:
     path.write_text(path.read_text() + "[network]\nstart = 'all'\n")
     outcome = run("net", "boot", "cell.toml", "--yes", "--json", *DEMO, *TRACE)
     assert (outcome.status, outcome.error["code"], outcome.error["node"]) == (ExitCode.PARTIAL, "CO215", 3)
+    assert "the network is not started as a whole; no node runs" in outcome.error["message"]
     assert sent().nmt == ["8200"]
     assert [each["running"] for each in outcome.json] == [False, False, False]
 

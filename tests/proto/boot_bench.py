@@ -243,3 +243,13 @@ class BootBench:
     def commands_sent(self) -> list[str]:
         """The NMT commands that were sent, as candump shows them."""
         return [str(frame) for _, frame in self.bus.sent if frame.can_id == 0]
+
+
+def beating(bench: BootBench, node_id: int, state: int = 5) -> None:
+    """Let a node run already, with a heartbeat."""
+    node = bench.nodes[node_id]
+    node.table[HEARTBEAT] = node.defaults[HEARTBEAT] = b"\x64\0"
+    node.boot(bench.bus.now)
+    node.state = state
+    bench.bus.run(MILLISECOND)
+    bench.bus.sent.clear()
