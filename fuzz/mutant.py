@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 
 class Mutant(NamedTuple):
-    """old becomes new in a file of the core; why it is a bug; the tests that should find it. in_corpus: the corpus should too."""
+    """old becomes new in a file; why it is a bug; the tests that should find it. in_corpus: the corpus should too.
+
+    file: as seen from `canopen_proto`, or, with the name of another package first, of that one: "canopen_data/eds/numbers.py".
+    """
 
     name: str
     file: str

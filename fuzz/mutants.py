@@ -1,11 +1,11 @@
 """Planted bugs, and who finds them: the kept inputs of the fuzz targets, and the tests.
 
-    python -m fuzz.mutants [NAME ...]         each planted in a copy of the core; run it by hand, and once a week
+    python -m fuzz.mutants [NAME ...]         each planted in a copy of the project; run it by hand, and once a week
 
-A bug is a piece of source that is replaced. The corpus has to find every one, except those of the boot-up, of drives and of
-trajectories (boot_mutants.py and so on), and so have the tests that the bug names. Both run first in the copy without a bug,
-where both have to pass: else a failure would say nothing. The exit status is 0 if both find every bug; 1 if one of them misses a
-bug, or does not end; 2 for an unknown name; 3 if something fails without a bug.
+A NAME is that of a bug, or of a wing of the house (`WINGS`): all its bugs. A bug is a piece of source that is replaced. The tests
+that it names have to find it; in the wing `sdo` the corpus has to find it too. Both run first in the copy without a bug, where
+both have to pass: else a failure would say nothing. The exit status is 0 if both find every bug; 1 if one of them misses a bug,
+or does not end; 2 for an unknown name; 3 if something fails without a bug.
 tests/proto/test_fuzz_mutants.py checks that each bug can still be planted.
 """
 
@@ -17,17 +17,16 @@ import sys
 import tempfile
 from collections import Counter
 from enum import Enum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-import canopen_proto
 from fuzz.boot_mutants import BOOT_MUTANTS
 from fuzz.drive_mutants import DRIVE_MUTANTS
 from fuzz.mutant import Mutant
 from fuzz.trajectory_mutants import TRAJECTORY_MUTANTS
 
 ROOT: Final = Path(__file__).parent.parent
-SOURCE: Final = Path(canopen_proto.__file__).parent
 TARGETS: Final = ("heartbeat", "sdo_pair")
 """The fuzz targets that know the truth."""
 MOST_SECONDS: Final = 300
@@ -37,6 +36,15 @@ MOST_SECONDS_A_TEST: Final = 30
 REPLAY: Final = ("fuzz.mutants", "--replay")
 PYTEST: Final = ("pytest", "-q", "-x", "-n0", "-p", "no:cacheprovider", f"--timeout={MOST_SECONDS_A_TEST}")
 CORE: Final = "canopen_proto"
+FOLDERS: Final = {
+    "canopen_data": "data",
+    "canopen_transports": "transports",
+    "canopen_master": "master",
+    "canopen_check": "master",
+    "canopen_ros": "master",
+    "canopen_cli": "master",
+}
+"""The folder of the repository that each package but the core is in."""
 BLOCKS: Final = ("tests/proto/test_sdo_block_client.py", "tests/proto/test_sdo_block_server.py")
 PIECES: Final = ("tests/proto/test_sdo_block_server_pieces.py",)
 FAULTS: Final = ("tests/proto/test_sdo_single_faults.py", "tests/proto/test_sdo_block_pauses.py")
@@ -57,7 +65,7 @@ _PLAIN_CLIENT: Final = "sdo/segmented_client.py"
 _BLOCK_SERVER: Final = "sdo/block_server.py"
 _QUEUE: Final = "sdo/request_queue.py"
 
-MUTANTS: Final = (
+SDO_MUTANTS: Final = (
     Mutant(
         "paused_unnoticed",
         _RECEIVER,
@@ -385,15 +393,42 @@ MUTANTS: Final = (
         "a node without a heartbeat is lost",
         HEARTBEAT,
     ),
-    *BOOT_MUTANTS,
-    *DRIVE_MUTANTS,
-    *TRAJECTORY_MUTANTS,
 )
+"""Of SDO and of the heartbeat: what the fuzz targets know the truth about."""
+
+WINGS: Final = {
+    "sdo": SDO_MUTANTS,
+    "boot": BOOT_MUTANTS,
+    "drives": DRIVE_MUTANTS,
+    "trajectories": TRAJECTORY_MUTANTS,
+}
+MUTANTS: Final = tuple(mutant for wing in WINGS.values() for mutant in wing)
+
+
+def _package_and_rest(file: str) -> tuple[str, str]:
+    """Take a mutant's file apart: the package, and the path inside it."""
+    package, _, rest = file.partition("/")
+    return (package, rest) if package in FOLDERS else (CORE, file)
+
+
+def place_of(file: str, tree: Path) -> Path:
+    """Return the path of a mutant's file in a copy of the project."""
+    package, rest = _package_and_rest(file)
+    return tree / FOLDERS.get(package, "") / package / rest
+
+
+def source_of(file: str) -> Path:
+    """Return the path of a mutant's file where Python imports its package from."""
+    package, rest = _package_and_rest(file)
+    spec = find_spec(package)
+    if spec is None or spec.origin is None:
+        raise LookupError(f"the package {package} is not installed")
+    return Path(spec.origin).parent / rest
 
 
 def plant(mutant: Mutant, tree: Path) -> None:
     """Put a bug into a copy. Raises ValueError where its place is not there exactly once."""
-    path = tree / CORE / mutant.file
+    path = place_of(mutant.file, tree)
     source = path.read_text(encoding="utf-8")
     if source.count(mutant.old) != 1:
         raise ValueError(f"{mutant.name}: its place is {source.count(mutant.old)} times in {mutant.file}")
@@ -401,8 +436,8 @@ def plant(mutant: Mutant, tree: Path) -> None:
 
 
 def copy_of_the_project(tree: Path) -> None:
-    """A copy of what the corpus and the tests of the core need."""
-    for folder in (SOURCE, *(ROOT / name for name in ("fuzz", "tests", "data", "transports", "master"))):
+    """A copy of what the corpus and the tests need."""
+    for folder in (source_of("__init__.py").parent, *(ROOT / name for name in ("fuzz", "tests", "data", "transports", "master"))):
         shutil.copytree(folder, tree / folder.name, ignore=shutil.ignore_patterns("__pycache__", "found", "*.egg-info"))
     shutil.copy(ROOT / "pyproject.toml", tree)
 
@@ -440,10 +475,13 @@ def outcome_of(tree: Path, *command: str) -> tuple[Outcome, str]:
 
 def main(names: list[str]) -> int:
     """Plant the bugs of these names, or all, and print who finds them; the exit status is that of the module's docstring."""
-    if unknown := set(names) - {mutant.name for mutant in MUTANTS}:
+    wings = {name: {mutant.name for mutant in wing} for name, wing in WINGS.items()}
+    wanted = set().union(*(wings.get(name, {name}) for name in names))
+    if unknown := wanted - {mutant.name for mutant in MUTANTS}:
         print(f"there is no bug {', '.join(sorted(unknown))}; there are {', '.join(mutant.name for mutant in MUTANTS)}")
+        print(f"nor is that a wing; there are {', '.join(WINGS)}")
         return 2
-    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in wanted]
     ended: Counter[tuple[str, Outcome]] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
@@ -454,11 +492,11 @@ def main(names: list[str]) -> int:
                 print(f"No bug was planted, and this failed: python -m {' '.join(command)}\n{printed}")
                 return 3
         for mutant in chosen:
-            original = (tree / CORE / mutant.file).read_bytes()
+            original = place_of(mutant.file, tree).read_bytes()
             plant(mutant, tree)
             in_corpus = outcome_of(tree, *REPLAY)[0] if mutant.in_corpus else None
             in_tests, _ = outcome_of(tree, *PYTEST, *mutant.tests)
-            (tree / CORE / mutant.file).write_bytes(original)
+            place_of(mutant.file, tree).write_bytes(original)
             if in_corpus is not None:
                 ended["corpus", in_corpus] += 1
             ended["tests", in_tests] += 1

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from fuzz import mutants
-from fuzz.mutants import CORE, MUTANTS, REPLAY, ROOT, SOURCE, Mutant, Outcome, main, outcome_of, plant
+from fuzz.mutants import MUTANTS, REPLAY, ROOT, WINGS, Mutant, Outcome, main, outcome_of, place_of, plant, source_of
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_a_bug_can_be_planted(mutant: Mutant, tmp_path: Path) -> None:
-    path = tmp_path / CORE / mutant.file
+    path = place_of(mutant.file, tmp_path)
     path.parent.mkdir(parents=True)
-    source = (SOURCE / mutant.file).read_text(encoding="utf-8")
+    source = source_of(mutant.file).read_text(encoding="utf-8")
     path.write_text(source, encoding="utf-8")
     plant(mutant, tmp_path)
     planted = path.read_text(encoding="utf-8")
@@ -62,11 +62,11 @@ def test_the_score(
     mutant, outcomes = MUTANTS[0], [*clean, *planted]
 
     def copy(tree: Path) -> None:
-        (tree / CORE / mutant.file).parent.mkdir(parents=True)
-        (tree / CORE / mutant.file).write_bytes((SOURCE / mutant.file).read_bytes())
+        place_of(mutant.file, tree).parent.mkdir(parents=True)
+        place_of(mutant.file, tree).write_bytes(source_of(mutant.file).read_bytes())
 
     def outcome(tree: Path, *command: str) -> tuple[Outcome, str]:
-        is_planted = mutant.old not in (tree / CORE / mutant.file).read_text(encoding="utf-8")
+        is_planted = mutant.old not in place_of(mutant.file, tree).read_text(encoding="utf-8")
         assert is_planted == (len(outcomes) <= len(planted))
         assert (command == REPLAY) == (len(outcomes) % 2 == (len(clean) + len(planted)) % 2)
         return outcomes.pop(0), "what was printed"
@@ -81,7 +81,31 @@ def test_the_score(
 
 def test_a_name_that_no_bug_has(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["no_such_bug"]) == 2
-    assert "there is no bug no_such_bug; there are paused_unnoticed, " in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "there is no bug no_such_bug; there are paused_unnoticed, " in printed
+    assert f"nor is that a wing; there are {', '.join(WINGS)}" in printed
+
+
+@pytest.mark.parametrize("wing", WINGS)
+def test_a_wing_is_all_its_bugs(wing: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(mutants, "copy_of_the_project", lambda tree: None)
+    monkeypatch.setattr(mutants, "outcome_of", lambda tree, *command: (M, f"{command}"))
+    monkeypatch.setattr(mutants, "plant", lambda mutant, tree: None)
+    monkeypatch.setattr(mutants, "place_of", lambda file, tree: _scratch(tree))
+    main([wing])
+    printed = capsys.readouterr().out
+    assert [line.split()[0] for line in printed.splitlines()[:-2]] == [mutant.name for mutant in WINGS[wing]]
+
+
+def _scratch(tree: Path) -> Path:
+    (tree / "scratch").touch()
+    return tree / "scratch"
+
+
+def test_a_file_of_any_package_can_be_named(tmp_path: Path) -> None:
+    assert place_of("sdo/client.py", tmp_path) == tmp_path / "canopen_proto/sdo/client.py"
+    assert place_of("canopen_data/eds/numbers.py", tmp_path) == tmp_path / "data/canopen_data/eds/numbers.py"
+    assert source_of("canopen_data/eds/numbers.py").is_file()
 
 
 def test_how_a_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
