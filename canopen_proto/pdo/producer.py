@@ -270,8 +270,8 @@ class PdoProducer(Machine):
         if now < due:
             self._send_due(now)  # a trigger waited for the end of the inhibit time
         elif now < self._inhibited_until:
-            self._event_due = NEVER  # the event time is shorter than the inhibit time: the PDO waits for that
-            self._arm(self._inhibited_until)
+            self._event_due = self._inhibited_until  # the timer waits for the end of the inhibit time
+            self._arm(self._event_due)
         else:
             skipped = (now - due) // self.event_time
             self._send_due(now)
