@@ -77,6 +77,14 @@ BOOT_MUTANTS: Final = tuple(
         ),
         # ---- the network ----
         (
+            "suspended_is_watched",
+            _NETWORK,
+            "        member.is_suspended = True\n        self._stop_watching(member, now)",
+            "        member.is_suspended = True",
+            "the heartbeat of a node that gets a new program is reported as lost",
+            ALL,
+        ),
+        (
             "booted_again_is_ready",
             _MEMBER,
             "return self.is_lost or (self.is_good and self.node.boots != self.boots)",

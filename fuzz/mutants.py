@@ -23,8 +23,11 @@ from typing import Final
 
 from fuzz.boot_mutants import BOOT_MUTANTS
 from fuzz.drive_mutants import DRIVE_MUTANTS
+from fuzz.master_mutants import MASTER_MUTANTS
 from fuzz.mutant import Mutant
+from fuzz.service_mutants import SERVICE_MUTANTS
 from fuzz.trajectory_mutants import TRAJECTORY_MUTANTS
+from fuzz.transport_mutants import TRANSPORT_MUTANTS
 
 ROOT: Final = Path(__file__).parent.parent
 TARGETS: Final = ("heartbeat", "sdo_pair")
@@ -401,6 +404,9 @@ WINGS: Final = {
     "boot": BOOT_MUTANTS,
     "drives": DRIVE_MUTANTS,
     "trajectories": TRAJECTORY_MUTANTS,
+    "services": SERVICE_MUTANTS,
+    "transports": TRANSPORT_MUTANTS,
+    "master": MASTER_MUTANTS,
 }
 MUTANTS: Final = tuple(mutant for wing in WINGS.values() for mutant in wing)
 
@@ -437,9 +443,13 @@ def plant(mutant: Mutant, tree: Path) -> None:
 
 def copy_of_the_project(tree: Path) -> None:
     """A copy of what the corpus and the tests need."""
-    for folder in (source_of("__init__.py").parent, *(ROOT / name for name in ("fuzz", "tests", "data", "transports", "master"))):
+    for folder in (
+        source_of("__init__.py").parent,
+        *(ROOT / name for name in ("fuzz", "tests", "data", "transports", "master", "docs")),
+    ):
         shutil.copytree(folder, tree / folder.name, ignore=shutil.ignore_patterns("__pycache__", "found", "*.egg-info"))
-    shutil.copy(ROOT / "pyproject.toml", tree)
+    for file in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / file, tree)
 
 
 def replay() -> int:

@@ -83,6 +83,22 @@ async def test_a_device_that_comes_later_and_one_that_boots_again() -> None:
 
 
 @virtual_time
+async def test_a_stopped_device_is_asked_once_it_is_heard_in_another_state() -> None:
+    """A Stopped device answers no SDO, and it does not boot when it is started."""
+    async with simulated(makers=[DeviceModel(sample(x1017_00=100, x1A00_01=0x6200_0108), 5)]), open_master(BUS) as master:
+        await master.nmt_stop(5)
+        node = master.node(5, FILE)
+        with pytest.raises(SdoFailed):
+            await node.exchange_pdos()
+        with pytest.raises(SdoFailed):
+            await node.exchange_pdos()  # and it is not asked while it is Stopped
+        await master.nmt_start(5)
+        await trio.sleep(0.2)
+        assert len(await node.exchange_pdos()) == 1
+        assert node.remote.tpdos[1].mapping.parameters[0] == 0x6200_0108
+
+
+@virtual_time
 async def test_nothing_is_sent_where_that_is_not_wished() -> None:
     async with simulated(makers=[DeviceModel(sample(), 5)]), open_master(BUS) as master:
         node = master.node(5, FILE, pdos=False)

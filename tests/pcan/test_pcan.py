@@ -196,6 +196,17 @@ async def test_an_overrun_that_only_the_status_tells(peak: ctypes.CDLL) -> None:
 
 
 @trio_test(real_time=True)
+async def test_an_overrun_that_the_status_goes_on_telling_is_told_once(peak: ctypes.CDLL) -> None:
+    async with await open_transport(ONE) as one, await open_transport(TWO) as other:
+        peak.stand_in_status(CHANNEL_1, OVERRUN)
+        await reported(one, ReceiveOverrun, match="1 received frame lost")
+        for _ in range(3):
+            one._follow(one._peak, OVERRUN)  # type: ignore[attr-defined] # a further look, between those of the reader
+        await other.send(END)
+        assert (await one.receive())[0] == END
+
+
+@trio_test(real_time=True)
 async def test_error_frames_say_what_they_saw(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one, await open_transport("pcan:PCAN_USBBUS2@250k") as other:
         await one.send(END)

@@ -17,7 +17,7 @@ from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape
-from canopen_proto.sync import SyncProducer
+from canopen_proto.sync import SyncConsumer, SyncProducer
 from tests.proto.bus import Bus
 
 T = TypeVar("T")
@@ -58,7 +58,7 @@ class Rig:
         self.master = self.bus.attach(Network())
         self.remote = RemoteNode(self.master.out, 5, self.node.dictionary)
         self.nmt, self.sync = NmtMaster(self.master.out), SyncProducer(self.master.out)
-        for machine in (self.remote, self.nmt, self.sync):
+        for machine in (self.remote, self.nmt, self.sync, SyncConsumer(self.master.out)):  # as `Participant` has them
             self.master.attach(machine)
         self.axis = Axis(self.remote, SETTINGS[shape], axis)
         self.node.boot(self.bus.now)

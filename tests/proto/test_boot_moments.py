@@ -143,6 +143,17 @@ def test_a_suspended_node_is_not_started(startup: int) -> None:
     assert bench.commands_sent() == ["000#8200"]
 
 
+def test_nobody_waits_for_the_heartbeat_of_a_suspended_node() -> None:
+    bench = BootBench([2, 3])
+    boot = bench.network_boot()
+    bench.supervise(boot, SECOND)
+    boot.suspend(3, bench.bus.now)
+    bench.bus.detach(bench.nodes[3])
+    bench.bus.run(10 * SECOND)
+    assert bench.bus.take_events(HeartbeatLost) == []
+    assert bench.commands_sent() == ["000#8200", "000#0102", "000#0103"]
+
+
 def test_a_suspended_node_is_not_booted_by_a_reset_of_before() -> None:
     """It was lost and reset, and is suspended before its boot-up has come."""
     bench = BootBench([2, 3])

@@ -19,6 +19,7 @@ from canopen_proto.cia402.states import ControlBit, State
 from canopen_proto.dictionary import Direction
 from canopen_proto.drive.axis import Axis
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
+from canopen_proto.pdo.held import SYNC_TRANSIT
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.configure_pdo import use_device_pdo
 from canopen_proto.procedures.objects import write
@@ -159,6 +160,34 @@ def test_a_set_point_that_a_sync_of_ours_has_taken_costs_no_frame(shape: Shape) 
     rig.bus.sent.clear()
     rig.run(drive.halt(rig.axis))
     assert not [frame for _, frame in rig.bus.sent if frame.can_id == hands.producer.key]
+
+
+@pytest.mark.parametrize("behind", [0, 1, 50, 98])
+def test_a_sync_of_another_may_have_passed_before_the_rpdo(behind: int) -> None:
+    """Adapters and a busy process hand it over late: the RPDO counts as held, and goes once more before the command."""
+    hands = Hands(Shape.SCHUNK_POWERBALL, 50 * MICROSECOND)
+    rig = hands.rig
+    hands.send_set_point(50)
+    rig.bus.run(behind * MILLISECOND)
+    hands.sync(is_ours=False)
+    rig.bus.run(MILLISECOND)
+    rig.bus.sent.clear()
+    rig.remote.write("0x6040", 0x06, rig.bus.now)
+    rig.bus.pump()
+    assert [frame[:3] for frame in rig.bus.trace()] == ["205", "605"]
+
+
+def test_a_sync_of_another_that_came_long_after_the_rpdo_has_taken_it() -> None:
+    hands = Hands(Shape.SCHUNK_POWERBALL, 50 * MICROSECOND)
+    rig = hands.rig
+    hands.send_set_point(50)
+    rig.bus.run(SYNC_TRANSIT + MILLISECOND)
+    hands.sync(is_ours=False)
+    rig.bus.run(MILLISECOND)
+    rig.bus.sent.clear()
+    rig.remote.write("0x6040", 0x06, rig.bus.now)
+    rig.bus.pump()
+    assert [frame[:3] for frame in rig.bus.trace()] == ["605"]
 
 
 def test_an_rpdo_that_was_never_sent_is_not_held() -> None:

@@ -164,7 +164,8 @@ def test_reset_is_a_request_to_the_node_which_then_boots(command: NmtCommand) ->
     slave = slave_in(OPERATIONAL)
     slave.receive(Frame.parse(f"000#{command:02X}00"), 0)
     assert take(slave.out) == ([], [NmtStateChanged(5, OPERATIONAL, INITIALISING), NmtResetRequested(5, command)])
-    slave.receive(Frame.parse("000#0105"), 1)  # not on the bus
+    for text in ("000#0105", "000#01", "000#5000"):  # not on the bus
+        slave.receive(Frame.parse(text), 1)
     assert take(slave.out) == ([], [])
     slave.boot(2)
     assert take(slave.out) == (["705#00"], [NmtStateChanged(5, INITIALISING, PRE_OPERATIONAL)])

@@ -143,9 +143,7 @@ class Real:
         out.events.clear()
 
     def configure(self, kind: int, inhibit: int, event: int, start: int) -> None:
-        self.pdo.configure(
-            KEY, MAPPING, self._ns, kind, inhibit * MILLISECOND, event * MILLISECOND, start, answers_requests=True
-        )
+        self.pdo.configure(KEY, MAPPING, self._ns, kind, inhibit * MILLISECOND, event * MILLISECOND, start, answers_requests=True)
 
     def enable(self, enabled: bool) -> None:
         self.pdo.set_enabled(enabled, self._ns)

@@ -40,6 +40,17 @@ def test_a_long_read_that_the_host_serves(bench: Bench) -> None:
     assert bench.ask("60") == [*response("41 04 20 00 05 00 00 00"), *response("05 48 65 6C 6C 6F 00 00")]
 
 
+def test_the_host_has_its_own_time_for_each_piece(bench: Bench) -> None:
+    bench.ask("40 04 20 00")
+    bench.server.complete(pending(bench).access_id, b"0123456", bench.now, more=True, size=9)
+    assert bench.server.deadline == bench.now + TIMEOUT
+    assert bench.ask("60") == response("41 04 20 00 09 00 00 00")  # the segment has to wait: it may be the last one
+    access = pending(bench)
+    assert bench.server.deadline == bench.now + ACCESS_TIMEOUT
+    bench.server.complete(access.access_id, b"78", bench.now)
+    assert bench.ask("70") == [*response("00 30 31 32 33 34 35 36"), *response("1B 37 38 00 00 00 00 00")]
+
+
 def test_a_write_that_the_host_serves(bench: Bench) -> None:
     assert bench.ask("23 10 10 01 73 61 76 65") == []
     access = pending(bench)

@@ -22,7 +22,7 @@ from canopen_transports import (
     TransportError,
     parse_locator,
 )
-from canopen_transports.python_can import ROOM_TIME
+from canopen_transports.python_can import MAX_NONSENSE, ROOM_TIME
 from tests.transports.fake_bus import ScriptedBus
 from tests.transports.support import reported, trio_test
 
@@ -208,6 +208,26 @@ async def _receive_fails(fd: int) -> None:
 
 def test_a_bus_that_is_lost_while_receiving(readable: int) -> None:
     _receive_fails(readable)
+
+
+@trio_test()
+async def _nonsense_now_and_then(fd: int) -> None:
+    worst = [ValueError("no frame")] * MAX_NONSENSE
+    bus = ScriptedBus(received=[*worst, sync(), *worst, sync(), *worst, ValueError("once more")], fd=fd)
+    async with PythonCanTransport(bus, locator=CAN0) as transport:
+        lost = [0]
+        with pytest.raises(TransportError):
+            while True:
+                item = await transport.receive()
+                if isinstance(item, ReceiveOverrun):
+                    lost[-1] += item.lost
+                else:
+                    lost.append(0)
+        assert lost == [MAX_NONSENSE] * 3
+
+
+def test_a_driver_that_hands_over_nonsense_is_given_up_only_if_nothing_else_comes(readable: int) -> None:
+    _nonsense_now_and_then(readable)
 
 
 @trio_test()

@@ -92,6 +92,11 @@ def test_a_line_without_end_is_given_up() -> None:
     assert splitter.feed(b"\n605#40\n") == []
 
 
+def test_nothing_follows_a_line_that_is_one_byte_too_long() -> None:
+    assert LineSplitter().feed(b"A" * MAX_LINE + b"\n605#40\n") == [b"A" * MAX_LINE, b"605#40"]
+    assert LineSplitter().feed(b"A" * (MAX_LINE + 1) + b"\n605#40\n") == [b"A" * (MAX_LINE + 1)]
+
+
 def test_what_a_person_types_is_understood() -> None:
     (line,) = LineSplitter().feed(b"60c#40aabb\r\n")
     assert checked(line) == b"60C#40AABB\n"

@@ -252,7 +252,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         """Queue what a failed read means."""
         status = self._peak.code(error) if self._peak is not None else 0
         nonsense = error if isinstance(error, _NONSENSE) else error.__cause__
-        if self._peak is not None and status and not peak.is_lost(status):
+        if self._peak is not None and status:
             self._follow(self._peak, status | self._peak.look())
         elif self._mark is not None and isinstance(error, can.CanError) and not isinstance(error.__cause__, OSError):
             self._refuse(f"{error}: {error.__cause__}")  # a datagram that is not python-can's

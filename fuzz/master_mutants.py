@@ -1,0 +1,67 @@
+"""Planted bugs of the master around the core. No fuzz target knows it; tests find them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fuzz.mutant import Mutant
+
+EVENTS: Final = ("tests/master/test_events.py",)
+BUSES: Final = ("tests/master/test_several_buses.py",)
+KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
+STALLS: Final = ("tests/master/test_stalls.py",)
+NODE_PDOS: Final = ("tests/master/test_node_pdos.py",)
+
+MASTER_MUTANTS: Final = tuple(
+    Mutant(*each, in_corpus=False)
+    for each in (
+        (
+            "dropped_uncounted",
+            "canopen_master/subscription.py",
+            "            self.dropped += 1\n",
+            "",
+            "a slow reader is not told what it has lost",
+            EVENTS,
+        ),
+        (
+            "end_before_the_rest",
+            "canopen_master/subscription.py",
+            "        while not self._events:\n            if self._end",
+            "        while not self._events or self._end is not None:\n            if self._end",
+            "the end of the master swallows the events before it",
+            EVENTS,
+        ),
+        (
+            "watcher_of_all_buses",
+            "canopen_master/dispatch.py",
+            "(watcher.bus is None or watcher.bus is bus) and ",
+            "",
+            "a node hears what its namesake on another bus has sent",
+            BUSES,
+        ),
+        (
+            "keeper_forgets_the_others",
+            "canopen_master/parameter_keeper.py",
+            "after = {**self._kept, node_id: dict(parameters)}",
+            "after = {node_id: dict(parameters)}",
+            "storing the parameters of one device loses those of all others",
+            KEEPER,
+        ),
+        (
+            "one_tick_after_a_stall",
+            "canopen_master/pump.py",
+            "self._quiet_ticks if late > _STALL else _TICKS",
+            "_TICKS",
+            "after a stall the master acts on what it heard before it has heard the rest",
+            STALLS,
+        ),
+        (
+            "never_asked_again",
+            "canopen_master/node_pdos.py",
+            "        elif self._error is not None and report.state is not NmtState.STOPPED:\n            self._begin()",
+            "        elif False:\n            self._begin()",
+            "the PDOs of a device that was Stopped are never exchanged",
+            NODE_PDOS,
+        ),
+    )
+)

@@ -1,0 +1,183 @@
+"""Planted bugs of the services beside SDO: PDO, SYNC, NMT, heartbeat, LSS; and of a server whose host serves an object."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fuzz.mutant import Mutant
+
+PDO_LIFE: Final = ("tests/proto/test_pdo_midlife.py",)
+PDO: Final = ("tests/proto/test_pdo_machines.py",)
+HELD: Final = ("tests/proto/test_held_rpdos.py",)
+NMT: Final = ("tests/proto/test_nmt.py",)
+HEARTBEAT: Final = ("tests/proto/test_heartbeat.py",)
+SYNC: Final = ("tests/proto/test_sync.py",)
+LSS: Final = ("tests/proto/test_lss.py",)
+LSS_LIFE: Final = ("tests/proto/test_lss_midlife.py",)
+HOST: Final = ("tests/proto/test_sdo_server_host.py",)
+
+_PRODUCER: Final = "pdo/producer.py"
+_CONSUMER: Final = "pdo/consumer.py"
+_SLAVE: Final = "lss/slave.py"
+
+SERVICE_MUTANTS: Final = tuple(
+    Mutant(*each, in_corpus=False)
+    for each in (
+        # ---- PDO ----
+        (
+            "trigger_forgets_the_timer",
+            _PRODUCER,
+            "self._arm(min(self._inhibited_until, self._event_due))",
+            "self._arm(self._inhibited_until)",
+            "the event timer counts as late where a trigger waits for the end of the inhibit time",
+            PDO_LIFE,
+        ),
+        (
+            "timer_ends_with_a_bad_value",
+            _PRODUCER,
+            "self._event_due = self._inhibited_until  # the timer",
+            "self._event_due = NEVER  # the timer",
+            "a value that cannot be sent ends an event timer that is shorter than the inhibit time",
+            PDO_LIFE,
+        ),
+        (
+            "timer_loses_its_phase",
+            _PRODUCER,
+            "            self._event_due = due + (skipped + 1) * self.event_time  # the phase is kept\n",
+            "",
+            "a late event timer begins again at the moment it was served",
+            PDO,
+        ),
+        (
+            "old_inhibit_time",
+            _PRODUCER,
+            "        self._inhibited_until = now\n        timed",
+            "        timed",
+            "a PDO with other settings waits for the inhibit time of the old ones",
+            PDO_LIFE,
+        ),
+        (
+            "old_sample",
+            _PRODUCER,
+            "        self._sample = None\n        self._triggered = False\n        self._syncs = 0",
+            "        self._triggered = False\n        self._syncs = 0",
+            "a PDO of type 252 with other settings answers with the values of before",
+            PDO_LIFE,
+        ),
+        (
+            "failed_stays_triggered",
+            _PRODUCER,
+            "        except ValueRangeError as error:\n            self._triggered = False\n",
+            "        except ValueRangeError as error:\n",
+            "a PDO of type 0 whose value could not be sent goes at a later SYNC, untriggered",
+            PDO_LIFE,
+        ),
+        (
+            "long_pdo_unreported",
+            _CONSUMER,
+            "            self._report_length(len(data), EMCY_PDO_LENGTH_EXCEEDED)\n",
+            "            pass\n",
+            "a PDO with more bytes than are mapped is no error",
+            PDO,
+        ),
+        (
+            "held_over_a_change",
+            _CONSUMER,
+            "            self._reroute()\n        self._forget()\n\n    def set_enabled",
+            "            self._reroute()\n\n    def set_enabled",
+            "data that waited for a SYNC act after the PDO was set up otherwise",
+            PDO,
+        ),
+        (
+            "heard_sync_is_present",
+            "pdo/held.py",
+            "now - SYNC_TRANSIT if heard else now",
+            "now",
+            "a SYNC that passed before an RPDO, and was heard late, counts as the one that takes it",
+            HELD,
+        ),
+        # ---- SYNC, NMT, heartbeat ----
+        (
+            "sync_loses_its_phase",
+            "sync.py",
+            "            self._arm(due)\n            self.handle_timeout(now)",
+            "            self._arm(now)\n            self.handle_timeout(now)",
+            "a SYNC that was put off shifts all later ones",
+            SYNC,
+        ),
+        (
+            "initialising_listens",
+            "nmt.py",
+            "            return  # not on the bus\n        data",
+            "            pass\n        data",
+            "a device that has not booted takes part in the bus",
+            NMT,
+        ),
+        (
+            "period_begins_with_each_state",
+            "heartbeat.py",
+            "        elif previous is NmtState.INITIALISING and self.period:",
+            "        elif self.period:",
+            "each change of state moves the heartbeat",
+            HEARTBEAT,
+        ),
+        (
+            "lost_is_awaited_again",
+            "heartbeat.py",
+            "        elif self._begun and not self.lost:\n            self._arm(now + timeout)",
+            "        elif self._begun:\n            self._arm(now + timeout)",
+            "a lost node is lost once more, though nothing was heard of it",
+            HEARTBEAT,
+        ),
+        # ---- LSS ----
+        (
+            "selected_in_any_order",
+            _SLAVE,
+            "matches = place == 0 or place == self._selected",
+            "matches = place == 0 or place >= self._selected",
+            "a device is selected by a part of its address",
+            LSS,
+        ),
+        (
+            "kept_though_it_failed",
+            _SLAVE,
+            "        if error == OK:\n            self.persistent = self.pending",
+            "        self.persistent = self.pending",
+            "what could not be stored counts as stored",
+            LSS,
+        ),
+        (
+            "bit_rate_by_reset",
+            _SLAVE,
+            "self.active = LssConfiguration(self.pending.node_id, self.active.bit_rate)\n        self._enter",
+            "self.active = self.pending\n        self._enter",
+            "a reset switches the bit rate, which only its activation does",
+            LSS_LIFE,
+        ),
+        (
+            "second_delay_of_the_driver",
+            _SLAVE,
+            "self._arm(self.deadline + self._delay)",
+            "self._arm(now + self._delay)",
+            "a device whose driver was late is silent for longer than the others",
+            LSS,
+        ),
+        (
+            "guard_beyond_the_window",
+            "lss/master.py",
+            "self._arm(min(self._until, now + self._guard))",
+            "self._arm(now + self._guard)",
+            "an answer lengthens the time in which further ones are awaited",
+            LSS,
+        ),
+        # ---- a server's host ----
+        (
+            "piece_in_the_clients_time",
+            "sdo/segmented_server.py",
+            "            self._door.ask(self)\n            self.deadline = now + end.stream_timeout",
+            "            self._door.ask(self)",
+            "the host has less time for a further piece than for the first one",
+            HOST,
+        ),
+    )
+)
