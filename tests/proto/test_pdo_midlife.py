@@ -1,7 +1,7 @@
-"""A TPDO whose settings, NMT state and values change in mid-life sends just what CiA 301 has it send, at each moment.
+"""PDOs whose settings, NMT state and values change in mid-life: each sends, and takes, what CiA 301 says, at each moment.
 
-The oracle is the text of the standard as a few lines that know no deadline (CiA 301 v4.2.0, 7.2.2.2, 7.5.2.37): it looks at each
-millisecond whether a PDO is due.
+The oracles are the text of the standard as a few lines that know no deadline (CiA 301 v4.2.0, 7.2.2.2, 7.5.2.35, 7.5.2.37): they
+look at each millisecond whether something is due.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Outbox
 from canopen_proto.multiplexer import mux
+from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived, PdoTooLate
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.pdo.producer import PdoNotSent, PdoProducer
 from tests.examples import examples
@@ -23,6 +24,8 @@ PLACE = mux(0x6064)
 MAPPING = Mapping([MappedEntry(0x6064, 0, 8, DataType.UNSIGNED8, "position")])
 KEY = 0x18C
 TOO_LARGE = 999
+
+# ---- sending ----
 
 Sent = tuple[int, int | None]
 """When, in milliseconds, and the value; None where there was none that could be sent."""
@@ -208,3 +211,132 @@ def test_whatever_is_changed_it_sends_what_the_standard_says(steps: list[tuple[A
         real.take()
         assert real.log == oracle.log, (name, *values)
     assert real.pdo.deadline == NEVER or real.pdo.deadline > real.now * MILLISECOND
+
+
+# ---- receiving ----
+
+Taken = tuple[int, str, int]
+"""When, in milliseconds; what was reported; the value, the bytes received, or the milliseconds behind the window."""
+
+
+class Receiver:
+    """What the standard has an RPDO do. Times in ms."""
+
+    def __init__(self) -> None:
+        self.now, self.enabled, self.window = 0, False, 0
+        self.log: list[Taken] = []
+        self.configure(True, 255, 0)
+
+    def configure(self, is_valid: bool, kind: int, event: int) -> None:
+        self.is_valid, self.kind, self.event = is_valid, kind, event
+        self.begin()
+
+    def begin(self) -> None:
+        self.held: int | None = None
+        self.overdue_at: int | None = None
+        self.window_ends: int | None = None
+
+    def enable(self, enabled: bool) -> None:
+        if enabled != self.enabled:
+            self.enabled = enabled
+            self.begin()
+
+    def set_window(self, window: int) -> None:
+        self.window, self.window_ends = window, None
+
+    def wait(self, milliseconds: int) -> None:
+        for _ in range(milliseconds):
+            self.now += 1
+            if self.overdue_at == self.now:
+                self.overdue_at = None
+                self.log.append((self.now, "overdue", 0))
+
+    def receive(self, *data: int) -> None:
+        if not (self.enabled and self.is_valid):
+            return
+        if len(data) != 1:
+            self.log.append((self.now, "length", len(data)))
+        if not data:
+            return
+        self.overdue_at = self.now + self.event if self.event else None
+        if self.kind > 240:
+            self.log.append((self.now, "taken", data[0]))
+        elif self.window_ends is not None and self.now > self.window_ends:
+            self.log.append((self.now, "late", self.now - self.window_ends))
+        else:
+            self.held = data[0]
+
+    def sync(self) -> None:
+        if self.window:
+            self.window_ends = self.now + self.window
+        if self.held is not None:
+            self.log.append((self.now, "taken", self.held))
+            self.held = None
+
+
+class RealReceiver:
+    """The same calls, for the machine. It is woken at its deadlines, never late."""
+
+    def __init__(self) -> None:
+        self.now, self.log = 0, list[Taken]()
+        self.pdo = PdoConsumer(Outbox(), 12, 1, KEY, MAPPING, {})
+
+    def configure(self, is_valid: bool, kind: int, event: int) -> None:
+        self.pdo.configure(KEY if is_valid else None, MAPPING, kind, event * MILLISECOND)
+
+    def enable(self, enabled: bool) -> None:
+        self.pdo.set_enabled(enabled, self.now * MILLISECOND)
+
+    def set_window(self, window: int) -> None:
+        self.pdo.set_window(window * MILLISECOND)
+
+    def wait(self, milliseconds: int) -> None:
+        end = self.now + milliseconds
+        while self.pdo.deadline <= end * MILLISECOND:
+            self.now = self.pdo.deadline // MILLISECOND
+            self.pdo.handle_timeout(self.pdo.deadline)
+            self.take()
+        self.now = end
+
+    def receive(self, *data: int) -> None:
+        self.pdo.receive(Frame(KEY, bytes(data)), self.now * MILLISECOND)
+
+    def sync(self) -> None:
+        self.pdo.on_sync(None, self.now * MILLISECOND)
+
+    def take(self) -> None:
+        for event in self.pdo.out.events:
+            match event:
+                case PdoReceived(data=data):
+                    assert self.pdo.store[PLACE] == data[0]
+                    self.log.append((self.now, "taken", data[0]))
+                case PdoLengthError(received=received):
+                    self.log.append((self.now, "length", received))
+                case PdoTooLate(late=late):
+                    self.log.append((self.now, "late", late // MILLISECOND))
+                case _:
+                    assert isinstance(event, PdoOverdue)
+                    self.log.append((self.now, "overdue", 0))
+        self.pdo.out.events.clear()
+        assert self.pdo.out.frames == []
+
+
+RECEIVER_STEPS = st.one_of(
+    st.tuples(st.just("wait"), st.integers(1, 40)),
+    st.tuples(st.just("sync")),
+    st.tuples(st.just("receive"), st.integers(0, 255)),
+    st.sampled_from([("receive",), ("receive", 7, 8), ("set_window", 0), ("set_window", 5)]),
+    st.tuples(st.just("enable"), st.booleans()),
+    st.tuples(st.just("configure"), st.sampled_from([True, True, False]), st.sampled_from([0, 1, 240, 254, 255]), TIMES),
+)
+
+
+@examples(1000)
+@given(st.lists(RECEIVER_STEPS, max_size=30))
+def test_whatever_is_changed_it_takes_what_the_standard_says(steps: list[tuple[Any, ...]]) -> None:
+    oracle, real = Receiver(), RealReceiver()
+    for name, *values in [("enable", True), *steps]:
+        getattr(real, name)(*values)
+        getattr(oracle, name)(*values)
+        real.take()
+        assert real.log == oracle.log, (name, *values)
