@@ -11,6 +11,9 @@ TABLES: Final = ("tests/proto/test_cia402_tables.py",)
 WALK: Final = ("tests/proto/test_drive_state_walk.py",)
 HOMED: Final = ("tests/proto/test_homed_means_homed.py",)
 KILLS: Final = ("tests/proto/test_kill_table.py",)
+STOP_FIRST: Final = ("tests/proto/test_stop_first.py",)
+BY_HAND: Final = ("tests/master/test_enabled_by_hand.py",)
+STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
 
 _STATE: Final = "drive/state.py"
 _HALTING: Final = "drive/halting.py"
@@ -53,6 +56,54 @@ DRIVE_MUTANTS: Final = tuple(
             "    except Cancelled:\n        raise",
             "a halt that is cancelled before its command is none",
             ANY_SITUATION,
+        ),
+        (
+            "halt_waits_for_an_answer",
+            _HALTING,
+            "report = yield Wait(FRESH, node,",
+            "report = yield Wait(None, node,",
+            "a drive runs on while the answer that a halt waits for is lost",
+            STOP_FIRST,
+        ),
+        (
+            "disable_reads_first",
+            _STATE,
+            "    if axis.fresh_statusword((yield from current_time())) is not None:\n        return\n",
+            "    return\n",
+            "a drive keeps its power if the answer to a read is lost",
+            STOP_FIRST,
+        ),
+        (
+            "stop_sent_once",
+            "drive/controlword.py",
+            "TRIES: Final = 2",
+            "TRIES: Final = 1",
+            "a stop that is lost is not sent again",
+            STOP_FIRST,
+        ),
+        (
+            "unknown_drive_only_asked",
+            _HALTING,
+            "            yield from insist(axis, int(Command.QUICK_STOP))\n        raise",
+            "            pass\n        raise",
+            "a drive of which nothing is known is not stopped if its answer is lost",
+            STOP_FIRST,
+        ),
+        (
+            "way_out_asks_first",
+            "canopen_master/motion/halting.py",
+            "                yield from halt_first(device.axis)",
+            "                pass",
+            "on the way out of a master a drive runs on if its answers are lost",
+            BY_HAND,
+        ),
+        (
+            "stop_by_nmt_unannounced",
+            "canopen_cli/drive_stop.py",
+            "        yield from act(lambda now: node.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, now))\n        outcomes",
+            "        yield from act(lambda now: node.send_nmt(NmtCommand.STOP, now))\n        outcomes",
+            "a node is sent another NMT command than was announced",
+            STOP_COMMAND,
         ),
         (
             "standstill_by_state",

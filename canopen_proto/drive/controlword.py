@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import ModeControl
 from canopen_proto.cia402.states import Command, State
@@ -12,11 +13,14 @@ from canopen_proto.drive.failures import accounted, is_loss_of, node_lost
 from canopen_proto.machine import MILLISECOND, Event
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
-from canopen_proto.procedures.steps import Procedure, Wait, act, current_time
+from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, current_time
 from canopen_proto.sync import SyncReceived, SyncSent
 
 SYNC_ALIVE: Final = 500 * MILLISECOND
 """SYNC counts as running if one was sent or heard within this time. A command waits no longer than this for the next one."""
+
+TRIES: Final = 2
+"""How often a word that stops is sent to a drive that does not answer. Each try takes one SDO time-out."""
 
 STAYS: Final = {
     State.SWITCH_ON_DISABLED: Command.DISABLE_VOLTAGE,
@@ -30,25 +34,41 @@ STAYS: Final = {
 
 
 @accounted
-def command(axis: Axis, controlword: int) -> Procedure[None]:
+def insist(axis: Axis, controlword: int) -> Procedure[None]:
+    """Send a controlword that stops the drive, as `command` does; without an answer send it again, TRIES times in all.
+
+    A write that is not confirmed is otherwise never repeated. A word that stops may be: it does no more the second time. By SDO
+    it goes before all queued requests of the node.
+    """
+    for left in reversed(range(TRIES)):
+        try:
+            yield from command(axis, controlword, urgent=True)
+            return
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.TIMEOUT or not left:
+                raise
+
+
+@accounted
+def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[None]:
     """Send a controlword to the drive: by the live RPDO that carries it, else by confirmed SDO.
 
     A synchronous RPDO leaves behind a SYNC, and the drive takes it at the next SYNC (CiA 301 v4.2.0, 7.5.2.35). The command waits
     for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
     SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
-    then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). Raises SdoFailed,
-    NodeLost.
+    then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: as in
+    `procedures.objects.write`. Raises SdoFailed, NodeLost.
     """
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
         axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way
     axis.commanded_at = yield from current_time()
-    yield from bring(axis, objects.CONTROLWORD, controlword & 0xFFFF)
+    yield from bring(axis, objects.CONTROLWORD, controlword & 0xFFFF, urgent=urgent)
     if is_start:
         axis.started_at = yield from current_time()
 
 
-def bring(axis: Axis, mux: Mux, value: int) -> Procedure[None]:
+def bring(axis: Axis, mux: Mux, value: int, *, urgent: bool = False) -> Procedure[None]:
     """Bring the value of an object to the drive, as `command` brings a controlword.
 
     From then on the object is ours (`RemoteNode.commanded`): its image keeps this value whatever is read, and a write of it by
@@ -67,7 +87,7 @@ def bring(axis: Axis, mux: Mux, value: int) -> Procedure[None]:
         # An RPDO of transmission type n leaves at every n-th SYNC.
         if (yield from syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
-    yield from write(node, mux, value)
+    yield from write(node, mux, value, urgent=urgent)
 
 
 def command_held(axis: Axis, controlword: int) -> Procedure[None]:

@@ -12,28 +12,32 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import Final
 
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
 from canopen_proto.drive.axis import Axis, HomingStyle
-from canopen_proto.drive.controlword import STAYS, command, command_held
+from canopen_proto.drive.controlword import STAYS, command, command_held, insist
 from canopen_proto.drive.failures import TakenOver, accounted, name_of
 from canopen_proto.drive.one_motion import stops
 from canopen_proto.drive.watching import Watch, read_statusword, wait_for_statusword
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Outcome, RequestId, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.objects import read_if_present
+from canopen_proto.procedures.objects import read_if_present, value_of
 from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
     ProcedureError,
     SdoFailed,
     StepTimeout,
+    Wait,
+    act,
     ask_for_time,
     current_time,
     sleep,
 )
 from canopen_proto.remote_node import FRESH
+from canopen_proto.sdo.client import SdoUploaded
 
 STANDSTILL_LOOK: Final = 30 * MILLISECOND
 """Between two looks at the position of a drive whose statusword does not show whether it stands."""
@@ -67,8 +71,11 @@ _OF_ITS_RAMP: Final = 0.25
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 
-    A drive that is not enabled is not commanded; if it brakes, its standstill is awaited. A drive that was commanded to enable,
-    and is not enabled yet, is watched for `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced:
+    A drive that is not enabled is not commanded, since bit 8 comes with the command to enable; if it brakes, its standstill is
+    awaited. So a drive that does not show its state by PDO is asked for it first. If it was enabled when it was last heard, or
+    was commanded to enable, and does not answer within 100 ms, it gets bit 8 all the same. Any other drive that does not answer
+    gets a quick stop, which gives power to no drive. A drive that was commanded to enable, and is not enabled yet, is watched for
+    `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced:
     by the halt, or by a word that keeps a disabled drive in its state. Any later command without bit 8 ends the halt. The wait
     lasts as long as the drive slows down (0x606C, else 0x6064). In torque modes, where bit 8 may only take the torque away, a
     drive that moves on gets a quick stop, and most drives have no power then. Raises StepTimeout if the drive still moves and did
@@ -84,11 +91,12 @@ def halt(axis: Axis) -> Procedure[None]:
 
 def _stop(axis: Axis) -> Procedure[None]:
     yield from command_held(axis, STAYS.get(axis.state, _halt_word(axis)))  # a SYNC may come before the drive's state is known
+    is_told = yield from halt_first(axis)
     try:
         statusword = yield from read_statusword(axis)
-    except SdoFailed:
-        if axis.state is State.OPERATION_ENABLED and axis.node.rpdo_of(objects.CONTROLWORD) is not None:  # a PDO needs no answer
-            yield from command(axis, _halt_word(axis))
+    except SdoFailed as failed:
+        if not is_told and failed.origin is not AbortOrigin.LOCAL:  # a drive that has booted has no power
+            yield from insist(axis, int(Command.QUICK_STOP))
         raise
     if state_of(statusword) is State.UNKNOWN:
         yield from ask_for_time(axis.settings.reaction_time + SECOND)
@@ -101,10 +109,11 @@ def _stop(axis: Axis) -> Procedure[None]:
             looks=False,
         )
     state = state_of(statusword)
-    if state in _CAN_BE_ENABLED and _may_be_enabled(axis):
+    if state in _CAN_BE_ENABLED and may_be_enabled(axis):
         state = yield from _late_state(axis)
     if state is State.OPERATION_ENABLED:
-        yield from command(axis, _halt_word(axis))
+        if not is_told:
+            yield from insist(axis, _halt_word(axis))
     else:
         yield from command_held(axis, STAYS.get(state, _halt_word(axis)))
         if state not in POWERED:
@@ -118,7 +127,38 @@ def _stop(axis: Axis) -> Procedure[None]:
         yield from _wait_for_standstill(axis)
 
 
-def _may_be_enabled(axis: Axis) -> bool:
+def halt_first(axis: Axis) -> Procedure[bool]:
+    """Send bit 8 to a drive that is enabled, or may be and does not say so within 100 ms. Return whether it was sent.
+
+    The first step of a halt: nothing before it can fail. Raises SdoFailed if the drive does not confirm it.
+    """
+    statusword = axis.fresh_statusword((yield from current_time()))
+    may_be = axis.state is State.OPERATION_ENABLED or may_be_enabled(axis)
+    if statusword is None and may_be:
+        statusword = yield from _statusword_soon(axis)
+    is_enabled = may_be if statusword is None else state_of(statusword) is State.OPERATION_ENABLED
+    if is_enabled:
+        yield from insist(axis, _halt_word(axis))
+    return is_enabled
+
+
+def _statusword_soon(axis: Axis) -> Procedure[int | None]:
+    """Read the statusword; None if the answer does not come within FRESH, or is none."""
+    node = axis.node
+    request_id: RequestId = yield from act(lambda now: node.read(objects.STATUSWORD, now, urgent=True))
+    try:
+        report = yield Wait(FRESH, node, lambda each: isinstance(each, Outcome) and each.request_id == request_id)
+    except Cancelled:
+        yield from act(lambda now: node.cancel(request_id, now))
+        raise
+    if isinstance(report, SdoUploaded):
+        value_of(node, node.dictionary.variable(objects.STATUSWORD), report)
+    elif report is None:
+        yield from act(lambda now: node.cancel(request_id, now))
+    return axis.fresh_statusword((yield from current_time()))
+
+
+def may_be_enabled(axis: Axis) -> bool:
     """Return whether the last controlword enables operation, or may do so: an unconfirmed one may have arrived."""
     return any(map(enables_operation, axis.node.may_hold(objects.CONTROLWORD)))
 

@@ -9,10 +9,10 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.cia402.states import FAULT_STATES, POWERED, Command, ControlBit, State, next_command, state_of
 from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.controlword import STAYS, bring, command, command_held
+from canopen_proto.drive.controlword import STAYS, bring, command, command_held, insist
 from canopen_proto.drive.digital_io import return_brake
 from canopen_proto.drive.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
-from canopen_proto.drive.halting import halt, halt_after
+from canopen_proto.drive.halting import halt, halt_after, may_be_enabled
 from canopen_proto.drive.one_motion import moves, stops
 from canopen_proto.drive.settings import MODE_CHANGE_STATES
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
@@ -50,6 +50,8 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
         yield from return_brake(axis)
     if target in STAYS:  # the drive may be there already, and hold an RPDO that would lead it away
         yield from command_held(axis, STAYS[target])
+    if target is not State.OPERATION_ENABLED:
+        yield from _take_power_first(axis, target)
     statusword = yield from read_statusword(axis)
     seen: list[State] = []
     while (state := state_of(statusword)) is not target:
@@ -64,6 +66,17 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
             yield from command(axis, int(step))
         statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
     return statusword
+
+
+def _take_power_first(axis: Axis, target: State) -> Procedure[None]:
+    """Send the command that leads down to `target` before anything is read: a drive may move while answers are lost.
+
+    Sends nothing to a drive that shows its state by PDO, or showed that it has no power. The word gives power to no drive.
+    """
+    if axis.fresh_statusword((yield from current_time())) is not None:
+        return
+    if target in STAYS and (axis.state in (State.UNKNOWN, *POWERED) or may_be_enabled(axis)):
+        yield from insist(axis, int(STAYS[target]))
 
 
 @moves
@@ -199,7 +212,7 @@ def _state_below(axis: Axis, state: State) -> State | None:
 @accounted
 def quick_stop(axis: Axis) -> Procedure[None]:
     """Command a quick stop; wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
-    yield from command(axis, int(Command.QUICK_STOP))
+    yield from insist(axis, int(Command.QUICK_STOP))
     yield from return_brake(axis)
     stopped = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
     yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
@@ -217,8 +230,11 @@ def engage_brake(axis: Axis) -> Procedure[None]:
 def shut_down(axis: Axis) -> Procedure[None]:
     """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.grip` go.
 
-    A drive in Fault has no power, and stays there. A drive in its fault reaction still has power and brakes: it is awaited.
+    A drive in Fault has no power, and stays there. A drive in its fault reaction still has power and brakes: it is awaited. A
+    drive that may have power, and does not show its state by PDO, is commanded before anything is read.
     """
+    if not axis.has_opened_brake:  # else a load may fall: `change_state` first gives the brake back
+        yield from _take_power_first(axis, State.SWITCH_ON_DISABLED)
     state = state_of((yield from read_statusword(axis)))
     if state is State.FAULT_REACTION_ACTIVE:
         yield from halt(axis)

@@ -76,12 +76,13 @@ def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
         raise
 
 
-def write(node: ObjectAccess, key: Key, value: Value) -> Procedure[None]:
+def write(node: ObjectAccess, key: Key, value: Value, *, urgent: bool = False) -> Procedure[None]:
     """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoFailed.
 
-    Raises LocalProtocolError or ValueRangeError, with nothing sent, if the dictionary forbids the write.
+    urgent: it goes before all queued requests of the node, and does not wait for a late answer; the writes of a clean-up always
+    do. Raises LocalProtocolError or ValueRangeError, with nothing sent, if the dictionary forbids the write.
     """
-    outcome: Outcome = yield Request(node, lambda now, urgent: node.write(key, value, now, urgent=urgent))
+    outcome: Outcome = yield Request(node, lambda now, is_urgent: node.write(key, value, now, urgent=urgent or is_urgent))
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
         raise SdoFailed(outcome, "writing")

@@ -34,8 +34,8 @@ COMMANDS: Final = {
     "inputs": ("drive_io", "Show the digital inputs of a drive (0x60FD)."),
     "outputs": ("drive_io", "Show the digital outputs of a drive (0x60FE); with BIT=0 or BIT=1 set some of them."),
     "probe": ("drive_io", "Arm a touch probe (0x60B8), wait for its edge, and show the position there."),
-    "stop": ("drive_state", "Command a quick stop."),
-    "disable": ("drive_state", "Take the power from a drive."),
+    "stop": ("drive_stop", "Command a quick stop, and wait until the drive stands."),
+    "disable": ("drive_stop", "Take the power from a drive."),
 }
 
 

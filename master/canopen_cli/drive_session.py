@@ -11,7 +11,6 @@ import click
 
 from canopen_cli.options import DriveId, Settings
 from canopen_cli.problem import ExitCode, Problem, usage
-from canopen_cli.rehearsal import rehearse
 from canopen_cli.running import Story, run
 from canopen_cli.screen import Screen, node_text
 from canopen_cli.session import Session, open_session
@@ -107,6 +106,8 @@ def command_drive(
         await session.master.run(whole(session, session.node(node_of_command(), number)))
 
     if settings.dry_run:
+        from canopen_cli.rehearsal import rehearse  # with the simulated drives, which no other way needs: a stop begins sooner
+
         rehearse(settings, screen, (node_of_command(),), work, ends=ends, axis=number)
         raise click.exceptions.Exit(ExitCode.OK)
     return run_on_node(settings, screen, whole, story)

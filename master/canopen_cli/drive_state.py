@@ -1,4 +1,4 @@
-"""`canopen drive NODE state|units|mode|fault-reset|disable|stop`: what gives a drive no power."""
+"""`canopen drive NODE state|units|mode|fault-reset`: what gives a drive no power."""
 
 from __future__ import annotations
 
@@ -65,15 +65,6 @@ def fault_reset(settings: Settings) -> None:
 
 
 @click.command()
-@commanding
-@common
-@click.pass_obj
-def disable(settings: Settings) -> None:
-    """Take the power from a drive. One that moves is stopped as its option codes (0x605B, 0x605C) say, or coasts."""
-    take_step(settings, procedures.shut_down)
-
-
-@click.command()
 @common
 @click.pass_obj
 def units(settings: Settings) -> None:
@@ -127,15 +118,6 @@ def _units_json(units: DriveUnits) -> dict[str, Any]:
         "origins": dict(units.origins),
         "conflicts": list(units.conflicts),
     }
-
-
-@click.command()
-@commanding
-@common
-@click.pass_obj
-def stop(settings: Settings) -> None:
-    """Command a quick stop. The drive brakes as 0x605A says, and most drives have no power afterwards."""
-    take_step(settings, procedures.quick_stop)
 
 
 @click.command(context_settings={"ignore_unknown_options": True})  # a maker's mode is below 0

@@ -26,7 +26,6 @@ from canopen_cli.screen import Screen, counted, escape
 from canopen_cli.streams import put_lost_terminal_to_rest
 from canopen_master.errors import HaltNotConfirmed
 from canopen_master.grip import LOGGER
-from canopen_transports.log_files import LOSSES, log_writer
 from canopen_transports.tracing import Trace, recording
 
 T = TypeVar("T")
@@ -63,6 +62,8 @@ def run(
     if replayed is not None and same_file(replayed, settings.trace):
         raise usage("CO123", f"--trace would replace {replayed}, which is being read", tries=("--trace other.log",))
     check_new_file(settings, screen, settings.trace)
+    from canopen_transports.log_files import log_writer  # formats of logs need long to import
+
     with _warnings_on(screen), recording(log_writer(settings.trace), devices_are_ours=devices) as trace:
         try:
             return trio.run(_run, screen, command, story, clock=settings.clock)
@@ -115,6 +116,8 @@ def _warnings_on(screen: Screen) -> Iterator[None]:
 
 def _missing(path: Path, trace: Trace) -> Problem | None:
     """Return a Problem if the trace lacks something."""
+    from canopen_transports.log_files import LOSSES
+
     tries = ("--trace FILE.log, where there is room",)
     if trace.failure is not None:
         seen = f"{trace.failure.strerror} after {trace.recorded} frames"

@@ -6,15 +6,14 @@ LISTEN_ON before it says what it heard of the node that it asked, and of others.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import trio
 
 from canopen_cli.failures import advice, problem_of
-from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
 from canopen_cli.node_files import NodeFiles
 from canopen_cli.options import DEMO, Settings
 from canopen_cli.problem import Problem
@@ -37,6 +36,9 @@ from canopen_proto.procedures.steps import SdoFailed
 from canopen_transports import open_transport
 from canopen_transports.record import Record
 from canopen_transports.tracing import overheard
+
+if TYPE_CHECKING:
+    from canopen_cli.fleet import Fleet
 
 LISTEN_ON: Final = 1.5
 """Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may just be late."""
@@ -93,6 +95,13 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
     return dictionary
 
 
+def simulated_fleet(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextManager[Fleet]:
+    """See fleet.py, which is imported only for the demonstration: a command on a real bus sends its first frame sooner."""
+    from canopen_cli import fleet
+
+    return fleet.simulated_fleet(devices)
+
+
 @asynccontextmanager
 async def open_session(
     settings: Settings, screen: Screen, *, heard: Callable[[Record], None] | None = None
@@ -105,6 +114,8 @@ async def open_session(
     files = NodeFiles(settings, screen, read_dictionary(screen))
     async with AsyncExitStack() as stack:
         if bus == DEMO:
+            from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES
+
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
         opened = bus if heard is None else overheard(await open_transport(bus), heard)

@@ -103,9 +103,15 @@ def test_a_drive_that_refuses_is_seen_in_the_rehearsal(run: Run, monkeypatch: py
 
 
 def test_nothing_to_send(run: Run) -> None:
-    outcome = run("drive", "3", "disable", "--dry-run", *DEMO)
+    outcome = run("drive", "3", "fault-reset", "--dry-run", *DEMO)
     assert outcome.status == 0
     assert outcome.out == "no frames, except those that read\n"
+
+
+def test_a_stop_is_sent_whatever_the_drive_shows(run: Run) -> None:
+    rows = run("drive", "3", "disable", "--dry-run", *DEMO).out.splitlines()[2:]
+    assert len(rows) == 1
+    assert "603#2B40600000000000" in rows[0]
 
 
 def test_a_device_that_is_no_drive(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

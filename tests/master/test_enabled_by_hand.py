@@ -107,6 +107,26 @@ async def test_whatever_brought_the_controlword_the_drive_is_held_and_stands_whe
         assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 0)
 
 
+@pytest.mark.parametrize("later", [0.05, 1.0])
+@pytest.mark.parametrize("is_drive", [True, False])
+@virtual_time
+async def test_the_drive_is_halted_though_it_does_not_answer_any_more(is_drive: bool, later: float) -> None:
+    """later: s from the last answer to the way out. is_drive: as its dictionary says."""
+    async with one_drive() as host:
+        cable = Link()
+        with pytest.raises(HaltNotConfirmed):
+            async with open_master(cable) as master:
+                node = await moving(master)
+                if is_drive:
+                    await master.run(drive.read_statusword(master.device(node).axis))
+                cable.copies = lambda frame, is_sent: int(is_sent)
+                await trio.sleep(later)
+                begun = trio.current_time()
+        told = [time for time, is_sent, frame in cable.log if is_sent and str(frame) == "603#2B4060000F010000"]
+        assert told[0] - begun <= (0.15 if is_drive else 1.2)
+        assert speed(host) == 0
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 @virtual_time
 async def test_what_was_enabled_and_disabled_by_hand_has_what_it_had_before(command: Command) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 from canopen_master.grip import Grips
 from canopen_master.motion.device import Device
@@ -10,8 +11,10 @@ from canopen_master.motion.joint_procedures import awake, stop
 from canopen_master.node import Node
 from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, state_of
+from canopen_proto.drive.halting import halt_first
 from canopen_proto.multiplexer import index_of
-from canopen_proto.procedures.steps import Procedure, all_of, download, upload
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of, download, upload
 
 
 class Halt:
@@ -38,6 +41,9 @@ class Halt:
             self.problem = self.problem and (str(error) or repr(error))
 
     def _by_axis(self, device: Device) -> Procedure[None]:
+        if device.node.nmt_state is not NmtState.STOPPED:  # where it takes no SDO
+            with suppress(SdoFailed):  # it is told again below
+                yield from halt_first(device.axis)
         # The drive is asked again: a command that was cancelled half-way may have been executed since its last PDO.
         yield from awake(device.node, "0x6041")
         self.problem = "it still moves" if device.state in POWERED else ""
@@ -47,8 +53,11 @@ class Halt:
     def _by_number(self) -> Procedure[None]:
         """Halt it by the object numbers of CiA 402, which it has if it is a drive."""
         client = self.node.remote.sdo
-        statusword = int.from_bytes((yield from upload(client, index_of(STATUSWORD))), "little")
-        if state_of(statusword) is State.OPERATION_ENABLED:
+        try:
+            state = state_of(int.from_bytes((yield from upload(client, index_of(STATUSWORD))), "little"))
+        except SdoFailed:  # only the answer may be lost
+            state = State.OPERATION_ENABLED
+        if state is State.OPERATION_ENABLED:
             word = Command.ENABLE_OPERATION | ControlBit.HALT
             self.problem = "its dictionary describes no drive: it was told to halt, and nothing shows whether it stands"
             yield from download(client, index_of(CONTROLWORD), 0, word.to_bytes(2, "little"))

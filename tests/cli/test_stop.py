@@ -1,0 +1,149 @@
+"""`canopen drive NODE stop|disable`: stop goes first, the words and the exit status are true, whatever answers are lost."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trio
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from canopen_cli import session
+from canopen_cli.fleet import Fleet, simulated_fleet
+from canopen_cli.problem import ExitCode
+from canopen_master.master import Master
+from canopen_master.session import open_master
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.states import State
+from canopen_proto.nmt import NmtCommand
+from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import Shape
+from tests.cli.cli_support import Run, runner
+from tests.master.world import Link
+
+DEMO = ("-b", "demo")
+WORDS = {"stop": "603#2B40600002000000", "disable": "603#2B40600000000000"}
+
+
+def lossy(monkeypatch: pytest.MonkeyPatch, is_lost: Callable[[], bool], prepare: Callable[[DriveNode], None]) -> list[Any]:
+    """Let the commands run on a bus on which answers of drive 3 are lost. prepare: is called with it.
+
+    Returns a list of what each command had: the drive, and the bus.
+    """
+    made: list[Any] = []
+
+    @asynccontextmanager
+    async def opened(locator: str, **options: Any) -> AsyncIterator[Master]:
+        link = Link(locator.removeprefix("virtual:"))
+        link.copies = lambda frame, is_sent: int(is_sent or frame.can_id != 0x583 or not is_lost())
+        made.append(link)
+        async with open_master(link, **options) as master:
+            yield master
+
+    @asynccontextmanager
+    async def fleet(devices: Any) -> AsyncIterator[Fleet]:
+        async with simulated_fleet(devices, Shape.STANDARD) as there:
+            prepare(there.drives[3])
+            made.append(there.drives[3])
+            yield there
+
+    monkeypatch.setattr(session, "open_master", opened)
+    monkeypatch.setattr(session, "simulated_fleet", fleet)
+    return made
+
+
+def runs(node: DriveNode) -> None:
+    """Another program has let it run at 20,000 counts per second."""
+    for index, value, size in ((0x6060, Mode.PROFILE_VELOCITY, 1), (0x60FF, 20_000, 4), *((0x6040, w, 2) for w in (6, 7, 15))):
+        node.write(index, 0, int(value).to_bytes(size, "little"), 0)
+
+
+def sent(link: Link) -> list[tuple[float, str]]:
+    """What the command has sent, with the times."""
+    return [(time, str(frame)) for time, is_sent, frame in link.log if is_sent]
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("own")
+
+
+@pytest.mark.parametrize("command", WORDS)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(lost=st.lists(st.booleans(), max_size=14), later=st.booleans())
+def test_the_first_frame_is_the_stop_whatever_is_lost(
+    capsys: pytest.CaptureFixture[str], own: Path, command: str, lost: list[bool], later: bool
+) -> None:
+    fates: Iterator[bool] = itertools.chain(lost, itertools.repeat(later))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        bus_and_drive = lossy(monkeypatch, lambda: next(fates), runs)
+        outcome = runner(capsys, monkeypatch, own)("drive", "3", command, *DEMO)
+    drive, bus = bus_and_drive
+    assert sent(bus)[0][1] == WORDS[command]
+    stopped = {"stop": (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED), "disable": (State.SWITCH_ON_DISABLED,)}[command]
+    assert drive.drive.state in stopped  # only answers were lost
+    assert outcome.status in (ExitCode.OK, ExitCode.NO_ANSWER)
+    if outcome.status == ExitCode.OK:
+        assert not all((*lost, later))
+        assert "state             " in outcome.out
+    else:
+        assert "CO411" in outcome.err
+        assert "IT MAY STILL MOVE" in outcome.err
+    for frame in (each for _, each in sent(bus) if each.startswith("000#")):  # each NMT command was announced
+        assert {"000#8003": "enter pre-operational", "000#0203": "'stop' is sent"}[frame] in outcome.err
+
+
+def test_a_stopped_node_is_told_all_the_same(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def prepare(node: DriveNode) -> None:
+        runs(node)
+        node.execute(NmtCommand.STOP, 0)
+
+    made = lossy(monkeypatch, lambda: False, prepare)
+    outcome = run("drive", "3", "stop", *DEMO)
+    drive, bus = made
+    assert outcome.status == ExitCode.OK
+    assert sent(bus)[0][1] == WORDS["stop"]
+    assert "NMT 'enter pre-operational' is sent to node 3" in outcome.err
+    assert drive.drive.state in (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
+
+
+def test_a_node_that_is_not_there(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = lossy(monkeypatch, lambda: True, lambda node: None)
+    outcome = run("drive", "99", "stop", *DEMO)
+    assert outcome.status == ExitCode.NO_ANSWER
+    assert sent(made[1])[0][1] == "663#2B40600002000000"
+    assert "nothing confirms that it has arrived. IT MAY STILL MOVE" in " ".join(outcome.err.split())
+
+
+@pytest.mark.parametrize("since", [0.05, 0.5])
+def test_ctrl_c_halts_though_no_answer_comes_any_more(run: Run, monkeypatch: pytest.MonkeyPatch, since: float) -> None:
+    """since: how long the drive has not answered by then."""
+    silent: list[bool] = []
+    begun: list[float] = []
+
+    async def life() -> None:
+        await trio.sleep(2)
+        silent.append(True)
+        await trio.sleep(since)
+        begun.append(trio.current_time())
+        signal.raise_signal(signal.SIGINT)
+
+    def start(node: DriveNode) -> None:
+        trio.lowlevel.spawn_system_task(life)
+
+    made = lossy(monkeypatch, lambda: bool(silent), start)
+    outcome = run("drive", "3", "velocity", "5000", *DEMO)
+    drive, bus = made
+    assert outcome.status == ExitCode.INTERRUPTED
+    told = [time for time, frame in sent(bus) if frame.startswith("603#2B4060000F01") and time >= begun[0]]
+    assert told
+    assert told[0] - begun[0] <= 0.15
+    assert drive.values[objects.CONTROLWORD] != 0x0F
+    assert "not confirmed" in outcome.err or "did not answer" in outcome.err

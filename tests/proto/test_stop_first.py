@@ -1,0 +1,134 @@
+"""Stop goes first: whatever frame is lost or late, the first frame of a stop stops the drive; success is told only if it did."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canopen_proto import drive
+from canopen_proto.cia402 import objects
+from canopen_proto.cia402.modes import Mode
+from canopen_proto.cia402.states import Command, ControlBit, State
+from canopen_proto.drive.axis import Axis
+from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.network import Network
+from canopen_proto.procedures.objects import write
+from canopen_proto.procedures.runner import ProcedureFinished
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import FRESH, RemoteNode
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
+from tests.proto.bus import Fate
+from tests.proto.rig import MILLIDEGREES, Rig
+
+SPEED: Final = 50_000
+ENDLESS: Final = Track(positive_limit=1e9)
+HALT: Final = int(Command.ENABLE_OPERATION) | ControlBit.HALT
+STOPS: Final[dict[str, tuple[Callable[[Axis], Procedure[None]], int]]] = {
+    "quick stop": (drive.quick_stop, Command.QUICK_STOP),
+    "disable": (drive.shut_down, Command.DISABLE_VOLTAGE),
+    "brake": (drive.engage_brake, Command.SHUTDOWN),
+}
+FATES: Final = st.lists(st.sampled_from((Fate.DELIVERED, Fate.LOST, Fate.PAUSED, Fate.COPIED)), max_size=16)
+
+
+def running() -> Rig:
+    """A drive that runs at SPEED, without PDOs."""
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(track=ENDLESS))
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(drive.enable(rig.axis))
+    rig.run(write(rig.remote, "0x60FF", SPEED))
+    rig.bus.run(200 * MILLISECOND)
+    return rig
+
+
+def another_program(rig: Rig) -> tuple[Network, Axis]:
+    """One that has just been started: it knows nothing of the drive."""
+    network = rig.bus.attach(Network())
+    remote = RemoteNode(network.out, 5, rig.node.dictionary)
+    network.attach(remote)
+    rig.bus.events.clear()  # its requests have the numbers of others
+    return network, Axis(remote, MILLIDEGREES)
+
+
+def words(rig: Rig, since: int = 0) -> list[int]:
+    """The controlwords that were sent to the drive."""
+    frames = [frame.data for _, frame in rig.bus.sent[since:] if frame.can_id == 0x605]
+    return [int.from_bytes(data[4:6], "little") for data in frames if data[:4] == b"\x2b\x40\x60\x00"]
+
+
+@pytest.mark.parametrize("name", STOPS)
+@given(fates=FATES, pause=st.sampled_from((MILLISECOND, 400 * MILLISECOND, 2 * SECOND)))
+def test_the_first_frame_of_a_stop_is_one_that_stops(name: str, fates: list[Fate], pause: int) -> None:
+    stop, word = STOPS[name]
+    rig = running()
+    network, axis = another_program(rig)
+    sent = len(rig.bus.sent)
+    rig.bus._pause, rig.bus._fates = pause, iter(fates)
+    began = rig.bus.now
+    request = network.run(stop(axis), rig.bus.now)
+    ended = rig.outcome(request)
+    at, first = rig.bus.sent[sent]
+    assert (at, str(first)) == (began, f"605#2B406000{word:02X}000000")
+    assert set(words(rig, sent)) <= {word, HALT, Command.QUICK_STOP}  # and no word that moves
+    if isinstance(ended, ProcedureFinished):
+        assert rig.drive.state is not State.OPERATION_ENABLED
+
+
+@given(fates=FATES, pause=st.sampled_from((MILLISECOND, 400 * MILLISECOND, 2 * SECOND)), age=st.sampled_from((1, 90, 200, 5000)))
+def test_a_halt_asks_no_longer_than_100_ms(fates: list[Fate], pause: int, age: int) -> None:
+    """The word of a halt also enables: a drive that somebody else has disabled must not get it. So the drive is asked first."""
+    rig = running()
+    rig.run(drive.read_statusword(rig.axis))
+    rig.bus.run(age * MILLISECOND)
+    sent = len(rig.bus.sent)
+    rig.bus._pause, rig.bus._fates = pause, iter(fates)
+    began = rig.bus.now
+    ended = rig.outcome(rig.master.run(drive.halt(rig.axis), began))
+    assert words(rig, sent)[0] == HALT
+    told = next(time for time, frame in rig.bus.sent[sent:] if frame.data[:4] == b"\x2b\x40\x60\x00")
+    assert told - began <= (0 if age * MILLISECOND <= FRESH else FRESH)
+    if isinstance(ended, ProcedureFinished):
+        rig.drive.refresh(rig.bus.now)
+        assert rig.drive._servo.velocity == 0
+
+
+@pytest.mark.parametrize("state", [State.READY_TO_SWITCH_ON, State.SWITCHED_ON])
+def test_a_halt_gives_no_power_to_a_drive_that_somebody_has_disabled(state: State) -> None:
+    rig = running()
+    rig.run(drive.read_statusword(rig.axis))
+    network, other = another_program(rig)
+    rig.outcome(network.run(drive.change_state(other, state), rig.bus.now))
+    rig.bus.run(SECOND)
+    sent = len(rig.bus.sent)
+    rig.outcome(rig.master.run(drive.halt(rig.axis), rig.bus.now))
+    assert HALT not in words(rig, sent)
+    assert rig.drive.state is state
+
+
+def test_a_halt_of_a_drive_of_which_nothing_is_known_and_heard_is_a_quick_stop() -> None:
+    rig = running()
+    network, axis = another_program(rig)
+    sent = len(rig.bus.sent)
+    rig.bus._fates = iter([Fate.LOST] * 2)  # the statusword is asked for; nobody hears that
+    rig.outcome(network.run(drive.halt(axis), rig.bus.now))
+    assert words(rig, sent)[:1] == [Command.QUICK_STOP]
+    assert rig.drive.state is not State.OPERATION_ENABLED
+    assert rig.node.values[objects.CONTROLWORD] == Command.QUICK_STOP
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_a_stop_without_an_answer_is_sent_again_and_is_urgent(name: str) -> None:
+    stop, word = STOPS[name]
+    rig = running()
+    network, axis = another_program(rig)
+    sent = len(rig.bus.sent)
+    rig.bus._fates = iter([Fate.LOST] * 2)
+    began = rig.bus.now
+    assert isinstance(rig.outcome(network.run(stop(axis), rig.bus.now)), ProcedureFinished)
+    times = [time for time, frame in rig.bus.sent[sent:] if frame.data[:6] == bytes((0x2B, 0x40, 0x60, 0, word, 0))]
+    assert times[1] - began <= axis.node.sdo.timeout + 2 * MILLISECOND  # it does not wait for the late answer to the first one
+    assert rig.drive.state is not State.OPERATION_ENABLED
