@@ -11,10 +11,27 @@ BUSES: Final = ("tests/master/test_several_buses.py",)
 KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
 NODE_PDOS: Final = ("tests/master/test_node_pdos.py",)
+SLOTS: Final = ("tests/master/test_procedure_slot.py",)
 
 MASTER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        (
+            "known_after_the_pump",
+            "canopen_master/participant.py",
+            "self._begun = self._participant.start(procedure)\n        self._participant.pump.pump()",
+            "begun = self._participant.start(procedure)\n        self._participant.pump.pump()\n        self._begun = begun",
+            "a procedure that ends, or is taken back, while its first frames are sent is waited for without end, or runs on",
+            SLOTS,
+        ),
+        (
+            "following_after_the_stop",
+            "canopen_master/motion/chain.py",
+            "cycle_time)  # which may stop it at once",
+            "cycle_time)\n        self.state = ChainState.FOLLOWING",
+            "a chain that is stopped while it begins to follow goes on to take set-points",
+            SLOTS,
+        ),
         (
             "dropped_uncounted",
             "canopen_master/subscription.py",

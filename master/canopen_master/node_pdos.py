@@ -9,12 +9,10 @@ from __future__ import annotations
 import logging
 from typing import Final
 
-import trio
-
-from canopen_master.participant import Participant
+from canopen_master.participant import Participant, ProcedureSlot
 from canopen_master.peer import Peer
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
-from canopen_proto.machine import Event, RequestId
+from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.device_pdos import PdoDifference, exchange_device_pdos
 from canopen_proto.procedures.steps import Procedure, ProcedureError
@@ -40,37 +38,29 @@ class NodePdos:
         self.differences: tuple[PdoDifference, ...] = ()
         self._participant = participant
         self._node = node
-        self._running: RequestId | None = None
+        self._exchanging = ProcedureSlot(participant)
         self._error: ProcedureError | None = None
-        self._ended = trio.Event()
         self._watcher = node.watch((NodeBooted, HeartbeatReceived), self._on_heard)
         self._begin()
 
     def stop(self) -> None:
         """Stop renewing the exchange: something else, such as a chain, sees to this node's PDOs."""
         self._participant.unwatch(self._watcher)
-        self._take_back()
+        self._exchanging.take_back()
 
     async def wait(self) -> None:
-        """Wait until the PDOs are exchanged. Raises the reason if they cannot be: SdoFailed, UnexpectedLength, StrangePdo."""
-        while self._running is not None:
-            await self._ended.wait()
+        """Wait until the PDOs are exchanged. Raises the reason if they cannot be: SdoFailed, UnexpectedLength, StrangePdo.
+
+        Raises BusError or MasterClosed if that ended the exchange.
+        """
+        await self._exchanging.ended()
+        self._participant.check_open()
         if self._error is not None:
             raise self._error
 
     def _begin(self) -> None:
         self._error = None
-        self._ended = trio.Event()
-        self._running, _ = self._participant.launch(self._exchange())
-
-    def _take_back(self) -> None:
-        if self._running is not None:
-            self._participant.take_back(self._running)
-            self._end()
-
-    def _end(self) -> None:
-        self._running = None
-        self._ended.set()
+        self._exchanging.begin(self._exchange())
 
     def _exchange(self) -> Procedure[None]:
         try:
@@ -81,11 +71,10 @@ class NodePdos:
             for each in self.differences:
                 self._node.remote.out.events.append(PdoDiffers(self._node.node_id, each))
                 log.warning("node %d on %s: %s", self._node.node_id, self._node.bus, each)
-        self._end()
 
     def _on_heard(self, report: NodeBooted | HeartbeatReceived) -> None:
         if isinstance(report, NodeBooted):
-            self._take_back()
+            self._exchanging.take_back()
             self._begin()
         elif self._error is not None and report.state is not NmtState.STOPPED:
             self._begin()

@@ -268,41 +268,20 @@ class Participant:
         longer for a drive that still slows down). Raises the procedure's own error: a ProcedureError.
         """
         self.check_open()
-        request_id, waiter = self.launch(procedure)
-        result: T = await self.outcome_of(request_id, waiter)
+        place = ProcedureSlot(self)
+        place.begin(procedure)
+        result: T = await place.outcome()
         return result
 
-    @enable_ki_protection
-    async def outcome_of(self, request_id: RequestId, waiter: Waiter) -> Any:
-        """Wait for the result of a launched procedure; see `run`. Raises ProcedureTakenBack if another task cancelled it."""
-        try:
-            await waiter.wait()
-        except BaseException:
-            self.take_back(request_id)
-            with trio.CancelScope(shield=True):
-                await waiter.wait()
-            raise
-        return self.result_of(waiter)
+    def launch(self, procedure: Procedure[Any]) -> None:
+        """Start a procedure that nobody waits for or takes back. May be called while events are delivered."""
+        ProcedureSlot(self).begin(procedure)
 
-    def result_of(self, waiter: Waiter) -> Any:
-        """Return the result of a procedure that has ended. Raises its exception, or ProcedureTakenBack."""
-        match waiter.result():
-            case ProcedureFinished(result=result):
-                return result
-            case ProcedureFailed(error=error):
-                raise error
-            case outcome:
-                assert isinstance(outcome, ProcedureCancelled)
-                raise ProcedureTakenBack
-
-    @enable_ki_protection
-    def launch(self, procedure: Procedure[Any]) -> tuple[RequestId, Waiter]:
-        """Start a procedure without waiting for it. May be called while events are delivered."""
+    def start(self, procedure: Procedure[Any]) -> tuple[RequestId, Waiter]:
+        """Start a procedure, and send nothing of it yet: `pump` has to follow. `ProcedureSlot` does both."""
         request_id = self.runner.start(procedure, self.now())
         self._procedures.add(request_id)
-        waiter = self._dispatcher.expect(self._root, request_id, self.runner)
-        self._pump.pump()
-        return request_id, waiter
+        return request_id, self._dispatcher.expect(self._root, request_id, self.runner)
 
     @enable_ki_protection
     def take_back(self, request_id: RequestId) -> None:
@@ -395,6 +374,75 @@ class Participant:
             asked = trio.current_time() + (self.runner.needs_until - self.now()) / SECOND
             scope.deadline = usual if in_a_hurry() else min(max(scope.deadline, asked), longest)
         await self._pump.flush()
+
+
+class ProcedureSlot:
+    """A place for a procedure that runs beside its owner, who may wait for it, or take it back.
+
+    The first frames of a procedure may be answered while they are sent. So the procedure may end within `begin`, or an answer may
+    make the owner take it back, or begin another one here. The place therefore knows its procedure before anything is sent.
+    """
+
+    __slots__ = ("_begun", "_participant")
+
+    def __init__(self, participant: Participant) -> None:
+        self._participant = participant
+        self._begun: tuple[RequestId, Waiter] | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether a procedure was begun here and has not ended."""
+        return self._begun is not None and not self._begun[1].is_done
+
+    @enable_ki_protection
+    def begin(self, procedure: Procedure[Any]) -> None:
+        """Start a procedure. One that was begun here before runs on by itself. May be called while events are delivered."""
+        self._begun = self._participant.start(procedure)
+        self._participant.pump.pump()
+
+    def take_back(self) -> None:
+        """Cancel the procedure; does nothing if none runs."""
+        if self._begun is not None:
+            self._participant.take_back(self._begun[0])
+
+    async def ended(self) -> None:
+        """Wait until no procedure runs here, also none that was begun meanwhile. Always a checkpoint."""
+        await trio.lowlevel.checkpoint()
+        while self._begun is not None and not self._begun[1].is_done:
+            await self._begun[1].wait()
+
+    @enable_ki_protection
+    async def outcome(self) -> Any:
+        """Wait for the end, and return the result. If this task is cancelled, cancel the procedure, and wait for its clean-up.
+
+        Raises as `result`.
+        """
+        assert self._begun is not None
+        request_id, waiter = self._begun
+        try:
+            await waiter.wait()
+        except BaseException:
+            self._participant.take_back(request_id)
+            with trio.CancelScope(shield=True):
+                await waiter.wait()
+            raise
+        return self.result()
+
+    def result(self) -> Any:
+        """Return the result of the procedure, which has ended; None if none was begun.
+
+        Raises its exception; ProcedureTakenBack if it was taken back; BusError or MasterClosed if that ended it.
+        """
+        if self._begun is None:
+            return None
+        match self._begun[1].result():
+            case ProcedureFinished(result=result):
+                return result
+            case ProcedureFailed(error=error):
+                raise error
+            case outcome:
+                assert isinstance(outcome, ProcedureCancelled)
+                raise ProcedureTakenBack
 
 
 def nanoseconds(seconds: float) -> Time:

@@ -28,6 +28,7 @@ from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import awake, follow, quietly, stop
 from canopen_master.motion.set_point_check import check_limits
+from canopen_master.participant import ProcedureSlot
 from canopen_master.silence import missing_frame
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
@@ -40,7 +41,7 @@ from canopen_proto.drive.limits import read_limits
 from canopen_proto.drive.settings import HomingStyle
 from canopen_proto.drive.unsent import read_unsent
 from canopen_proto.frame import routing_key
-from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
@@ -89,7 +90,7 @@ class DirectDrive:
         self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
         self._cyclic: dict[Mux, int] = {}  # the same by object, of those that came
         self._lost: FollowingLost | None = None  # why it stopped following, for the next send_position
-        self._reading: RequestId | None = None  # the procedure that reads what no PDO brings
+        self._reading = ProcedureSlot(master)  # the procedure that reads what no PDO brings
         # The manual's PDOs carry the objects of the first axis
         descriptions = {} if self.axis.number else {each.name: each for each in self.node.dictionary.pdos}
         if rpdo in descriptions:
@@ -160,7 +161,7 @@ class DirectDrive:
         self._taken.clear()
         self._on_sync()
         self._is_following, self._lost = True, None
-        self._reading, _ = self.master.launch(read_unsent([following]))
+        self._reading.begin(read_unsent([following]))
 
     async def halt(self) -> None:
         """Stop the drive, and end its running commands; it stays enabled."""
@@ -277,9 +278,7 @@ class DirectDrive:
         self._is_following = False
         self._device.release()
         self._device.following.end()
-        reading, self._reading = self._reading, None
-        if reading is not None:
-            self.master.take_back(reading)
+        self._reading.take_back()
 
     def _on_lost(self, report: FollowingLost) -> None:
         """Stop the drive: it does not follow its set-points. The next send_position says why."""

@@ -38,7 +38,7 @@ from typing import Final, NamedTuple, TypeVar, cast
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.dispatch import ProcedureTakenBack, Waiter
+from canopen_master.dispatch import ProcedureTakenBack
 from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
 from canopen_master.motion.bus_room import make_room
 from canopen_master.motion.chain_errors import (
@@ -72,12 +72,12 @@ from canopen_master.motion.moving import Moving
 from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.recording import Recorder, recording
 from canopen_master.motion.supervision import Supervision
-from canopen_master.participant import Participant
+from canopen_master.participant import Participant, ProcedureSlot
 from canopen_proto.cia402.modes import Mode, short_name
 from canopen_proto.cia402.states import POWERED
 from canopen_proto.drive import home, home_if_needed
 from canopen_proto.drive.reasons import Reason
-from canopen_proto.machine import SECOND, RequestId, Time
+from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
 
@@ -88,10 +88,10 @@ _CAN_MOVE: Final = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
 
 
 class _Operation(NamedTuple):
-    """The command that a chain executes. name: for messages; request_id: of its procedure."""
+    """The command that a chain executes. name: for messages."""
 
     name: str
-    request_id: RequestId
+    procedure: ProcedureSlot
 
 
 class Chain(ChainView, Moving):
@@ -116,7 +116,7 @@ class Chain(ChainView, Moving):
         self._supervision = Supervision(participant, self.devices, self._joint_failed)
         self._followed = False  # set-points, before it was stopped
         self._running: _Operation | None = None
-        self._stopping: Waiter | None = None  # the procedure that halts the joints
+        self._stopping = ProcedureSlot(participant)  # the procedure that halts the joints
         self._culprit: tuple[Device, str, Reason | None] | None = None  # the joint that stopped it, why, and the likely cause
         self._why_halted = ""
         self._stops = 0  # how often `halt` or `shut_down` was called: each of them ends every command before it
@@ -190,8 +190,8 @@ class Chain(ChainView, Moving):
             self._release_joints()
             raise
         self._set_points.begin([each.speed for each in followed])
-        self._supervision.begin_following(followed, self.settings.max_silent_cycles, cycle_time)
         self.state, self._followed = ChainState.FOLLOWING, True
+        self._supervision.begin_following(followed, self.settings.max_silent_cycles, cycle_time)  # which may stop it at once
 
     async def halt(self) -> None:
         """Stop all joints and wait until they stand. A running command ends with ChainHalted.
@@ -206,7 +206,7 @@ class Chain(ChainView, Moving):
         """Tell all joints to stop; `halted` waits until they stand."""
         self._participant.check_open()
         self._stops += 1
-        if self._stopping is None or self._stopping.is_done:
+        if not self._stopping.is_running:
             self._stop("by halt()")
 
     async def halted(self) -> None:
@@ -355,10 +355,10 @@ class Chain(ChainView, Moving):
     async def _for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
         """Run one procedure for each joint, side by side. A failure is raised as this chain's."""
         procedures = [of_joint(device, make(device)) for device in self.devices]
-        request_id, waiter = self._participant.launch(all_of(*procedures))
-        running = self._running = _Operation(operation, request_id)
+        running = self._running = _Operation(operation, ProcedureSlot(self._participant))
         try:
-            results = cast("list[T]", await self._participant.outcome_of(request_id, waiter))
+            running.procedure.begin(all_of(*procedures))
+            results = cast("list[T]", await running.procedure.outcome())
             if self._running is not running:  # it was stopped at the moment of its end
                 raise ProcedureTakenBack
             return results
@@ -445,9 +445,9 @@ class Chain(ChainView, Moving):
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
         running, self._running = self._running, None
         motion, self.motion = self.motion, None
-        _, self._stopping = self._participant.launch(all_of(*(quietly(device, stop(device)) for device in joints)))
+        self._stopping.begin(all_of(*(quietly(device, stop(device)) for device in joints)))
         if running is not None:
-            self._participant.take_back(running.request_id)
+            running.procedure.take_back()
         if motion is not None:  # other chains move with this one
             motion.end(f"because chain {self.name} was stopped {why}")
 
@@ -456,9 +456,8 @@ class Chain(ChainView, Moving):
         await trio.lowlevel.checkpoint()
         if self.state is ChainState.STOPPING and self.motion is not None:
             await self.motion.braked()
-        while self._stopping is not None and not self._stopping.is_done:  # another stop may begin meanwhile
-            await self._stopping.wait()
-        return [] if self._stopping is None else self._participant.result_of(self._stopping)
+        await self._stopping.ended()
+        return self._stopping.result() or []
 
     async def _joints_halted(self, what: str) -> None:
         """Halt joints that follow set-points, and wait for a halt under way. The next procedure sees whether each stands."""

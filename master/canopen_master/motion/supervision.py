@@ -21,7 +21,7 @@ from canopen_master.bus import Bus
 from canopen_master.motion.chain_errors import FIND
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import Followed
-from canopen_master.participant import Participant
+from canopen_master.participant import Participant, ProcedureSlot
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.drive.axis import AxisStateChanged
 from canopen_proto.drive.following import FollowingLost
@@ -31,7 +31,7 @@ from canopen_proto.drive.unsent import read_unsent
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
-from canopen_proto.machine import MILLISECOND, SECOND, RequestId, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.procedures.steps import all_of
 
 RECENT: Final = 1 * SECOND
@@ -58,7 +58,7 @@ class Supervision:
         self._participant = participant
         self._devices = devices
         self._failed = failed
-        self._beside: RequestId | None = None  # what goes by SDO beside the cycle
+        self._beside = ProcedureSlot(participant)  # what goes by SDO beside the cycle
         self._cycle_time: Time = 0
         self.is_on = False
         for device in devices:
@@ -83,15 +83,13 @@ class Supervision:
             )
         slow = [device.following for device, each in zip(self._devices, followed, strict=True) if each.mode is _SLOW]
         reading = read_unsent([device.following for device in self._devices])
-        self._beside, _ = self._participant.launch(all_of(reading, *map(feed_targets, slow)))
+        self._beside.begin(all_of(reading, *map(feed_targets, slow)))
 
     def end_following(self) -> None:
         """Stop watching: the joints no longer follow set-points."""
         for device in self._devices:
             device.following.end()
-        beside, self._beside = self._beside, None
-        if beside is not None:
-            self._participant.take_back(beside)
+        self._beside.take_back()
 
     def _on_event(
         self, device: Device, report: AxisStateChanged | FollowingLost | HeartbeatLost | NodeGuardingLost | NodeBooted
