@@ -9,8 +9,18 @@ from __future__ import annotations
 from collections.abc import Container
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
-from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
+from canopen_proto.frame import (
+    COB_ID_EXTENDED,
+    COB_ID_INVALID,
+    EMCY,
+    MAX_NODE_ID,
+    SDO_CLIENT_TO_SERVER,
+    SDO_SERVER_TO_CLIENT,
+    SYNC,
+    TIME,
+)
 
 RESTRICTED_CAN_IDS: Final = (
     range(0x080),  # NMT; reserved
@@ -25,6 +35,31 @@ RESTRICTED_CAN_IDS: Final = (
 
 CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF
 """Bits 0 to 29 of a COB-ID, which may change only while it is not in use."""
+
+_FIXED: Final = {indices.COB_ID_SYNC: int(SYNC), indices.COB_ID_TIME_STAMP: int(TIME)}
+_WITH_NODE_ID: Final = {
+    (indices.COB_ID_EMERGENCY, 0): int(EMCY),
+    (indices.SDO_SERVER_PARAMETER, 1): int(SDO_CLIENT_TO_SERVER),
+    (indices.SDO_SERVER_PARAMETER, 2): int(SDO_SERVER_TO_CLIENT),
+}
+
+
+def cob_id_without_value(index: int, subindex: int, node_id: int) -> int | None:
+    """Return the COB-ID of a communication object whose file gives it no value; None if the object holds no COB-ID.
+
+    SYNC, TIME, EMCY and the default SDO channel have the CAN-ID of the predefined connection set. All others are not valid (bit
+    31). It is never 0: that is the CAN-ID of NMT. Source: CiA 301 v4.2.0, 7.3.5 and 7.5.2.
+    """
+    base = _WITH_NODE_ID.get((index, subindex))
+    if base is not None:
+        return base + node_id
+    if subindex == 0:
+        return _FIXED.get(index)
+    if index in indices.RPDO_COMMUNICATION or index in indices.TPDO_COMMUNICATION:
+        return COB_ID_INVALID if subindex == 1 else None
+    if index in indices.SDO_SERVERS or index in indices.SDO_CLIENTS:
+        return COB_ID_INVALID if subindex in (1, 2) else None
+    return COB_ID_INVALID if index == indices.EMERGENCY_CONSUMER and subindex <= MAX_NODE_ID else None
 
 
 def check_can_id(cob_id: int) -> AbortCode | None:

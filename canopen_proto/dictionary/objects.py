@@ -13,10 +13,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
+from canopen_proto import indices
+from canopen_proto.cob_id import cob_id_without_value
 from canopen_proto.datatypes import Codec, DataType, Value, ValueRangeError, codec_of
 from canopen_proto.multiplexer import Mux, mux
+
+_HOLDS_COB_ID: Final = (DataType.UNSIGNED32, DataType.UNSIGNED64)
 
 
 class Access(StrEnum):
@@ -120,12 +124,28 @@ class Variable:
         return value + node_id if self.configured_adds_node_id and isinstance(value, int) else value
 
     def default_of(self, node_id: int) -> Value:
-        """Return the default in the device with this node-ID."""
-        value = self._zero() if self.default is None else self.default
+        """Return the default in the device with this node-ID.
+
+        Without one: for a COB-ID, that of the standard, since 0 would be NMT's; else the type's zero, or the limit nearest to it.
+        """
+        value = self.default
+        if value is None:
+            return self._without_value(node_id)
         return value + node_id if self.adds_node_id and isinstance(value, int) else value
 
-    def _zero(self) -> Value:
-        """Return the type's zero, or the limit nearest to it if the limits exclude zero."""
+    @property
+    def depends_on_node_id(self) -> bool:
+        """Whether another node-ID gives another default, or another configured value."""
+        if self.adds_node_id or self.configured_adds_node_id:
+            return True
+        is_set = self.default is not None or self.index not in indices.COMMUNICATION_AREA
+        return not is_set and self._without_value(1) != self._without_value(2)
+
+    def _without_value(self, node_id: int) -> Value:
+        if self.index in indices.COMMUNICATION_AREA and self.data_type in _HOLDS_COB_ID:
+            cob_id = cob_id_without_value(self.index, self.subindex, node_id)
+            if cob_id is not None:
+                return cob_id
         zero = self.codec.zero
         low, high = self.low_limit, self.high_limit
         if not isinstance(zero, int | float) or (low is not None and high is not None and low > high):

@@ -120,7 +120,7 @@ def _initial(dictionary: ObjectDictionary) -> tuple[dict[Mux, Value], tuple[Vari
     """Return what all devices with a dictionary have in common, which is found once for all of them: the initial values for
     node-ID 0, the variables whose value depends on the node-ID, and the others that are unfit."""
     initial = {variable.mux: variable.initial_of(0) for variable in dictionary}
-    dependent = tuple(variable for variable in dictionary if variable.adds_node_id or variable.configured_adds_node_id)
+    dependent = tuple(variable for variable in dictionary if variable.depends_on_node_id)
     others = initial.keys() - {variable.mux for variable in dependent}
     unfit = (variable for variable in dictionary if variable.mux in others and not _takes(variable, initial[variable.mux]))
     return initial, dependent, tuple(unfit)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.frame import COB_ID_INVALID, key_of_cob_id
 from canopen_proto.machine import LocalProtocolError
@@ -133,12 +134,20 @@ def use_device_pdo(node: RemoteNode, direction: Direction, number: int) -> Proce
         mapping = Mapping.from_parameters(settings.entries, node.dictionary)
     except MappingError as error:
         raise StrangePdo(f"{direction} {number} of node {node.node_id}: {error}") from error
+    check_rpdo(node, settings)
     key = key_of_cob_id(settings.cob_id)
     if direction is Direction.TPDO:
         yield from act(lambda now: node.add_tpdo(number, key, mapping, now))
     else:
         yield from act(lambda now: node.add_rpdo(number, key, mapping, settings.transmission_type))
     return mapping
+
+
+def check_rpdo(node: RemoteNode, settings: PdoSettings) -> None:
+    """Raise StrangePdo if these settings of a device would have us send an RPDO on the CAN-ID of another service: 0 is NMT."""
+    if settings.direction is Direction.RPDO and check_can_id(settings.cob_id) is not None:
+        text = f"its COB-ID 0x{settings.cob_id:X} has a CAN-ID that no PDO may have; nothing is sent there"
+        raise StrangePdo(f"{settings.direction} {settings.number} of node {node.node_id}: {text}")
 
 
 def _what(step: RemapStep) -> str:

@@ -7,7 +7,8 @@ that are wanted to the device (`configure_pdo`). Then it exchanges the PDO. So a
 `choose_pdos` takes the useful ones: every TPDO that carries something we want to hear, and as few RPDOs as are needed to carry
 our commands. An RPDO also carries all else that is mapped into it; two RPDOs with the same object could contradict each other.
 
-Impossible entries of a file (an object that does not exist, more than 64 bits) are left out: lint reports them.
+Impossible entries of a file (an object that does not exist, more than 64 bits, a COB-ID that no PDO may have) are left out: lint
+reports them.
 
 Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 """
@@ -19,6 +20,7 @@ from dataclasses import replace
 from typing import Final
 
 from canopen_proto.abort import AbortOrigin
+from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, key_of_cob_id
 from canopen_proto.multiplexer import Mux, mapped, mux, split_mux
@@ -43,7 +45,7 @@ def described_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettin
             continue
         cob_id = _initial(dictionary, index, COB_ID, node_id)
         entries = _entries(dictionary, index + 0x200, node_id)
-        if cob_id is not None and not cob_id & COB_ID_INVALID and entries:
+        if cob_id is not None and not cob_id & COB_ID_INVALID and check_can_id(cob_id) is None and entries:
             kind = _initial(dictionary, index, TRANSMISSION_TYPE, node_id) or 0
             settings = PdoSettings(place.number, place.direction, cob_id, kind & 0xFF, entries)
             if _mapping_of(settings, dictionary) is not None:

@@ -17,7 +17,7 @@ from canopen_proto.machine import Time
 from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.mapping import Mapping, MappingError, entries_of
 from canopen_proto.pdo.settings import PdoSettings, place_of
-from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
+from canopen_proto.procedures.configure_pdo import StrangePdo, check_rpdo, read_pdo
 from canopen_proto.procedures.described_pdos import CYCLIC_TYPES, EACH_SYNC, described_pdos, read_commanded
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act
@@ -84,6 +84,7 @@ def _exchange(node: RemoteNode, settings: PdoSettings) -> Procedure[None]:
         mapping = Mapping(entries_of(settings.entries, node.dictionary))
     except MappingError as error:
         raise StrangePdo(f"{settings.direction} {settings.number} of node {node.node_id}: {error}") from error
+    check_rpdo(node, settings)
     key, kind = key_of_cob_id(settings.cob_id), settings.transmission_type
     if settings.direction is Direction.TPDO:
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from canopen_master.planning import Background, Exchange, fits, streams_of
+from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drive.motion_plan import MotionPlan
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
@@ -126,7 +127,8 @@ def _valid_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]
         mapping = mapping_index(place.direction, place.number)
         count = _number(dictionary, mapping, 0, node_id)
         entries = tuple(_number(dictionary, mapping, entry, node_id) for entry in range(1, count + 1))
-        if not cob_id & COB_ID_INVALID and 0 < sum(mapped(entry)[2] for entry in entries) <= MAX_BITS:
+        is_valid = not cob_id & COB_ID_INVALID and check_can_id(cob_id) is None
+        if is_valid and 0 < sum(mapped(entry)[2] for entry in entries) <= MAX_BITS:
             found.append(PdoSettings(place.number, place.direction, cob_id, kind, entries))
     return found
 

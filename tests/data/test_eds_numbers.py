@@ -187,3 +187,29 @@ def test_any_text(text: str, data_type: DataType) -> None:
     assert not adds_node_id or isinstance(value, int)
     if value is not None and not isinstance(value, str):
         encode(value, data_type)
+
+
+COMMENTED = (
+    [(f"{sign}{text}", each) for each in DataType if range_of(each) for text in ("0", "1", "0x1") for sign in ("", "$NODEID+")]
+    + [(f"{text}+$NODEID", DataType.UNSIGNED32) for text in ("0x180", "384")]
+    + [("$NODEID", DataType.UNSIGNED32), ("180h", DataType.UNSIGNED32), ("true", DataType.BOOLEAN), ("1.5", DataType.REAL32)]
+    + [("0x3F800000", DataType.REAL32), ("01 02", DataType.OCTET_STRING), ("0102", DataType.DOMAIN)]
+    + [("0x000000000001", DataType.TIME_OF_DAY)]
+)
+
+
+@given(
+    st.sampled_from(COMMENTED),
+    st.sampled_from([" ; ", ";", "\t; ", " # "]),
+    st.text("a1 ;#$+.x", max_size=8) | st.sampled_from(["$NODEID+0x180", "0x80", "COB-ID (hex)"]),
+)
+def test_a_value_before_a_comment_is_the_value(case: tuple[str, DataType], mark: str, comment: str) -> None:
+    text, data_type = case
+    value, adds_node_id, _, lost = read_value(text, data_type)
+    told = read_value(text + mark + comment, data_type)
+    assert (told[0], told[1], told[3]) == (value, adds_node_id, lost)
+    assert lost or "the comment after it was left out" in told[2]
+
+
+def test_a_text_may_have_a_semicolon() -> None:
+    assert read_value("a ; b # c", DataType.VISIBLE_STRING) == ("a ; b # c", False, "", False)

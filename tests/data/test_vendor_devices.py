@@ -37,7 +37,6 @@ DRIVES = {
 NOTICES = {
     "canopen-sample.eds": 8,  # its PDOs carry objects that it has not
     "canopennode-demo-device.eds": 1,  # a text with a euro sign
-    "cia-301.eds": 4,  # its COB-IDs are prose
     "cia-401.eds": 4,  # nothing is mapped
     "cia-402.eds": 4,
     "inovance-e35.eds": 1,

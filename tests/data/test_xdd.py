@@ -6,7 +6,9 @@ import math
 
 import pytest
 
+from canopen_data.checks import check
 from canopen_data.description import Commissioning, DynamicChannel, FileKind
+from canopen_data.eds import read_eds
 from canopen_data.findings import DictionaryError
 from canopen_data.xdd import read_xdd
 from canopen_proto.datatypes import DataType
@@ -75,7 +77,6 @@ def test_a_value_that_depends_on_the_node_id(text: str) -> None:
         ('dataType="000A" accessType="rw" defaultValue="x"', "value", "error"),
         ('dataType="000C" accessType="rw" defaultValue="00"', "value", "error"),
         ('dataType="0008" accessType="rw" defaultValue="1e39"', "value", "error"),
-        ('dataType="0009" accessType="rw" defaultValue="Ω"', "value", "error"),
         ('dataType="0005" accessType="rw" lowLimit="-1"', "limit", "warning"),
         ('dataType="0005" accessType="rw" highLimit="$NODEID+1"', "limit", "warning"),
         ('dataType="0005" accessType="rx"', "access", "warning"),
@@ -312,3 +313,16 @@ def test_an_odd_value_is_read_with_a_warning() -> None:
     description = read(var('dataType="0007" accessType="rw" defaultValue="0180h"'))
     assert description.dictionary.variable("thing").default == 0x180
     assert told(description) == ["4:103 warning value"]
+
+
+@pytest.mark.parametrize("text", ["Größe", "20 €", "日本", "Ω"])
+def test_a_text_has_one_verdict_in_xdd_and_eds(text: str) -> None:
+    """A VISIBLE_STRING has no character beyond Latin-1; the reader keeps the text, and lint says so of both files."""
+    section = f"[2000]\nParameterName=a\nObjectType=7\nDataType=9\nAccessType=ro\nDefaultValue={text}\nPDOMapping=0\n"
+    both = read(var(f'dataType="0009" accessType="ro" defaultValue="{text}"', "2000")), read_eds(section)
+    codes = []
+    for description in both:
+        assert description.dictionary.variable(0x2000).default == text
+        assert not [each for each in description.findings if each.code == "value"]
+        codes.append([each.code for each in check(description) if each.code.startswith(("text", "default"))])
+    assert codes[0] == codes[1] == ([] if text == "Größe" else ["text-characters"])

@@ -7,7 +7,7 @@ Other forms in devices' files are read if only one meaning is likely, with a rem
 
 - `08` is not octal, so it is read as decimal; `010` is octal, so it is 8, though the author may have meant 10;
 - `0000 0080h` is hexadecimal; its digits may be in groups;
-- text after `#` or `;` in a number is a comment;
+- text after `#` or `;` is a comment, except in a text, which may hold both;
 - a signed number may be written as its two's complement (0xFFFFFFFF is -1); an unsigned one as a negative number (-1);
 - a REAL may be written as its bits: 0x and all its digits (0x3F800000 is 1.0).
 
@@ -37,6 +37,7 @@ _BITS: Final = re.compile(r"0[xX]([0-9A-Fa-f]+)", re.ASCII)
 _NO_DATA: Final = ("0", "0x0", "0x00")
 """Texts that tools write as the default of a DOMAIN, which has no default."""
 _COMMENT: Final = re.compile(r"[#;]")
+_CUT: Final = "the comment after it was left out; a comment has a line of its own"
 
 _LIMITS: Final = {data_type: range_of(data_type) for data_type in DataType}
 _TEXTS: Final = (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
@@ -73,7 +74,7 @@ def read_number(text: str) -> tuple[int | None, str]:
     if cut is not None and cut.start():
         number_before, _ = read_number(bare[: cut.start()].rstrip())
         if number_before is not None:
-            return number_before, "the comment after it was left out; a comment has a line of its own"
+            return number_before, _CUT
     suffixed = _SUFFIXED.fullmatch("".join(bare.split()))
     if suffixed is not None:
         return int(suffixed[1], 16), "a hexadecimal number begins with 0x"
@@ -84,6 +85,10 @@ def read_value(text: str, data_type: DataType) -> Reading:
     """Return a default or configured value of that type. An empty text gives NOTHING."""
     if not text:
         return NOTHING
+    cut = None if data_type in _TEXTS else _COMMENT.search(text)
+    if cut is not None and cut.start():
+        reading = read_value(text[: cut.start()].rstrip(), data_type)
+        return reading if reading[3] else (*reading[:2], _with(text, _CUT), False)
     limits = _LIMITS[data_type]
     if limits is not None:
         return _integer(text, data_type, *limits)
@@ -142,8 +147,8 @@ def _relative(text: str) -> tuple[int | None, str]:
         return (-number if number is not None and behind[0] == "-" else number), remark
     if before[-1:] == "+" and not behind:
         return read_number(before[:-1].strip())
-    if before[-1:] == "+" or behind[:1] in ("#", ";"):
-        return _relative(text[: cut.start()]) if (cut := _COMMENT.search(text)) is not None else (None, "is not a number")
+    if before[-1:] == "+":
+        return None, "is not a number"
     return None, "is neither $NODEID plus a number nor a number plus $NODEID"
 
 

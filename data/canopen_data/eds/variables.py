@@ -249,11 +249,10 @@ class Variables:
 
     def _factor(self, section: Section) -> float:
         text = section.body.values["factor"]
-        try:
-            factor = float(text)
-        except ValueError:
-            factor = 0.0
-        if factor and math.isfinite(factor):
+        factor, _, remark, _ = self._readings_of(DataType.REAL64)[text]
+        if isinstance(factor, float) and factor and math.isfinite(factor):
+            if remark:
+                self._remark(section, "Factor", remark, False)
             return factor
         self.warn(section, "Factor", "number", f"Factor {quoted(text)!r} is not a number other than 0; taken as 1")
         return 1.0

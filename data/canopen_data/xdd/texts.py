@@ -12,7 +12,7 @@ from canopen_data.eds.ini import quoted
 from canopen_data.eds.numbers import read_number, read_value
 from canopen_data.findings import Severity
 from canopen_data.xdd.elements import Element, XddFindings
-from canopen_proto.datatypes import DataType, Value, ValueRangeError, encode, is_number
+from canopen_proto.datatypes import DataType, Value, is_number
 
 HEXADECIMAL: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{1,16})")
 _FLAGS: Final = {"true": True, "1": True, "false": False, "0": False, "": False}
@@ -61,11 +61,6 @@ def value_of(
         text = _TRUTH.get(text.strip().lower(), text)
     is_text = data_type in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING)
     value, adds_node_id, remark, lost = read_value(text if is_text else text.strip(), data_type)
-    if isinstance(value, str):
-        try:
-            encode(value, data_type, "it")
-        except ValueRangeError as error:
-            value, remark, lost = None, f"{error}; left out", True
     if remark:
         findings.about(Severity.ERROR if lost else Severity.WARNING, "value", f"{what}: {remark}", element, attribute)
     return value, adds_node_id
