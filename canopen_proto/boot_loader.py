@@ -111,16 +111,19 @@ class BootLoaderSettings:
     """How the device behaves. Times in ns.
 
     erase_time, program_time: how long the flash is busy after "clear", and after the last byte. boot_time: from a reset to
-    the boot-up. is_deaf: the processor does nothing else while the flash is busy: answers come late, and no heartbeat. jumps:
-    the commands that it executes by a reset without an answer. resets: a start resets the device into its program; else the
-    answer is all. blocks: has block transfer. identify: returns the identification of a program; None: its CRC-32. judge:
-    returns the FlashError of a whole program; None: any but an empty one is right. is_secured: it may not be written. trial:
+    the boot-up. holds_clear: the answer to "clear" comes when the memory is erased, for masters that do not poll 0x1F57 before
+    they write (Lely's); such a master waits 100 ms for an answer, so `erase_time` has to be shorter. is_deaf: the processor does
+    nothing else while the flash is busy: answers come late, and no heartbeat. jumps: the commands that it executes by a reset
+    without an answer. resets: a start resets the device into its program; else the answer is all. blocks: has block transfer.
+    identify: returns the identification of a program; None: its CRC-32. judge: returns the FlashError of a whole program; None:
+    any but an empty one is right. is_secured: it may not be written. trial:
     a new program runs on trial until it is confirmed by 0x80, as with MCUboot. size: of the memory, in bytes.
     """
 
     erase_time: Time = 300 * MILLISECOND
     program_time: Time = 150 * MILLISECOND
     boot_time: Time = 50 * MILLISECOND
+    holds_clear: bool = False
     is_deaf: bool = False
     jumps: Collection[int] = ()
     resets: bool = True
@@ -404,7 +407,7 @@ class BootLoader(LocalNode):
         self.error = FlashError.NONE
         self._be_busy(Slot.ERASED, self.settings.erase_time, now)
         self.inner.events.append(ProgramErased(self.node_id))
-        return PENDING if self.settings.is_deaf else None
+        return PENDING if self.settings.is_deaf or self.settings.holds_clear else None
 
     # ---- the flash ----
 

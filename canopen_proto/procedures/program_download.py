@@ -9,10 +9,12 @@ The steps, in their order; `ProgramStep` has their names, and `LEFT` the state t
     clear       0x1F51 = 3, until 0x1F57 is no longer busy
     write       0x1F50, by block transfer where the device has it, else in segments
     program     until 0x1F57 is no longer busy
-    verify      0x1F56 is the expected identification
+    verify      0x1F56 is the expected identification. Without an expected one, and without 0x1F57, nothing has verified the
+                program: it is not started then, unless the caller allows it
     start       0x1F51 = 1. A boot-up counts as an answer
-    check       until 0x1F51 shows that it runs; 0x1F56 once more, since a boot loader may have gone back to the old program
-    confirm     0x1F51 = 0x80, for devices that want it
+    check       until 0x1F51 shows that it runs; 0x1F56, 0x100A and 0x1018:03 once more, since a boot loader may have gone back to
+                the old program: what they show is compared with what they showed before, and with 0x1F56 after "write"
+    confirm     0x1F51 = 0x80, for devices that want it; then the comparison of "check" again
 
 **After a loss the state is read before a step is repeated**: a step without an answer may have been executed, and its repetition
 would then be refused. SDO cannot resume a transfer. So a broken one begins again with "clear", up to WRITES times; it goes in
@@ -39,7 +41,17 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame_bits import duration, least_bits
 from canopen_proto.machine import SECOND, Event, RequestId, Time
 from canopen_proto.nmt import NmtMaster, NmtState
-from canopen_proto.procedures.program_objects import LEFTOVER_TIME, POLL, NotReached, ProgramFound, ProgramObjects, is_lost
+from canopen_proto.procedures.program_objects import (
+    LEFTOVER_TIME,
+    NOTHING_KNOWN,
+    POLL,
+    TRIES,
+    NotReached,
+    ProgramFound,
+    ProgramIdentity,
+    ProgramObjects,
+    is_lost,
+)
 from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
@@ -58,8 +70,6 @@ from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEGMENT_SIZE
 from canopen_proto.sdo.client import Block
 from canopen_proto.sdo.events import SdoAborted, SdoDownloaded
 
-TRIES: Final = 3
-"""How often a read, or a command without an answer, is sent at most."""
 WRITES: Final = 3
 """How often the data are written at most, each time after a clear."""
 MAX_PROGRAM: Final = 254
@@ -102,6 +112,9 @@ LEFT: Final = {
 }
 """The state that a device is in if the download ends in a step, for people."""
 
+FELL_BACK: Final = "it shows the identification of its old program, and runs"
+NOT_VERIFIED: Final = "not verified: nothing has shown that the new program runs"
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -121,19 +134,24 @@ class Limits:
 class ProgramDownload:
     """The progress of a program download. It may be read while that runs, and after a failure or a cancel.
 
-    size: of the program, in bytes; delivered: how many of them the device has acknowledged. found: what it had. id_after: 0x1F56
-    at the end, None if it cannot be read. writes: how often the data were written. is_needed: False if the device had the
-    program, and ran it. is_done: all went well. remark: something to know then, or "".
+    size: of the program, in bytes; delivered: how many of them the device has acknowledged. found: what it had. id_sent: 0x1F56
+    when all was written, before the start. id_after: 0x1F56 at the end. Both are None if they cannot be read. verified_by: what
+    has shown that the new program runs; "" if nothing has. writes: how often the data were written. is_needed: False if the
+    device had the program, and ran it. is_done: all went well. fell_back: it runs its old program after the start. remark:
+    something to know when it is done, or "".
     """
 
     size: int
     step: ProgramStep = ProgramStep.LOOK
     delivered: int = 0
     found: ProgramFound | None = None
+    id_sent: int | None = None
     id_after: int | None = None
+    verified_by: str = ""
     writes: int = 0
     is_needed: bool = True
     is_done: bool = False
+    fell_back: bool = False
     remark: str = ""
 
     @property
@@ -144,7 +162,7 @@ class ProgramDownload:
     @property
     def left(self) -> str:
         """The state that the device is in if the download ends now, for people."""
-        return LEFT[self.step]
+        return FELL_BACK if self.fell_back else LEFT[self.step]
 
 
 class ProgramDownloadFailed(ProcedureError):
@@ -197,14 +215,17 @@ def download_program(
     program: int = 1,
     expected_id: int | None = None,
     force: bool = False,
+    unverified: bool = False,
     confirm: bool = False,
     limits: Limits | None = None,
 ) -> Procedure[ProgramDownload]:
     """Write a program into a device and start it; see this module's text. Nothing else may use the node's SDO meanwhile.
 
     nmt: the NMT master of the node's network. so_far: takes the progress; a caller that may cancel keeps it. program: its number,
-    1..254. expected_id: the software identification (0x1F56) of the new program; None: it is not compared, so all is written.
-    force: write the program even if the device has it already. confirm: Zephyr with MCUboot starts a new program on trial, and
+    1..254. expected_id: the software identification (0x1F56) of the new program; None: it is not known, so all is written, and
+    only a change can show that the new program runs (`ProgramDownload.verified_by`). force: write the program even if the device
+    has it already. unverified: start it even if it was not verified before: the device has no 0x1F57, and `expected_id` is None.
+    confirm: Zephyr with MCUboot starts a new program on trial, and
     goes back to the old one at the next reset unless 0x80 is written to 0x1F51.
 
     A ProgramProgress follows for each step, and each 100 ms while data are written. At the end the node is Pre-operational.
@@ -212,7 +233,7 @@ def download_program(
     """
     limits = Limits() if limits is None else limits
     so_far = ProgramDownload(len(image)) if so_far is None else so_far
-    flashing = _Flashing(ProgramObjects(node, program), nmt, image, so_far, expected_id, force, confirm, limits)
+    flashing = _Flashing(ProgramObjects(node, program), nmt, image, so_far, expected_id, force, unverified, confirm, limits)
     timeout, heartbeat = node.sdo.timeout, node.heartbeat.timeout
     node.sdo.timeout = max(timeout, limits.answer)
     yield from act(lambda now: node.heartbeat.set_timeout(0, now))
@@ -293,10 +314,13 @@ class _Flashing:
     so_far: ProgramDownload
     expected: int | None
     force: bool
+    unverified: bool
     confirm: bool
     limits: Limits
     block: Block = "auto"
     state: int | None = None  # 0x1F51, as last seen
+    stopped: ProgramIdentity = NOTHING_KNOWN  # what was read after all was written, before the start
+    is_judged: bool = False  # the device has said, in 0x1F57, that the program is right
 
     def run(self) -> Procedure[None]:
         so_far = self.so_far
@@ -307,6 +331,7 @@ class _Flashing:
         so_far.is_needed = not is_there or self.state not in _RUNNING or (self.confirm and self.state == ProgramControl.CONFIRM)
         if not so_far.is_needed:
             so_far.id_after = so_far.id_before
+            so_far.verified_by = self._as_expected()
             self._remark()
             return
         yield from self._begin(ProgramStep.PREPARE)
@@ -321,9 +346,12 @@ class _Flashing:
             yield from self._begin(ProgramStep.START)
             yield from self._command(ProgramControl.START, (*_RUNNING, None))
         yield from self._begin(ProgramStep.CHECK)
-        yield from self._check()
+        self.state = yield from self.objects.control(self.limits.start, (*_RUNNING, None))
+        yield from self._compare()
         if self.confirm and self.state == ProgramControl.CONFIRM:
             yield from self._confirm()
+            yield from self._compare()  # a reset before the confirmation was there has brought the old program back
+        self._remark()
 
     # ---- the steps ----
 
@@ -346,7 +374,8 @@ class _Flashing:
                     break
         self.so_far.delivered = self.so_far.size
         yield from self._begin(ProgramStep.PROGRAM)
-        yield from self._idle((FlashError.NONE,))
+        status = yield from self._idle((FlashError.NONE,))
+        self.is_judged = status is not None
         self.state = ProgramControl.STOP
 
     def _write(self) -> Procedure[None]:
@@ -397,7 +426,8 @@ class _Flashing:
 
     def _verify(self) -> Procedure[None]:
         """Compare the identification before the program is started."""
-        found = yield from self.objects.identification(self.limits.start)
+        self.stopped = yield from self.objects.identity(self.limits.start)
+        self.so_far.id_sent = found = self.stopped.program
         if self.expected is not None and found != self.expected:
             shown = "it shows none" if not found else f"it shows 0x{found:08X}"
             remedy = f"; 0x{found:08X} as the expected one, if that is right: then it is only started" if found else ""
@@ -406,16 +436,41 @@ class _Flashing:
                 f"the right file{remedy}",
                 is_mismatch=True,
             )
+        if self.expected is None and not self.is_judged and not self.unverified:
+            raise self.failed(
+                "not verified: the device has no flash status (0x1F57), and no identification is expected; it was not started",
+                "--expect, with the identification of the new program; or --yes, to start it all the same",
+            )
 
-    def _check(self) -> Procedure[None]:
-        """Wait until the program runs, and see that it is the new one."""
+    def _compare(self) -> Procedure[None]:
+        """See whether the program that runs is the new one; raise if it shows itself as another."""
         so_far = self.so_far
-        self.state = yield from self.objects.control(self.limits.start, (*_RUNNING, None))
-        so_far.id_after = yield from self.objects.identification(self.limits.start)
-        if self.expected is not None and so_far.id_after not in (None, self.expected):
-            old = ", as before: its boot loader has refused the new program" if so_far.id_after == so_far.id_before else ""
-            raise self.failed(f"the program that runs has the identification 0x{so_far.id_after:08X}{old}", is_mismatch=True)
-        self._remark()
+        identity = yield from self.objects.identity(self.limits.start)
+        so_far.id_after, before = identity.program, self._before()
+        is_new = bool(so_far.id_sent) and so_far.id_sent != before.program  # the device has told the sent one from the old one
+        wanted = so_far.id_sent if self.expected is None and is_new else self.expected
+        so_far.verified_by = ""
+        if wanted is not None and identity.program not in (None, wanted):
+            so_far.fell_back = identity.program == before.program
+            old = ", as before: its boot loader has refused the new program" if so_far.fell_back else ""
+            raise self.failed(
+                f"the program that runs has the identification 0x{identity.program:08X}, and not 0x{wanted:08X}{old}",
+                is_mismatch=True,
+            )
+        if identity.program == self.expected is not None:
+            so_far.verified_by = self._as_expected()
+        elif identity.program is not None and identity.program == wanted:
+            so_far.verified_by = f"0x1F56 shows what was written: 0x{wanted:08X}"
+        elif self.state in _RUNNING:
+            so_far.verified_by = before.changed_to(identity, self.stopped)
+
+    def _before(self) -> ProgramIdentity:
+        """Return what told the old program from others; nothing if there was no valid one."""
+        found = self.so_far.found
+        return found.identity if found is not None and found.is_valid else NOTHING_KNOWN
+
+    def _as_expected(self) -> str:
+        return f"0x1F56 is the expected one: 0x{self.expected:08X}"
 
     def _confirm(self) -> Procedure[None]:
         yield from self._begin(ProgramStep.CONFIRM)
@@ -426,8 +481,10 @@ class _Flashing:
     # ---- their parts ----
 
     def _remark(self) -> None:
+        remarks = [] if self.so_far.verified_by else [NOT_VERIFIED]
         if self.state == ProgramControl.CONFIRM and not self.confirm:
-            self.so_far.remark = f"the program runs on trial; {CONFIRM_ADVICE}"
+            remarks.append(f"the program runs on trial; {CONFIRM_ADVICE}")
+        self.so_far.remark = "; ".join(remarks)
 
     def _begin(self, step: ProgramStep) -> Procedure[None]:
         so_far = self.so_far
@@ -467,11 +524,14 @@ class _Flashing:
                 self.state = command
                 return
 
-    def _idle(self, allowed: Collection[int]) -> Procedure[None]:
-        """Wait until the flash is not busy. Raises ProgramDownloadFailed if it stays so, or has an error that is not allowed."""
+    def _idle(self, allowed: Collection[int]) -> Procedure[FlashStatus | None]:
+        """Wait until the flash is not busy; return its status, None if it cannot be read.
+
+        Raises ProgramDownloadFailed if it stays busy, or has an error that is not allowed.
+        """
         status = yield from self.objects.settled(self.limits.busy)
         if status is None:
-            return
+            return None
         if status.is_busy:
             raise self.failed(
                 f"its flash stays busy (0x1F57:{self.objects.program:02X}), for {self.limits.busy / SECOND:g} s now",
@@ -479,6 +539,7 @@ class _Flashing:
             )
         if status.error not in allowed:
             raise self.failed(f"its flash status (0x1F57:{self.objects.program:02X}) is 0x{status.value:08X}: {status.text}")
+        return status
 
     # ---- failures ----
 

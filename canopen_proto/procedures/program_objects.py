@@ -19,6 +19,8 @@ from canopen_proto.remote_node import RemoteNode
 
 POLL: Final = 100 * MILLISECOND
 """Between two looks at a state that is awaited."""
+TRIES: Final = 3
+"""How often a read, or a command without an answer, is sent at most."""
 LEFTOVER_TIME: Final = 2 * SECOND
 """For a flash that is busy at the beginning: some stay so after a broken transfer until they are cleared."""
 _OF_A_LOSS: Final = (
@@ -46,12 +48,45 @@ def is_lost(failed: SdoFailed) -> bool:
     return failed.origin is not AbortOrigin.CANCELLED and failed.abort_code != AbortCode.CANNOT_TRANSFER
 
 
+class ProgramIdentity(NamedTuple):
+    """What tells one program from another. None for an object that the device does not have, or that cannot be read.
+
+    program: 0x1F56, the software identification. version: 0x100A, as bytes. revision: 0x1018:03.
+    """
+
+    program: int | None = None
+    version: bytes | None = None
+    revision: int | None = None
+
+    def changed_to(self, later: ProgramIdentity, stopped: ProgramIdentity) -> str:
+        """Name the first object that shows another program in `later`, for people; "" if none does.
+
+        stopped: what was read in between, with no program running. A version or revision of that time may be the boot loader's
+        own, so it shows nothing. Nor does an object that cannot be read, or an identification of 0, which means "no program".
+        """
+        if self.program and later.program and self.program != later.program:
+            return f"0x1F56 has changed from 0x{self.program:08X} to 0x{later.program:08X}"
+        if None not in (self.version, later.version) and later.version not in (self.version, stopped.version):
+            return "the software version (0x100A) has changed"
+        if None not in (self.revision, later.revision) and later.revision not in (self.revision, stopped.revision):
+            return "the revision number (0x1018:03) has changed"
+        return ""
+
+
+NOTHING_KNOWN: Final = ProgramIdentity()
+
+
 class ProgramFound(NamedTuple):
-    """The state of a device: 0x1F51, 0x1F56, 0x1F57. None for an object that it does not have, or that cannot be read."""
+    """The state of a device: 0x1F51, its identity, 0x1F57. None for an object that it does not have, or that cannot be read."""
 
     control: int | None
-    identification: int | None
+    identity: ProgramIdentity
     status: FlashStatus | None
+
+    @property
+    def identification(self) -> int | None:
+        """0x1F56."""
+        return self.identity.program
 
     @property
     def is_valid(self) -> bool:
@@ -70,7 +105,7 @@ class ProgramObjects:
         """Return what the device has. patience: for each object."""
         status = yield from self.settled(max(LEFTOVER_TIME, patience))
         control = yield from self.control(patience)
-        return ProgramFound(control, (yield from self.identification(patience)), status)
+        return ProgramFound(control, (yield from self.identity(patience)), status)
 
     def control(self, limit: Time, wanted: Collection[int | None] = ()) -> Procedure[int | None]:
         """Return 0x1F51, None if the device does not have it. wanted: wait until it is one of these."""
@@ -80,6 +115,13 @@ class ProgramObjects:
         """Return 0x1F56; None if it cannot be read: without a program some devices refuse."""
         return (yield from self._await(indices.PROGRAM_SOFTWARE, lambda value: True, limit, refusal_is_none=True))
 
+    def identity(self, limit: Time) -> Procedure[ProgramIdentity]:
+        """Return what tells the present program from another."""
+        program = yield from self.identification(limit)
+        version = yield from self._bytes(indices.MANUFACTURER_SOFTWARE_VERSION, 0)
+        revision = yield from self._bytes(indices.IDENTITY_OBJECT, 3)
+        return ProgramIdentity(program, version, None if revision is None else int.from_bytes(revision[:4], "little"))
+
     def settled(self, limit: Time) -> Procedure[FlashStatus | None]:
         """Wait until the flash is not busy; return its status, None if it cannot be read. A flash that is busy at the limit is no
         error here."""
@@ -87,6 +129,16 @@ class ProgramObjects:
             indices.FLASH_STATUS, lambda value: value is None or not value & 1, limit, refusal_is_none=True, anything=True
         )
         return None if value is None else flash_status(value)
+
+    def _bytes(self, index: int, subindex: int) -> Procedure[bytes | None]:
+        """Read an object; None if the device refuses, or does not answer TRIES times: it is only further evidence."""
+        for _ in range(TRIES):
+            try:
+                return (yield from upload(self.node.sdo, index, subindex))
+            except SdoFailed as failed:
+                if not is_lost(failed):
+                    return None
+        return None
 
     def _await(
         self,

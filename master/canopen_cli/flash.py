@@ -25,6 +25,7 @@ from canopen_master.errors import BusError
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.program_download import (
+    CONFIRM_ADVICE,
     MAX_PROGRAM,
     Limits,
     ProgramDownload,
@@ -46,6 +47,9 @@ MAX_IMAGE: Final = 64 << 20
 COLUMNS: Final = (DownloadColumn, TransferSpeedColumn, TimeRemainingColumn)
 BIT_RATES: Final = (1_000_000, 125_000)
 """For the estimate where the bus does not tell its own."""
+UNVERIFIABLE: Final = (
+    "it will be started without being verified: the device has no flash status (1F57), and --expect is not given"
+)
 AGAIN: Final = "the same command again: it finds out what is left to do"
 STATES: Final[dict[int, str]] = {
     ProgramControl.STOP: "stopped",
@@ -90,6 +94,10 @@ class Wanted:
         """Return whether the device has this program already, as far as can be told."""
         return found.is_valid and self.expected is not None and found.identification == self.expected
 
+    def is_unverifiable(self, found: ProgramFound) -> bool:
+        """Return whether nothing can tell, before the start, that the new program is right."""
+        return self.expected is None and found.status is None
+
 
 @click.command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
@@ -122,6 +130,7 @@ def flash(
     The file is written as it is. The device becomes Pre-operational, its old program is erased, and it boots at the end. If
     something fails or is interrupted, the same command again finds out what is left to do. With --expect nothing is written to a
     device that runs this program already (unless --force), and a program that shows another identification is not started.
+    Without it only a change of 1F56, 100A or 1018:03 shows that the new program runs: if none changes, it is "not verified".
 
     \b
     canopen flash 5 firmware.bin --expect 0x12345678 -b can0
@@ -171,7 +180,7 @@ def story(so_far: ProgramDownload) -> list[str]:
     if so_far.found is None:
         return ["nothing was written"]
     if so_far.is_done:
-        return ["the program is written and runs"]
+        return [f"the program is written; {so_far.remark or 'it runs'}"]
     share = f", {so_far.delivered} of {so_far.size} bytes" if 0 < so_far.delivered < so_far.size else ""
     return [f'it was at "{so_far.step}"{share}', f"the device: {so_far.left}", AGAIN]
 
@@ -192,6 +201,7 @@ async def _flash(
         is_there = wanted.is_in(found) and not settings.force
         if not is_there or found.control != ProgramControl.START:
             what = "Start it?" if is_there else "Write it? The old program is erased."
+            what = f"Nothing will verify it. {what}" if wanted.is_unverifiable(found) else what
             if not await questions.may(f"{what} The device boots (a drive stops, or coasts)."):
                 raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was written")
         downloading = download_program(
@@ -202,6 +212,7 @@ async def _flash(
             program=wanted.program,
             expected_id=wanted.expected,
             force=settings.force,
+            unverified=questions.agrees or wanted.is_unverifiable(found),  # asked above
             confirm=wanted.confirm,
             limits=wanted.limits,
         )
@@ -236,6 +247,8 @@ def _show_plan(settings: Settings, screen: Screen, wanted: Wanted, found: Progra
         screen.say("it has this program already")
     else:
         screen.say(f"[dim]{_estimate(settings, len(wanted.image))}[/]")
+    if wanted.is_unverifiable(found):
+        screen.say(f"[yellow]{UNVERIFIABLE}[/]")
 
 
 def _estimate(settings: Settings, size: int) -> str:
@@ -267,9 +280,14 @@ def _show_result(
         ids = f"{_id_text(found.identification)} [bold]→ {_id_text(so_far.id_after)}[/]"
         screen.say(f"{who}: {what}{rewritten}, in {seconds:.1f} s. Identification {ids}")
         screen.say(f"It is Pre-operational: canopen nmt start {wanted.node_id}")
+    if so_far.verified_by:
+        screen.say(f"verified: {so_far.verified_by}")
     if so_far.remark:
         screen.say(f"[yellow]{escape(so_far.remark)}[/]")
-        screen.say(f"Try: canopen flash {wanted.node_id} {escape(str(wanted.path))} --confirm, with the same --expect")
+        options = [] if so_far.verified_by else ["--expect, with the identification of the new program"]
+        options += ["--confirm, with the same --expect"] if CONFIRM_ADVICE in so_far.remark else []
+        for each in options:
+            screen.say(f"Try: canopen flash {wanted.node_id} {escape(str(wanted.path))} {each}")
 
 
 def _id_text(identification: int | None) -> str:
@@ -287,6 +305,8 @@ def _as_json(wanted: Wanted, found: ProgramFound, so_far: ProgramDownload | None
         "before": found.identification,
         "state_before": found.control,
         "after": None if so_far is None else so_far.id_after,
+        "verified": so_far is not None and bool(so_far.verified_by),
+        "verified_by": (so_far.verified_by or None) if so_far is not None else None,
         "written": so_far is not None and so_far.writes > 0,
         "remark": (so_far.remark or None) if so_far is not None else None,
     }

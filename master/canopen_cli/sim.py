@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -13,7 +14,7 @@ import click
 import trio
 
 from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
-from canopen_cli.options import DEMO, FiniteRange, Settings, common
+from canopen_cli.options import DEMO, Duration, FiniteRange, Settings, common
 from canopen_cli.problem import usage
 from canopen_cli.running import run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape, node_text
@@ -21,11 +22,11 @@ from canopen_cli.sim_devices import SHAPES, SimulatedIds, devices_of, machine_of
 from canopen_master.machine_file import MachineFile
 from canopen_master.parameter_keeper import ParameterKeeper
 from canopen_master.plant import PROFILES, DeviceEntry
-from canopen_proto.boot_loader import BootLoader, ProgramErased, ProgramStarted, ProgramWritten
+from canopen_proto.boot_loader import BootLoader, BootLoaderSettings, ProgramErased, ProgramStarted, ProgramWritten
 from canopen_proto.error_codes import error_text
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.lss.slave import LssNodeIdSet
-from canopen_proto.machine import Event
+from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.nmt import NmtStateChanged
 from canopen_proto.programs import FlashStatus
 from canopen_proto.simulated_drive.events import DriveFault, DriveStateChanged
@@ -55,6 +56,12 @@ DEFAULT_IDS: Final = DEMO_NODES
 @click.option("--state", metavar="FILE.json", help="Where what they store (1010) is kept; by default in memory.")
 @click.option("--defaults", is_flag=True, help="Of a DCF: the defaults, not what it has configured.")
 @click.option("--boot-loader", is_flag=True, help="Devices that take a program by `canopen flash`, in place of drives.")
+@click.option(
+    "--hold-clear",
+    is_flag=True,
+    help='Boot loaders answer "clear" (1F51 = 3) when they have erased, for masters that do not poll 1F57.',
+)
+@click.option("--erase-time", type=Duration(MILLISECOND), help="Of boot loaders.  [default: 300ms]")
 @click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
 @common
 @click.pass_obj
@@ -68,6 +75,8 @@ def sim(
     state: str | None,
     defaults: bool,
     boot_loader: bool,
+    hold_clear: bool,
+    erase_time: Time | None,
     seconds: float | None,
 ) -> None:
     """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.
@@ -83,6 +92,7 @@ def sim(
     canopen sim 5=drive.eds 6,7=io.eds --script animate.py -b can0
     canopen sim --id 255,255,255 -b tcp    three drives that wait for their node-IDs: see canopen lss
     canopen sim 5 --boot-loader -b can0    a device that `canopen flash` writes programs into
+    canopen sim 5 --boot-loader --hold-clear --erase-time 50ms -b can0    one for Lely's master
     canopen sim plant.toml
     canopen sim cell.toml                  each device of a machine file, on all of its buses; with -b NAME on that one
     """
@@ -92,6 +102,8 @@ def sim(
         if node_ids:
             raise usage("CO127", "--boot-loader takes node-IDs only", tries=("canopen sim 5 --boot-loader",))
         node_ids, files = SimulatedIds().convert(",".join(files), None, None), ()
+    if (hold_clear or erase_time is not None) and not boot_loader:
+        raise usage("CO127", "--hold-clear and --erase-time are for boot loaders", tries=("the same with --boot-loader",))
     machine = None if node_ids else machine_of(files, settings)
     if machine is not None:
         _serve_machine(settings, screen, machine, state, seconds)
@@ -108,7 +120,9 @@ def sim(
         if plant is None:
             ids = node_ids or DEFAULT_IDS
             if boot_loader:
-                loaders = [partial(BootLoader, node_id=node_id) for node_id in ids]
+                how = BootLoaderSettings(holds_clear=hold_clear)
+                how = how if erase_time is None else replace(how, erase_time=erase_time)
+                loaders = [partial(BootLoader, node_id=node_id, settings=how) for node_id in ids]
                 return counted(len(ids), "boot loader"), simulated_devices({locator: loaders}, tell)
             drives = [(locator, node_id) for node_id in ids]
             fleet = simulated_fleet(drives, SHAPES[shape or "schunk"], tell, keeper=_keeper(state or ""))

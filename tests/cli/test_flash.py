@@ -16,10 +16,13 @@ from canopen_cli import flash, questions, session
 from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_devices
 from canopen_cli.problem import ExitCode
 from canopen_master.errors import BusError
+from canopen_proto.abort import AbortCode
 from canopen_proto.boot_loader import BootDone, BootLoader, BootLoaderSettings, ProgramMemory
+from canopen_proto.indices import FLASH_STATUS
 from canopen_proto.lss.messages import LssConfiguration
 from canopen_proto.machine import MILLISECOND, Outbox
 from canopen_proto.programs import FlashError, ProgramControl
+from canopen_proto.sdo.access import Pending
 from canopen_transports import TransportError
 from canopen_transports.errors import BUS_LOST
 from tests.cli.cli_support import Alarm, Run
@@ -67,6 +70,7 @@ def test_old_and_new_are_shown_and_the_program_is_written(run: Run, world: World
     ]
     assert "about 0.1 s at 1 Mbit/s, 0.4 s at 125 kbit/s" in outcome.err
     assert "3000 bytes written, in" in outcome.err
+    assert f"verified: 0x1F56 is the expected one: 0x{crc32(IMAGE):08X}" in outcome.err
     assert "It is Pre-operational: canopen nmt start 5" in outcome.err
     assert world.memory.program == IMAGE
 
@@ -101,6 +105,34 @@ def test_no_is_no(run: Run, world: World, monkeypatch: pytest.MonkeyPatch) -> No
     assert "Write it? The old program is erased." in outcome.err
     assert (outcome.status, "by you: nothing was written" in outcome.err) == (ExitCode.INTERRUPTED, True)
     assert world.memory.program != IMAGE
+
+
+class WithoutStatus(BootLoader):
+    """It has no flash status, and shows the same identification for ever."""
+
+    identification = 7  # type: ignore[assignment]
+
+    def read(self, index: int, subindex: int, now: int) -> bytes | AbortCode | Pending:
+        return AbortCode.NO_SUCH_OBJECT if index == FLASH_STATUS else super().read(index, subindex, now)
+
+
+def test_what_nothing_verifies_is_told_before_and_after(run: Run, world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    world.settings = BootLoaderSettings(holds_clear=True, erase_time=50 * MILLISECOND, program_time=0)
+    world.make = lambda out: WithoutStatus(out, 5, world.settings, world.memory)  # type: ignore[method-assign]
+    outcome = run("flash", "5", "firmware.bin", "--yes", *DEMO)
+    assert outcome.status == ExitCode.OK
+    assert "it will be started without being verified: the device has no flash status (1F57)" in outcome.err
+    assert "not verified: nothing has shown that the new program runs" in outcome.err
+    assert "Try: canopen flash 5 firmware.bin --expect" in outcome.err
+    document = run("flash", "5", "firmware.bin", "--yes", "--json", *DEMO).json
+    assert (document["verified"], document["verified_by"]) == (False, None)
+
+    async def answer() -> bytes:
+        return b"n\n"
+
+    monkeypatch.setattr(questions, "read_input", answer)
+    monkeypatch.setattr("canopen_cli.flash.is_asked", lambda screen: True)
+    assert "Nothing will verify it. Write it?" in run("flash", "5", "firmware.bin", *DEMO).err
 
 
 def test_ctrl_c_says_in_which_state_the_device_is_and_the_next_command_goes_on(run: Run, world: World, alarm: Alarm) -> None:
@@ -209,4 +241,7 @@ def test_sim_serves_boot_loaders(run: Run, arguments: tuple[str, ...]) -> None:
     assert outcome.json["nodes"] == [5, 6]
     assert "2 boot loaders on virtual:loaders" in outcome.err
     assert f"runs the program 0x{crc32(b'the program of the factory'):08X}" in outcome.err
+    held = run("sim", *arguments, "--hold-clear", "--erase-time", "50ms", "-b", "virtual:loaders", "--seconds", "0.1", "--json")
+    assert held.json["nodes"] == [5, 6]
+    assert "--hold-clear and --erase-time are for boot loaders" in run("sim", "5", "--hold-clear", "-b", "virtual:loaders").err
     assert "CO127" in run("sim", "5", "--id", "6", "--boot-loader", "-b", "virtual:loaders").err

@@ -111,7 +111,7 @@ def test_each_frame_may_get_lost() -> None:
             bench.flash(IMAGE, expected_id=ID)
         assert (bench.memory.program, bench.device.runs) == (IMAGE, True), number
     assert failures == 0
-    assert total == 50
+    assert total == 62
 
 
 @examples(20)
