@@ -99,7 +99,8 @@ class NmtStateReported(Event):
 class HeartbeatLost(Event):
     """No heartbeat came within the consumer time. Reported once; HeartbeatRecovered follows with the next heartbeat.
 
-    state: of the last heartbeat. last_heard: the time of the last frame. timeout: the consumer time, ns.
+    state: of the last heartbeat. last_heard: the time of the last frame; of the begin of the watch, if there was none. timeout:
+    the consumer time, ns.
     """
 
     __slots__ = ("last_heard", "state", "timeout")
@@ -254,13 +255,15 @@ class HeartbeatConsumer(Machine):
     def can_ids(self) -> Iterable[RoutingKey]:
         return (routing_key(ERROR_CONTROL + self.node_id),)
 
-    def set_timeout(self, timeout: Time, now: Time) -> None:
+    def set_timeout(self, timeout: Time, now: Time, *, begun: bool = False) -> None:
         """Set the consumer heartbeat time, in ns: 0 = listen only; else 1 ms or more.
 
-        The watch starts now if a heartbeat came before, else with the first one. A lost node stays lost until its next heartbeat,
-        or until 0 is set. Raises LocalProtocolError for other values. CiA 301 v4.2.0, 7.5.2.19
+        The watch starts now if a heartbeat came before, else with the first one. begun: it starts now in any case, since the node
+        is known to send heartbeats (its 0x1017). A lost node stays lost until its next heartbeat, or until 0 is set. Raises
+        LocalProtocolError for other values. CiA 301 v4.2.0, 7.5.2.19
         """
         self.timeout = _check_time("the consumer heartbeat time", timeout)
+        self._begun = self._begun or (begun and timeout > 0)
         if timeout == 0:
             self.lost = False
             self._arm(NEVER)
@@ -314,7 +317,7 @@ class HeartbeatConsumer(Machine):
         if now < self.deadline:
             return
         self._arm(NEVER)
-        assert self.last_heard is not None  # the deadline is armed by frames, or after one
-        self.out.events.append(HeartbeatLost(self.node_id, self.state, self.last_heard, self.timeout))
+        last_heard = now - self.timeout if self.last_heard is None else self.last_heard
+        self.out.events.append(HeartbeatLost(self.node_id, self.state, last_heard, self.timeout))
         self.lost = True
         self.state = None

@@ -51,13 +51,24 @@ class EventsDropped(Event):
         self.count = count
 
 
+class OutageChanged(Event):
+    """The driver has said that frames pass no longer, or again. outage: why they do not; "" if they do."""
+
+    __slots__ = ("outage",)
+    __match_args__ = ("node_id", "outage")
+
+    def __init__(self, node_id: int, outage: str) -> None:
+        self.node_id = node_id
+        self.outage = outage
+
+
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Network:
     """All machines of one participant on one bus."""
 
     __slots__ = (
-        "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_near", "_now", "_reactions", "_routes",
-        "_settled", "_tasks", "_times", "out", "runner",
+        "_back_at", "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_near", "_now", "_reactions",
+        "_routes", "_settled", "_tasks", "_times", "out", "runner",
     )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
@@ -68,6 +79,7 @@ class Network:
         self._near, self._routes, self._heap = self._members.near, self._members.receivers, self._members.heap
         self._followers: dict[Machine, Follower] = {}
         self._now: Time = -NEVER  # the last time seen; a clock may begin anywhere
+        self._back_at: Time = -NEVER
         self._dropped = 0
         self._settled = 0
         self._reactions: dict[type[Event], Reaction] = {
@@ -76,6 +88,7 @@ class Network:
             NmtCommandSent: self._on_nmt_command,
             SdoAborted: self._on_sdo_aborted,
             FrameIgnored: self._on_ignored,
+            OutageChanged: self._on_outage,
         }
         self._knowledge = BusKnowledge()
         self._times, self._frames = self._knowledge.times, self._knowledge.frames  # as near as can be: written for each frame
@@ -149,12 +162,26 @@ class Network:
 
     @property
     def outage(self) -> str:
-        """Why no frames pass at present, in words such as "can0 is bus-off"; "" while the bus works. The driver sets it."""
+        """Why no frames pass at present, in words such as "can0 is bus-off"; "" while the bus works. The driver sets it.
+
+        Event: OutageChanged, when it begins and when it ends.
+        """
         return self._knowledge.outage
 
     @outage.setter
     def outage(self, outage: str) -> None:
+        has_changed = bool(outage) is not bool(self._knowledge.outage)
         self._knowledge.outage = outage
+        if has_changed:
+            self.out.events.append(OutageChanged(0, outage))
+
+    @property
+    def back_at(self) -> Time:
+        """When the last outage ended. A node that was silent before may only not have been heard."""
+        return self._back_at
+
+    def _on_outage(self, event: Event, now: Time) -> None:
+        self._back_at = now
 
     def heard(self, node_id: int) -> NodeHeard:
         """Return what was last heard of a node (1..127, else LocalProtocolError), whether a machine wanted it or not."""

@@ -7,6 +7,7 @@ from typing import Final
 from fuzz.mutant import Mutant
 
 ONE: Final = ("tests/proto/test_boot_node.py",)
+SUPERVISED: Final = ("tests/proto/test_supervised.py",)
 ALL: Final = ("tests/proto/test_boot_network.py", "tests/proto/test_boot_moments.py")
 ANY_FAULT: Final = ("tests/proto/test_boot_twenty.py",)
 
@@ -18,6 +19,63 @@ _COMMANDS: Final = "boot/commands.py"
 BOOT_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        # ---- who is supervised ----
+        (
+            "own_heartbeat_unwatched",
+            _NODE,
+            "    if timeout:\n        node.heartbeat.set_timeout(timeout, now, begun=True)\n",
+            "",
+            "a node whose heartbeat only its own 0x1017 tells is not watched",
+            SUPERVISED,
+        ),
+        (
+            "watched_from_its_first_heartbeat",
+            _NODE,
+            "set_timeout(timeout, now, begun=True)",
+            "set_timeout(timeout, now)",
+            "a node that dies before its first heartbeat is not missed",
+            SUPERVISED,
+        ),
+        (
+            "later_heartbeat_unwatched",
+            _NETWORK,
+            "                if learns and isinstance(event, HeartbeatReceived):",
+            "                if False:",
+            "a heartbeat that begins later is not watched",
+            SUPERVISED,
+        ),
+        (
+            "measured_by_the_shortest",
+            _NETWORK,
+            "longest = max(",
+            "longest = min(",
+            "a heartbeat that an adapter held back makes a node lost",
+            SUPERVISED,
+        ),
+        (
+            "unsupervised_unnamed",
+            _NETWORK,
+            "if member.is_ready and not member.is_supervised)",
+            "if False)",
+            "nobody says whose loss is not noticed",
+            SUPERVISED,
+        ),
+        (
+            "outage_is_a_loss",
+            _NETWORK,
+            "        return member.is_lost and member.may_be_unheard(",
+            "        return False and member.may_be_unheard(",
+            "nodes are lost, and reset, because an adapter was unplugged",
+            SUPERVISED,
+        ),
+        (
+            "lost_in_an_outage_for_ever",
+            _MEMBER,
+            "            heartbeat.set_timeout(timeout, now, begun=True)",
+            "            pass",
+            "nobody is missed any more after an outage",
+            SUPERVISED,
+        ),
         # ---- one node ----
         (
             "any_identity",

@@ -25,6 +25,10 @@ from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MICROSECOND, MILLISECOND, LocalProtocolError, Time, check_node_id
 from canopen_proto.multiplexer import mux
 
+CONSUMER_FACTOR: Final = 3
+"""A node is lost after so many heartbeats that did not come."""
+MAX_HEARTBEAT: Final = 0xFFFF * MILLISECOND
+"""The longest time in 0x1016 and 0x1017."""
 ALL_NODE_IDS: Final = range(1, MAX_NODE_ID + 1)
 NMT_INHIBIT_TIME: Final = 0x102A
 PAUSE_UNIT: Final = 100 * MICROSECOND
@@ -38,7 +42,8 @@ class BootEntry:
     """A node, as the master knows it.
 
     device_type, vendor, product, revision, serial: what 0x1000 and 0x1018:01 to :04 have to be; None: any. consumer_time: ns
-    within which its heartbeats have to come; 0: no heartbeat is watched. restore_subindex: of its 0x1011; 0: none.
+    within which its heartbeats have to come; 0: none has to come. learns: heartbeats that it sends all the same are watched, for
+    CONSUMER_FACTOR times its 0x1017. restore_subindex: of its 0x1011; 0: none.
 
     configuration: what is written to it, in this order. date: days since 1984-01-01 and ms after midnight of this configuration;
     a node that shows it in 0x1020 is not configured again; None: it is configured each time, as is a node without 0x1020. After
@@ -63,6 +68,7 @@ class BootEntry:
     software: int | None = None
     save: bool = False
     software_date: tuple[int, int] | None = None
+    learns: bool = True
 
     def __post_init__(self) -> None:
         """Raises LocalProtocolError for numbers that no node can have."""

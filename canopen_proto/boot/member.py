@@ -12,8 +12,9 @@ from canopen_proto.remote_node import RemoteNode
 class Member:
     """A node of the network. outcome: of its last boot-up. boots: the node's count of boot-ups that were seen to.
 
-    started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. reset: how it is
-    reset when it is heard again.
+    started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. watched_since: when
+    it last got its full time again, after an outage of the bus. beats: when its heartbeats came, while they are not watched yet.
+    reset: how it is reset when it is heard again. is_missed: it was lost, and has not booted since.
     """
 
     def __init__(self, entry: BootEntry, node: RemoteNode) -> None:
@@ -24,10 +25,13 @@ class Member:
         self.reset = NmtCommand.RESET_COMMUNICATION
         self.started_at: Time = -NEVER
         self.absent_since: Time = NEVER
+        self.watched_since: Time = -NEVER
+        self.beats: list[Time] = []
         self.is_booting = False
         self.is_running = False
         self.is_requested = False
         self.is_suspended = False
+        self.is_missed = False
 
     def take_start(self, now: Time) -> None:
         """Take note of a start command."""
@@ -42,6 +46,28 @@ class Member:
     def is_lost(self) -> bool:
         """Whether it shows no sign of life since a good boot-up."""
         return self.is_good and (self.node.heartbeat.lost or self.node.guarding.lost)
+
+    @property
+    def is_supervised(self) -> bool:
+        """Whether its loss would be noticed: its heartbeats are watched, or it is guarded."""
+        return bool(self.node.heartbeat.timeout or self.node.guarding.guard_time)
+
+    def may_be_unheard(self, outage: str, back_at: Time) -> bool:
+        """Return whether it was lost while the bus was away (`outage`), or before it could show itself since (`back_at`)."""
+        return bool(outage) or max(self.node.heartbeat.last_heard or -NEVER, self.watched_since) < back_at
+
+    def watch_again(self, now: Time) -> None:
+        """Give it its full time again to show itself."""
+        self.watched_since = now
+        heartbeat, guarding = self.node.heartbeat, self.node.guarding
+        timeout, guard_time = heartbeat.timeout, guarding.guard_time
+        if timeout:
+            heartbeat.set_timeout(0, now)
+            heartbeat.set_timeout(timeout, now, begun=True)
+        if guard_time:
+            life_time_factor = guarding.life_time // guard_time
+            self.node.stop_guarding()
+            self.node.start_guarding(guard_time, life_time_factor, now)
 
     @property
     def is_gone(self) -> bool:

@@ -16,6 +16,13 @@ not booted again. The command to all nodes (bit 1) is sent only if each listed n
 ready ones are started one by one. A node that is kept alive is reset only if it is not Operational. A node that boots just when
 it is started runs without its settings until its boot-up is heard; then it is reset.
 
+**Watched is whoever sends heartbeats.** A node without a consumer time and without guarding is watched by the time in its 0x1017.
+A node that begins to send heartbeats later is watched from then on (`NodeSupervised`): by its 0x1017, or, if it does not answer,
+by the longest of the first intervals. `BootReport.unsupervised` names the nodes whose loss nobody would notice.
+
+**A bus above its nodes.** While the driver says that no frames pass (`Network.outage`), no node is lost, and nothing is reset or
+stopped for it. Once the bus is back, each node has its full time again.
+
 Each loss has one reaction: while a node is lost or boots, nobody waits for its heartbeats. The host may `suspend` a node while it
 gets a program.
 
@@ -26,27 +33,33 @@ lost node that is kept alive, and it sends the command to all nodes though one h
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import pairwise
 from typing import Final
 
+from canopen_proto import indices
 from canopen_proto.boot.commands import NmtCommands
-from canopen_proto.boot.entry import NetworkEntry
+from canopen_proto.boot.entry import CONSUMER_FACTOR, MAX_HEARTBEAT, NetworkEntry
 from canopen_proto.boot.member import Member
-from canopen_proto.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node
+from canopen_proto.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node, watch_by
 from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, Event, LocalProtocolError, Time
-from canopen_proto.network import Network
+from canopen_proto.network import Network, OutageChanged
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
-from canopen_proto.procedures.steps import Procedure, Wait, act, all_of, current_time
+from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, all_of, current_time, upload
 from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
 
 ROUNDS: Final = 3
 """How often `start` boots a node that boots again while others are not ready yet."""
 
 
+MEASURED: Final = 3
+"""Intervals of heartbeats from which a period is taken that the node does not tell: an adapter may hold single frames back."""
+LEAST_MEASURED: Final = 100 * MILLISECOND
+"""The shortest consumer time that is taken from measured intervals."""
 LOOK: Final = 100 * MILLISECOND
 """Between two looks whether the others have booted."""
 
@@ -85,6 +98,17 @@ class NetworkStarted(Event):
         self.running = running
 
 
+class NodeSupervised(Event):
+    """The heartbeats of a node that nobody watched are watched from now on. timeout: its consumer time, ns."""
+
+    __slots__ = ("timeout",)
+    __match_args__ = ("node_id", "timeout")
+
+    def __init__(self, node_id: int, timeout: Time) -> None:
+        self.node_id = node_id
+        self.timeout = timeout
+
+
 class _BootRequested(Event):
     """The host wants a node to be booted again."""
 
@@ -104,7 +128,9 @@ class BootReport:
     """How the start of a network went.
 
     outcomes: by node-ID, as far as there are. missing: the mandatory nodes that are not ready. running: the nodes that were
-    started, or left running, and are still as they were then. gone: those that were ready, and are lost or have booted again.
+    started, or left running, and are still as they were then, as far as is known. gone: those that were ready, and are lost or
+    have booted again. unsupervised: those that are ready, and whose loss nobody would notice: they send no heartbeat, and are not
+    guarded.
     elapsed: ns.
     """
 
@@ -113,6 +139,7 @@ class BootReport:
     running: tuple[int, ...]
     gone: tuple[int, ...]
     elapsed: Time
+    unsupervised: tuple[int, ...] = ()
 
     @property
     def is_started(self) -> bool:
@@ -179,13 +206,19 @@ class NetworkBoot:
     def report(self, now: Time) -> BootReport:
         """Return how it went so far, at any time."""
         members = self._members.items()
+        gone = {node_id for node_id, member in members if member.is_missed or (member.is_gone and not self._is_unheard(member))}
         return BootReport(
             {node_id: member.outcome for node_id, member in members if member.outcome is not None},
             tuple(node_id for node_id, member in members if member.entry.assignment.is_mandatory and not member.is_ready),
-            tuple(node_id for node_id, member in members if member.is_running and not member.is_gone),
-            tuple(node_id for node_id, member in members if member.is_gone),
+            tuple(node_id for node_id, member in members if member.is_running and node_id not in gone),
+            tuple(sorted(gone)),
             now - self._begun,
+            tuple(node_id for node_id, member in members if member.is_ready and not member.is_supervised),
         )
+
+    def _is_unheard(self, member: Member) -> bool:
+        """Return whether a lost node may be there: its bus is, or was, away."""
+        return member.is_lost and member.may_be_unheard(self.network.outage, self.network.back_at)
 
     def suspend(self, node_id: int, now: Time) -> None:
         """Leave a node alone until `boot_again`: something is done to it, such as a program download, that looks like a loss.
@@ -283,7 +316,9 @@ class NetworkBoot:
             return
         while any(each.outcome is None and not each.is_suspended for each in self._members.values()):
             if member.is_lost:
-                raise _LostAtStart
+                if not self._is_unheard(member):
+                    raise _LostAtStart
+                yield from self._await_bus(member)
             yield Wait(LOOK, member.node, _is_of(member), _TROUBLE)
 
     def _await_boot_up(self, member: Member) -> Procedure[None]:
@@ -308,7 +343,9 @@ class NetworkBoot:
             )
         finally:
             member.is_booting = False
-        member.outcome, member.boots = outcome, member.node.boots
+        if outcome.is_failure and self.network.outage:
+            outcome = replace(outcome, remark=self.network.outage)
+        member.outcome, member.boots, member.beats, member.is_missed = outcome, member.node.boots, [], False
         member.is_running = outcome.letter is BootLetter.RUNNING
         heard = member.node.heartbeat.last_heard
         member.absent_since = since if outcome.letter in _OF_ABSENT and (heard is None or heard < since) else NEVER
@@ -391,7 +428,9 @@ class NetworkBoot:
     def _watch(self, member: Member) -> Procedure[None]:
         """Look after one node, for ever."""
         while True:
-            if member.is_suspended:
+            if self.network.outage or self._is_unheard(member):
+                yield from self._await_bus(member)
+            elif member.is_suspended:
                 yield Wait(None, member.node, _is_of(member), (_BootRequested,))
             elif member.is_requested:
                 yield from self._reset_and_boot(member)
@@ -402,8 +441,37 @@ class NetworkBoot:
             elif member.has_come_back:
                 yield from self._reset_and_boot(member)
             else:
-                sign_of_life = (HeartbeatReceived,) if member.absent_since < NEVER else ()
-                yield Wait(None, member.node, _is_of(member), (*_TROUBLE, *sign_of_life))
+                learns = member.is_good and not member.is_supervised and member.entry.learns
+                sign_of_life = (HeartbeatReceived,) if learns or member.absent_since < NEVER else ()
+                event = yield Wait(None, member.node, _is_of_or_outage(member), (*_TROUBLE, OutageChanged, *sign_of_life))
+                if learns and isinstance(event, HeartbeatReceived):
+                    yield from self._learn(member)
+
+    def _await_bus(self, member: Member) -> Procedure[None]:
+        """Wait while no frames pass; then give a node its full time again."""
+        while self.network.outage:
+            yield Wait(None, member.node, _is_outage, (OutageChanged,))
+        yield from act(member.watch_again)
+
+    def _learn(self, member: Member) -> Procedure[None]:
+        """Watch a node that has begun to send heartbeats, as soon as its period is known."""
+        node = member.node
+        member.beats.append((yield from current_time()))
+        timeout: Time = 0
+        if len(member.beats) == 1:
+            try:
+                period = yield from upload(node.sdo, indices.PRODUCER_HEARTBEAT_TIME, 0)
+            except (SdoFailed, LocalProtocolError):  # it does not say, or other requests fill its queue: then it is measured
+                period = b""
+            if member.is_ready:
+                timeout = yield from act(lambda now: watch_by(node, period, now))
+        elif len(member.beats) > MEASURED:
+            longest = max(after - before for before, after in pairwise(member.beats))
+            timeout = min(max(CONSUMER_FACTOR * longest, LEAST_MEASURED), MAX_HEARTBEAT)
+            yield from act(lambda now: node.heartbeat.set_timeout(timeout, now))
+        if timeout:
+            member.beats.clear()
+            yield from act(lambda now: node.out.events.append(NodeSupervised(node.node_id, timeout)))
 
     def _on_boot_up(self, member: Member) -> Procedure[None]:
         """Boot a node that has booted. If a start command has passed its boot-up, it runs without its settings: it is reset."""
@@ -435,6 +503,7 @@ class NetworkBoot:
     def _take_loss(self, member: Member, lost: NodeLost, now: Time) -> None:
         member.node.heartbeat.set_timeout(0, now)  # guarding goes on: only so a node that is connected again is heard
         member.boots, member.outcome, member.is_running, member.absent_since = member.node.boots, None, False, now
+        member.is_missed = True
         member.node.out.events.append(lost)
 
     def _watch_nobody(self, now: Time) -> None:
@@ -454,6 +523,15 @@ class NetworkBoot:
                 return
             yield from self._await_boot_up(member)
         yield from self._boot(member, since)
+
+
+def _is_outage(event: Event) -> bool:
+    return isinstance(event, OutageChanged)
+
+
+def _is_of_or_outage(member: Member) -> Callable[[Event], bool]:
+    node_id = member.node.node_id
+    return lambda event: event.node_id == node_id or isinstance(event, OutageChanged)
 
 
 def _is_of(member: Member) -> Callable[[Event], bool]:

@@ -8,7 +8,8 @@
                       only error control follows (outcome L); else it is reset, and its boot-up awaited
     software          G, H, I   0x1F56:01 against the expected one (older: 0x1F52); an update, if allowed, then all again
     configuration     J   unless 0x1020 shows the expected date: restore the defaults, write, store
-    error control     K   one heartbeat within the consumer time, or one answer to guarding; from then on the node is watched
+    error control     K   one heartbeat within the consumer time, or one answer to guarding; from then on the node is watched.
+                      Without a consumer time and guarding, 0x1017 is read: a node that sends heartbeats is watched by that time
 
 Nothing is sent to start the node: that is decided for the whole network (network_boot.py).
 
@@ -30,7 +31,7 @@ from typing import Final, TypeAlias
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.boot.commands import NmtCommands
-from canopen_proto.boot.entry import BootEntry
+from canopen_proto.boot.entry import CONSUMER_FACTOR, MAX_HEARTBEAT, BootEntry
 from canopen_proto.boot.outcome import BootLetter, BootOutcome, BootStep, Shown
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time
@@ -57,6 +58,8 @@ MAX_RESTARTS: Final = 3
 """How often a node may boot in the middle of its boot-up: a node that resets over and over has to be reported."""
 RESTORE_COMMUNICATION: Final = 2
 """Subindex of 0x1011: only communication parameters are restored, so that a reset of the communication is enough."""
+PERIOD_SIZE: Final = 2
+"""Bytes of 0x1017."""
 MAX_NUMBER: Final = 8
 """Bytes of the longest answer that is taken for a number."""
 
@@ -101,6 +104,18 @@ def boot_node(
     """
     boot = _NodeBoot(node, commands, entry, times, until, update, configure)
     return (yield from boot.run())
+
+
+def watch_by(node: RemoteNode, period: bytes, now: Time) -> Time:
+    """Watch the heartbeats of a node by its producer heartbeat time (0x1017, as it was read), from now on.
+
+    Returns the consumer time, ns; 0: it sends none. The node is known to send them, so the first one is awaited too.
+    """
+    known = int.from_bytes(period, "little") * MILLISECOND if len(period) == PERIOD_SIZE else 0
+    timeout = min(CONSUMER_FACTOR * known, MAX_HEARTBEAT)
+    if timeout:
+        node.heartbeat.set_timeout(timeout, now, begun=True)
+    return timeout
 
 
 class _Ended(Exception):
@@ -335,6 +350,12 @@ class _NodeBoot:
                 yield from act(self._stop_watching)
                 waited = f"no answer to guarding came within its life time of {life_time / MILLISECOND:g} ms"
                 raise _Ended(BootLetter.NO_ERROR_CONTROL, remark=waited)
+        elif entry.learns:
+            try:
+                period = yield from self._read(indices.PRODUCER_HEARTBEAT_TIME, 0, BootLetter.NO_ERROR_CONTROL)
+            except _Ended:  # it has none, or does not say so
+                return
+            yield from act(lambda now: watch_by(self.node, period, now))
 
     # ---- parts of the steps ----
 

@@ -21,12 +21,14 @@ from canopen_master.machine_file.boot_entries import BusNetwork
 from canopen_master.network_booting import network_boot
 from canopen_master.plain_text import json_text
 from canopen_master.subscription import Subscription
-from canopen_proto.boot.network_boot import BootReport, NetworkBoot, NetworkStarted, NodeLost
+from canopen_proto.boot.network_boot import BootReport, NetworkBoot, NetworkStarted, NodeLost, NodeSupervised
 from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.machine import SECOND, Event
+from canopen_proto.network import OutageChanged
 from canopen_proto.procedures.steps import Procedure, all_of
 
 COLUMNS: Final = ("bus", "node", "name", "result", "meaning", "seconds", "state")
+_TOLD: Final = (BootEnded, NetworkStarted, NodeLost, NodeSupervised, OutageChanged)
 SILENT: Final = (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING, BootLetter.NO_ERROR_CONTROL)
 """Results of nodes that do not answer, or fall silent."""
 _NEXT: Final = {
@@ -53,14 +55,20 @@ class Booted:
         """Tell the state of each node, for an interruption."""
         if not self.boots:
             return ["nothing was sent"]
-        states: dict[str, list[str]] = {"running": [], "ready, not started": [], "failed": [], GONE: [], UNFINISHED: []}
+        states: dict[str, list[str]] = {
+            "running": [], UNWATCHED: [], "ready, not started": [], "failed": [], GONE: [], UNFINISHED: [],
+        }  # fmt: skip
+        away = []
         for network in self.chosen.networks:
-            report = self.report(network)
+            report, outage = self.report(network), self.boots[network.bus].network.outage
+            if outage:
+                away.append(f"{outage}: what its nodes do is not known; before that:")
             for node_id in network.names:
                 states[_state(report, node_id)].append(self.chosen.place(network, node_id))
-        return [f"{state}: {', '.join(names)}" for state, names in states.items() if names]
+        return [*away, *(f"{state}: {', '.join(names)}" for state, names in states.items() if names)]
 
 
+UNWATCHED: Final = "was started, and is not supervised, so whether it still runs is not known"
 GONE: Final = "was ready, and is lost or has booted again"
 UNFINISHED: Final = "not finished: reset, perhaps configured, or its program written, in part; not started"
 
@@ -68,7 +76,7 @@ UNFINISHED: Final = "not finished: reset, perhaps configured, or its program wri
 def _state(report: BootReport, node_id: int) -> str:
     outcome = report.outcomes.get(node_id)
     if node_id in report.running:
-        return "running"
+        return UNWATCHED if node_id in report.unsupervised else "running"
     if node_id in report.gone:
         return GONE
     if outcome is None:
@@ -133,6 +141,10 @@ def watch(settings: Settings, file: Path | None, yes: bool) -> None:
             tries=("canopen net watch, once it is back",),
             node=lost[0].node_id,
         )
+    if any(booted.report(network).missing for network in booted.chosen.networks if network.bus in booted.boots):
+        problem = _problem_of(booted)
+        assert problem is not None  # a mandatory node is missing
+        raise problem
 
 
 def _confirm(screen: Screen, chosen: ChosenNetwork, yes: bool) -> None:
@@ -155,7 +167,7 @@ async def _opened(
             heard: list[tuple[BusNetwork, Subscription[Any]]] = []
             for network in chosen.networks:
                 booted.boots[network.bus] = network_boot(opened.master, chosen.machine, network, chosen.dictionaries)
-                events = opened.master.events(BootEnded, NetworkStarted, NodeLost, bus=network.bus)
+                events = opened.master.events(*_TOLD, bus=network.bus)
                 heard.append((network, events))
                 nursery.start_soon(_tell_all, network, events, tell)
             yield opened
@@ -197,11 +209,27 @@ async def _watch(settings: Settings, screen: Screen, booted: Booted, lost: list[
         problem = _problem_of(booted)
         if problem is not None:
             screen.say(f"[yellow]{escape(problem.failed)}; going on: they are booted when they come[/]")
+        _tell_unsupervised(settings, screen, booted)
 
         def supervised(each: NetworkBoot) -> Procedure[None]:
             lost.append((yield from each.supervise()))  # at once: other buses go on
 
         await opened.master.run(all_of(*(supervised(each) for each in booted.boots.values())))
+
+
+def _tell_unsupervised(settings: Settings, screen: Screen, booted: Booted) -> None:
+    """Say at the start which nodes nobody would miss."""
+    for network in booted.chosen.networks:
+        nodes = booted.report(network).unsupervised
+        if nodes and settings.json:
+            document = {"event": "unsupervised", "bus": network.bus, "nodes": list(nodes)}
+            screen.out.out(json_text(document), highlight=False)
+        elif nodes:
+            names = ", ".join(booted.chosen.place(network, node_id) for node_id in nodes)
+            screen.say(
+                f"[yellow]not supervised: {escape(names)}. No heartbeat and no guarding: a loss is not noticed. "
+                'Try: heartbeat = "500ms" in the machine file[/]'
+            )
 
 
 def _line(chosen: ChosenNetwork, network: BusNetwork, outcome: BootOutcome) -> str:
@@ -214,6 +242,12 @@ def _event_text(chosen: ChosenNetwork, network: BusNetwork, event: Event) -> str
             return _line(chosen, network, outcome)
         case NodeLost(node_id=node_id, reaction=reaction):
             return f"{chosen.place(network, node_id)}: node {node_id} is lost; {reaction}"
+        case NodeSupervised(node_id=node_id, timeout=timeout):
+            return f"{chosen.place(network, node_id)}: its heartbeats are watched from now on ({timeout / SECOND:g} s)"
+        case OutageChanged(outage=outage):
+            if outage:
+                return f"{outage}. No node is taken for lost meanwhile"
+            return f"{network.bus}: the bus is back; each node has its full time again"
         case NetworkStarted(running=running):
             return f"{network.bus}: all mandatory nodes are ready; running: {', '.join(map(str, running)) or 'none'}"
     return repr(event)
@@ -225,6 +259,10 @@ def _event_as_json(event: Event) -> dict[str, Any]:
             return {"event": "booted", **_as_json(outcome)}
         case NodeLost(node_id=node_id, reaction=reaction):
             return {"event": "lost", "node": node_id, "reaction": reaction.value}
+        case NodeSupervised(node_id=node_id, timeout=timeout):
+            return {"event": "supervised", "node": node_id, "consumer_time": timeout / SECOND}
+        case OutageChanged(outage=outage):
+            return {"event": "outage" if outage else "back", "reason": outage or None}
         case NetworkStarted(running=running):
             return {"event": "started", "running": list(running)}
     return {"event": repr(event)}

@@ -18,6 +18,7 @@ from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.running import run
 from canopen_cli.scan import find_nodes
 from canopen_cli.screen import Screen, counted, escape
+from canopen_cli.session import open_session
 from canopen_data import DataError
 from canopen_data.describing import identified
 from canopen_data.descriptions import SUFFIXES, load_description
@@ -26,9 +27,15 @@ from canopen_master.machine_file import BootSettings, BusEntry, MachineFile, Nod
 from canopen_master.machine_file.from_chains import bus_name
 from canopen_master.plant import DeviceEntry
 from canopen_proto import indices
+from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.scan import ALL_NODE_IDS, LISTEN, NodeFound
+from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of, upload
 
 COLUMNS: Final = ("node", "name", "device", "vendor-ID", "product code", "file")
+
+
+HEARTBEAT: Final = 500 * MILLISECOND
+"""For a node that can send heartbeats, and sends none."""
 
 
 class DeviceFile(NamedTuple):
@@ -52,7 +59,8 @@ def init(settings: Settings, output: str, folder: Path | None, serials: bool, no
     """Write a machine file of the nodes that a scan finds.
 
     Each node is in the network list, and mandatory: edit what is not so. Its identity is that of its file, else the one that it
-    shows. Nothing is written to the nodes.
+    shows. Its heartbeat is the one that it sends, else 500 ms, so that `net watch` notices its loss. Nothing is written to the
+    nodes.
 
     \b
     canopen net init -o cell.toml -b can0
@@ -64,17 +72,40 @@ def init(settings: Settings, output: str, folder: Path | None, serials: bool, no
     files = list(_files(screen, folder, settings.eds))
     named = {node_id: path for node_id, path in map(split_file, settings.eds) if node_id is not None}
     settings.eds = ()  # they are for the new file; the scan needs none
-    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, node_ids or tuple(ALL_NODE_IDS), LISTEN))
+    found, remark, periods = run(settings, screen, lambda: _find(settings, screen, node_ids or tuple(ALL_NODE_IDS)))
     found = [node for node in found if node_ids is None or node.node_id in node_ids]
     if not found:
         raise Problem(ExitCode.NO_ANSWER, "CO201", "no node was found; nothing was written", seen=remark.strip(" .;"))
     locator = DEMO_LOCATOR if bus == DEMO else bus
     name = settings.chosen.bus or bus_name(locator)
     chosen = {node.node_id: named.get(node.node_id) or _file_of(screen, node, files) for node in found}
-    nodes = {f"node{node.node_id}": _entry(node, name, _beside(chosen[node.node_id], output), serials=serials) for node in found}
+    nodes = {
+        f"node{node.node_id}": _entry(
+            node, name, _beside(chosen[node.node_id], output), periods.get(node.node_id), serials=serials
+        )
+        for node in found
+    }
     machine = MachineFile({name: BusEntry(name, locator)}, nodes)
     write_file(output, machine_text(machine).encode())
-    _show(settings, screen, found, chosen, output)
+    _show(settings, screen, found, chosen, periods, output)
+
+
+async def _find(settings: Settings, screen: Screen, node_ids: tuple[int, ...]) -> tuple[list[NodeFound], str, dict[int, Time]]:
+    """Scan the bus; return the nodes, what else was heard, and with which heartbeat each node that can send one will send it."""
+    found, remark = await find_nodes(settings, screen, node_ids, LISTEN)
+    periods: dict[int, Time] = {}
+    if any(node.device_type is not None for node in found):
+        async with open_session(settings, screen) as session:
+
+            def look(node_id: int) -> Procedure[None]:
+                try:
+                    data = yield from upload(session.node(node_id).remote.sdo, indices.PRODUCER_HEARTBEAT_TIME)
+                except SdoFailed:  # it cannot send one, or does not say so
+                    return
+                periods[node_id] = int.from_bytes(data[:2], "little") * MILLISECOND or HEARTBEAT
+
+            await session.master.run(all_of(*(look(node.node_id) for node in found if node.device_type is not None)))
+    return found, remark, periods
 
 
 def _files(screen: Screen, folder: Path | None, given: Sequence[str]) -> Iterator[DeviceFile]:
@@ -116,18 +147,33 @@ def _beside(path: str, output: str) -> str:
     return os.path.relpath(path, Path(output).parent) if path and Path(path).exists() else path
 
 
-def _entry(node: NodeFound, bus: str, file: str, *, serials: bool) -> NodeEntry:
+def _entry(node: NodeFound, bus: str, file: str, period: Time | None, *, serials: bool) -> NodeEntry:
     vendor, product, _, serial = node.identity
     own: dict[str, Any] = {} if file else {"device_type": node.device_type, "vendor": vendor, "product": product}
     if serials:
         own["serial"] = serial
-    boot = BootSettings(mandatory=True, **{key: value for key, value in own.items() if value})
+    boot = BootSettings(mandatory=True, heartbeat=period, **{key: value for key, value in own.items() if value})
     return NodeEntry(f"node{node.node_id}", bus, DeviceEntry(file, (node.node_id,)), boot)
 
 
-def _show(settings: Settings, screen: Screen, found: Sequence[NodeFound], chosen: Mapping[int, str], output: str) -> None:
+def _show(
+    settings: Settings,
+    screen: Screen,
+    found: Sequence[NodeFound],
+    chosen: Mapping[int, str],
+    periods: Mapping[int, Time],
+    output: str,
+) -> None:
     if settings.json:
-        nodes = [{"node": node.node_id, "name": f"node{node.node_id}", "file": chosen[node.node_id] or None} for node in found]
+        nodes = [
+            {
+                "node": node.node_id,
+                "name": f"node{node.node_id}",
+                "file": chosen[node.node_id] or None,
+                "heartbeat_ms": _ms(periods.get(node.node_id)),
+            }
+            for node in found
+        ]
         screen.json({"file": output, "nodes": nodes})
         return
     rows = []
@@ -140,5 +186,15 @@ def _show(settings: Settings, screen: Screen, found: Sequence[NodeFound], chosen
     for node in found:
         if node.device_type is None:
             screen.say(f"[yellow]node {node.node_id} was only heard: {escape(node.remark)}[/]")
+    silent = [str(node.node_id) for node in found if node.device_type is not None and node.node_id not in periods]
+    if silent:
+        screen.say(
+            f"[yellow]no heartbeat for node {', '.join(silent)}: it does not show 0x1017. Its loss is noticed only with "
+            "guard_time in the machine file[/]"
+        )
     screen.say(f"{escape(output)}: {counted(len(found), 'node')}, all in the network list and mandatory")
     screen.say(f"next: canopen net check {escape(output)}")
+
+
+def _ms(time: Time | None) -> float | None:
+    return None if time is None else time / MILLISECOND

@@ -123,10 +123,7 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
         time, what = heard.time, heard.service.value
     age = now - time
     is_lost = node.heartbeat.lost and what == HeardService.HEARTBEAT.value
-    if age <= ALIVE and not is_lost:
-        text = f"node {heard.node_id} is alive: {what} {_ago(age)}"
-    else:
-        text = f"{'its heartbeat is lost, ' if is_lost else ''}last heard {_ago(age)} ({what})"
+    text = f"{'its heartbeat is lost, ' if is_lost else ''}node {heard.node_id} was last heard {_ago(age)} ({what})"
     state = _state(heard, node)
     if state is not None:
         text += f", NMT state {state.name}"

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 import trio
 
-from canopen_cli import net_support
+from canopen_cli import net_boot, net_support
 from canopen_cli.app import CLOSED_PIPE
 from canopen_cli.fleet import Fleet, simulated_devices
 from canopen_cli.problem import ExitCode
@@ -24,10 +24,13 @@ from canopen_data.description import Commissioning
 from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import write_eds
 from canopen_master.machine_file import BootSettings, read_machine
+from canopen_master.network_booting import network_boot
 from canopen_master.simulation import DeviceMaker
+from canopen_proto.boot.network_boot import NetworkBoot
 from canopen_proto.boot_loader import BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_proto.datatypes import Value
 from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand
 from canopen_transports.log_files import LogReader
@@ -297,6 +300,59 @@ def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
     assert '"event": "lost", "node": 4, "reaction": "it was reset"' in outcome.out
 
 
+def test_watch_watches_the_heartbeats_that_nodes_send_of_their_own_and_names_the_others(run: Run, rung: Alarm) -> None:
+    async def silence(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        fleet.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+
+    rung.task = silence
+    rung.set((4, signal.SIGINT))
+    text = CELL.replace(', heartbeat = "100ms"', "").replace("mandatory = false", 'mandatory = false, heartbeat = "0ms"')
+    Path("cell.toml").write_text(text)
+    outcome = run("net", "watch", "cell.toml", "--yes", *DEMO)
+    assert "right: node 4 is lost; it was reset" in outcome.out
+    assert "not supervised: lamp. No heartbeat and no guarding: a loss is not noticed" in " ".join(outcome.err.split())
+    assert "running: left, right\n" in outcome.err
+    assert "was started, and is not supervised, so whether it still runs is not known: lamp" in " ".join(outcome.err.split())
+    rung.set((1, signal.SIGINT))
+    rung.task = None
+    outcome = run("net", "watch", "cell.toml", "--yes", "--json", *DEMO)
+    assert '{"event": "unsupervised", "bus": "can0", "nodes": [9]}' in outcome.out
+
+
+@pytest.mark.parametrize("returns", [True, False])
+def test_watch_tells_of_the_bus_and_not_of_its_nodes_while_it_is_away(
+    run: Run, rung: Alarm, monkeypatch: pytest.MonkeyPatch, returns: bool
+) -> None:
+    boots: list[NetworkBoot] = []
+
+    def kept(*arguments: Any) -> NetworkBoot:
+        boots.append(network_boot(*arguments))
+        return boots[-1]
+
+    async def unplug(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        boots[-1].network.outage = "can0 is down: unplugged"
+        for node_id in (3, 4):
+            fleet.change(node_id, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+        await trio.sleep(2)
+        if returns:
+            for node_id in (3, 4):
+                fleet.change(node_id, lambda drive, now: drive.set_value(0x1017, 0, 100, now))
+            boots[-1].network.outage = ""
+
+    monkeypatch.setattr(net_boot, "network_boot", kept)
+    rung.task = unplug
+    rung.set((6, signal.SIGINT))
+    outcome = run("net", "watch", cell(), "--yes", *DEMO, *TRACE)
+    told = [line.strip().split("  ", 1)[1] for line in outcome.out.splitlines() if "booted" not in line and "ready" not in line]
+    assert told == ["can0 is down: unplugged. No node is taken for lost meanwhile"] + returns * [
+        "can0: the bus is back; each node has its full time again"
+    ]
+    assert len(sent().nmt) == 4  # the reset of all, and three starts
+    assert ("what its nodes do is not known" in outcome.err) is not returns
+
+
 def test_watch_that_is_interrupted_says_what_is_half_done(run: Run, rung: Alarm) -> None:
     rung.set((0.06, signal.SIGINT))
     outcome = run("net", "watch", cell(), "--yes", *DEMO)
@@ -346,7 +402,9 @@ def test_init_writes_what_a_scan_finds(run: Run) -> None:
     assert outcome.status == ExitCode.OK
     machine = read_machine("new.toml")
     assert [node.node_id for node in machine.nodes.values()] == [3, 4, 5, 6, 7, 8]
-    assert machine.nodes["node4"].boot == BootSettings(mandatory=True, device_type=0x20192, vendor=0x332, product=0x43, serial=2)
+    assert machine.nodes["node4"].boot == BootSettings(
+        mandatory=True, device_type=0x20192, vendor=0x332, product=0x43, serial=2, heartbeat=500 * MILLISECOND
+    )
     assert "vendor = 0x00000332\n" in Path("new.toml").read_text()
     assert run("net", "check", "new.toml", *DEMO).status == ExitCode.OK
     assert "CO135" in run("net", "init", "-o", "new.toml", *DEMO).err
@@ -360,10 +418,10 @@ def test_init_takes_the_file_with_the_identity(run: Run) -> None:
     Path("eds/other.eds").write_text(write_eds(description))
     Path("eds/broken.eds").write_text("nothing")
     outcome = run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "3", "-e", "3=sample_drive.eds", *DEMO, "--json")
-    assert outcome.json["nodes"] == [{"node": 3, "name": "node3", "file": "sample_drive.eds"}]
+    assert outcome.json["nodes"] == [{"node": 3, "name": "node3", "file": "sample_drive.eds", "heartbeat_ms": 500}]
     run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "4", *DEMO, "--force")
     node = read_machine("new.toml").nodes["node4"]
-    assert (node.device.file, node.boot) == ("eds/own.dcf", BootSettings(mandatory=True))
+    assert (node.device.file, node.boot) == ("eds/own.dcf", BootSettings(mandatory=True, heartbeat=500 * MILLISECOND))
 
 
 # ---- mistakes ----

@@ -129,7 +129,7 @@ async def test_a_stopped_node_does_not_answer_and_the_error_says_so() -> None:
         await node.wait_for_heartbeat(1)
         with pytest.raises(SdoTimeout) as caught:
             await node.read("statusword")
-        assert "node 12 is alive: heartbeat" in caught.value.seen
+        assert "node 12 was last heard" in caught.value.seen
         assert "NMT state STOPPED" in caught.value.seen
         assert caught.value.tries == ("canopen nmt preop 12",)
 
@@ -142,7 +142,7 @@ async def test_a_node_that_is_alive_and_does_not_answer_this() -> None:
         host.nodes[0].sdo.disable()
         with pytest.raises(SdoTimeout) as caught:
             await node.read("statusword")
-        assert "node 12 is alive: SDO answer 500 ms ago" in caught.value.seen
+        assert "node 12 was last heard 500 ms ago (SDO answer)" in caught.value.seen
         assert caught.value.tries == ("a longer sdo_timeout",)
 
 

@@ -82,7 +82,7 @@ async def test_an_error_about_silence_tells_that_the_bus_is_away() -> None:
 
 def test_stopped() -> None:
     known = hearing("705#04").sdo()
-    assert known.seen == "node 5 is alive: heartbeat 120 ms ago, NMT state STOPPED"
+    assert known.seen == "node 5 was last heard 120 ms ago (heartbeat), NMT state STOPPED"
     assert known.cause == "Stopped: no SDO in that state"
     assert known.tries == ("canopen nmt preop 5",)
 
@@ -104,7 +104,7 @@ def test_stopped_by_ourselves() -> None:
 
 def test_just_booted() -> None:
     known = hearing("705#00").sdo()
-    assert "boot-up 120 ms ago, NMT state PRE_OPERATIONAL" in known.seen
+    assert "last heard 120 ms ago (boot-up), NMT state PRE_OPERATIONAL" in known.seen
     assert known.cause == "it has just started, and is not ready yet"
 
 
@@ -158,7 +158,7 @@ def test_the_state_has_an_age_of_its_own() -> None:
     desk.hear("705#05", 3 * SECOND)
     desk.hear("085#1023810000000000", 150 * MILLISECOND)
     seen = desk.sdo().seen
-    assert seen.startswith("node 5 is alive: emergency 150 ms ago, NMT state OPERATIONAL 3 s ago; emergency 0x2310 (")
+    assert seen.startswith("node 5 was last heard 150 ms ago (emergency), NMT state OPERATIONAL 3 s ago; emergency 0x2310 (")
     desk.hear("085#0000000000000000", 100 * MILLISECOND)
     assert "0x2310" not in desk.sdo().seen
 
@@ -168,7 +168,7 @@ def test_a_node_that_was_heard_long_ago(ago: Time, text: str) -> None:
     desk = Desk()
     desk.hear("705#05", ago)
     known = desk.sdo()
-    assert known.seen.startswith(f"last heard {text} (heartbeat)")
+    assert known.seen.startswith(f"node 5 was last heard {text} (heartbeat)")
     assert "power is off" in known.cause
     assert SCAN in known.tries
 
@@ -176,9 +176,9 @@ def test_a_node_that_was_heard_long_ago(ago: Time, text: str) -> None:
 def test_its_own_pdos_are_a_sign_of_life_whatever_their_cob_id() -> None:
     desk = Desk()
     desk.node.heard_at[0x604100] = NOW - 20 * MILLISECOND
-    assert desk.sdo().seen == "node 5 is alive: PDO 20 ms ago"
+    assert desk.sdo().seen == "node 5 was last heard 20 ms ago (PDO)"
     desk.hear("705#05")
-    assert desk.sdo().seen.startswith("node 5 is alive: PDO 20 ms ago, NMT state OPERATIONAL 120 ms ago")
+    assert desk.sdo().seen.startswith("node 5 was last heard 20 ms ago (PDO), NMT state OPERATIONAL 120 ms ago")
 
 
 # ---- a node that is silent ----
@@ -213,14 +213,14 @@ def test_a_lost_heartbeat_is_no_sign_of_life() -> None:
     desk.network.handle_timeout(NOW)
     known = desk.sdo()
     assert "alive" not in known.seen
-    assert known.seen.startswith("its heartbeat is lost, last heard 1.2 s ago (heartbeat)")
+    assert known.seen.startswith("its heartbeat is lost, node 5 was last heard 1.2 s ago (heartbeat)")
     assert known.cause.startswith("its power is off or its cable loose by now")
     desk.hear("705#05", 0)
-    assert desk.sdo().seen.startswith("node 5 is alive")
+    assert desk.sdo().seen.startswith("node 5 was last heard")
 
 
 @pytest.mark.parametrize(
-    ("age", "seen"), [(1900, "node 5 is alive: heartbeat 1.9 s ago"), (3000, "last heard 3 s ago (heartbeat)")]
+    ("age", "seen"), [(1900, "node 5 was last heard 1.9 s ago (heartbeat)"), (3000, "node 5 was last heard 3 s ago (heartbeat)")]
 )
 def test_a_frame_of_seconds_ago_is_no_sign_of_life(age: int, seen: str) -> None:
     desk = Desk()
@@ -274,7 +274,7 @@ def test_another_client_gets_no_answer_either() -> None:
 def test_missing_pdos(frames: tuple[str, ...], cause: str, tries: tuple[str, ...]) -> None:
     known = hearing(*frames).pdo()
     assert (known.cause, known.tries) == (cause, tries)
-    assert known.seen.startswith("node 5 is alive")
+    assert known.seen.startswith("node 5 was last heard")
 
 
 def test_missing_pdos_of_nobody() -> None:

@@ -176,7 +176,7 @@ def test_the_exchange_of_a_good_boot_up() -> None:
             {},
             BOOTS,
             {"save": True, "configuration": (), "consumer_time": 0},
-            [*IDENTITY_READ, "606#2310100173617665", "586#6010100100000000"],
+            [*IDENTITY_READ, "606#2310100173617665", "586#6010100100000000", "606#4017100000000000", "586#4B17100000000000"],
         ),
     ],
 )

@@ -87,7 +87,7 @@ def test_nineteen_do_not_wait_for_a_twentieth_that_is_away() -> None:
 
 
 def test_twenty_nodes_take_the_time_of_one() -> None:
-    """Devices that need 1 ms for each answer: seven requests to each, all nodes side by side."""
+    """Devices that need 1 ms for each answer: eight requests to each, all nodes side by side."""
     bench = BootBench(TWENTY, together=True)
     for node in bench.nodes.values():
         node.answer_delay, node.boot_delay = MILLISECOND, 0
@@ -96,8 +96,8 @@ def test_twenty_nodes_take_the_time_of_one() -> None:
     assert report.is_started
     requests = [frame for _, frame in bench.bus.sent if 0x600 < frame.can_id < 0x680]
     one_by_one = len(requests) * (MILLISECOND + ROUND_TRIP)
-    assert len(requests) == 7 * 20
-    assert one_by_one == 168 * MILLISECOND
+    assert len(requests) == 8 * 20
+    assert one_by_one == 192 * MILLISECOND
     assert bench.bus.now - begun == one_by_one // 20 + ROUND_TRIP, "the reset and the boot-ups beside them"
 
 

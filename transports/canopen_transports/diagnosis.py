@@ -209,7 +209,7 @@ def not_a_can_interface(locator: Locator) -> TransportError:
 
 def interface_down(locator: Locator) -> TransportError:
     """Return the error for a SocketCAN interface that is DOWN. (The kernel still lets a socket be bound to it.)"""
-    cause = "nobody has brought it up since it was plugged in; the kernel keeps the bit rate, a program cannot set it"
+    cause = "it was not brought up yet, or somebody took it down; the kernel keeps the bit rate, a program cannot set it"
     return _not_opened(locator, f"{locator.channel} is there, but it is DOWN", cause, (bring_up(locator),))
 
 

@@ -26,7 +26,7 @@ from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.model import MachineFile, NodeEntry
 from canopen_proto import indices
 from canopen_proto.boot.assignment import Assignment, Startup
-from canopen_proto.boot.entry import BootEntry, NetworkEntry
+from canopen_proto.boot.entry import CONSUMER_FACTOR, BootEntry, NetworkEntry
 from canopen_proto.dictionary.concise import ConciseError, from_concise, pack_concise
 from canopen_proto.dictionary.download_order import Write, download_order, settings_of
 from canopen_proto.dictionary.roles import Role, roles_in
@@ -35,8 +35,6 @@ from canopen_proto.multiplexer import mux_text, split_mux
 
 CONCISE: Final = (".cdcf", ".bin")
 """Endings of concise DCFs; dcfgen writes `.bin`."""
-CONSUMER_FACTOR: Final = 3
-"""A node is lost after three heartbeats that did not come."""
 _DAYS: Final = 1 << 15
 _MILLISECONDS_A_DAY: Final = 86_400_000
 
@@ -144,6 +142,7 @@ class _Entry:
             date=stamp_of(writes) if boot.store else None,
             software=boot.software or None,
             save=boot.store,
+            learns=boot.heartbeat_timeout != 0,
         )
 
     def _assignment(self) -> Assignment:
