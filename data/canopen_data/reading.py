@@ -17,13 +17,15 @@ _BEFORE_XML: Final = b"\xef\xbb\xbf\xff\xfe\x00 \t\r\n"
 """Byte order marks, white space, and the zeros between them in UTF-16."""
 
 
-def read_description(data: bytes, source: str = "", *, strict: bool = False, encoding: str = "") -> DeviceDescription:
+def read_description(
+    data: bytes, source: str = "", *, strict: bool = False, encoding: str = "", connected: tuple[int, ...] = ()
+) -> DeviceDescription:
     """Read a device description of any kind. source: the file's name, for findings. encoding: of an EDS or DCF (XML names its
-    own), "" = guess it.
+    own), "" = guess it. connected: the module in each slot of a modular device, instead of the file's own; only for EDS and DCF.
 
     Never raises for faulty content: the description's findings hold everything wrong with it. With strict, raises the first error
     as a DictionaryError.
     """
     if data.lstrip(_BEFORE_XML).startswith(b"<"):
         return read_xdd(data, source, strict=strict)
-    return read_eds(data, source, strict=strict, encoding=encoding)
+    return read_eds(data, source, strict=strict, encoding=encoding, connected=connected)

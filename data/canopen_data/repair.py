@@ -32,6 +32,7 @@ from canopen_data.eds.writer_sections import OBJECT_LISTS, Entries, Sections, se
 from canopen_data.findings import Finding, Severity
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, is_integer
+from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.objects import Access, Variable
 from canopen_proto.machine import LocalProtocolError
 
@@ -62,12 +63,12 @@ def repair(description: DeviceDescription) -> Repaired:
     document = description.document
     if not isinstance(document, EdsDocument):
         raise LocalProtocolError(f"only an EDS or a DCF can be repaired, no {description.kind}")
-    wanted = _with_right_lists(description)
+    wanted = _with_right_lists(_with_sections(description))
     goal = sections_of(wanted)
     work = _Repairs(description)
     text = document.text
     shorter = work.without_duplicates(document)
-    if shorter != text and sections_of(read_eds(shorter)) == sections_of(description):
+    if shorter != text and sections_of(_with_sections(read_eds(shorter))) == sections_of(_with_sections(description)):
         text = shorter
         again = read_eds(text).document
         assert isinstance(again, EdsDocument)
@@ -76,12 +77,23 @@ def repair(description: DeviceDescription) -> Repaired:
         work.repairs.clear()
     before, after = work.changes(document, goal)
     changed = changed_text(document, before, after) if before != after else text
-    if sections_of(read_eds(changed)) == goal:
+    if sections_of(_with_sections(read_eds(changed))) == goal:
         text = changed
     else:
         work.repairs[:] = [each for each in work.repairs if each.code == "duplicate-section"]
     work.encoding()
     return Repaired(text, tuple(sorted(work.repairs, key=lambda each: each.line)), read_eds(text, description.source))
+
+
+def _with_sections(description: DeviceDescription) -> DeviceDescription:
+    """Return the description without the objects that have no section: no list is to name what CompactPDO or a module makes."""
+    dictionary = description.dictionary
+    made = [index for index in dictionary.objects if description.place_of(index) == (0, 0)]
+    if not made:
+        return description
+    listed = {*description.mandatory, *description.optional, *description.manufacturer}
+    kept = [each for index, each in dictionary.objects.items() if index not in made or index in listed]
+    return replace(description, dictionary=ObjectDictionary(kept, source=dictionary.source))
 
 
 def _with_right_lists(description: DeviceDescription) -> DeviceDescription:

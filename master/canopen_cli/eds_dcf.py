@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -25,6 +25,9 @@ from canopen_proto.multiplexer import index_of, subindex_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 Setting = tuple[Variable, Value]
+MAX_MODULE: Final = 0xFFFF
+MAX_TRIES: Final = 5
+"""Modules that an error lists."""
 
 
 def _settings(command: F) -> F:
@@ -44,6 +47,7 @@ def _settings(command: F) -> F:
 @_settings
 @click.option("--bitrate", type=click.Choice([str(each) for each in BIT_RATES]), help="kbit/s.")
 @click.option("--name", "node_name", help="What the device is called in its network.")
+@click.option("--modules", metavar="N,...", help="Modular device: the number of the module in each slot; 0 for an empty one.")
 @common
 @click.pass_obj
 def to_dcf(
@@ -54,16 +58,23 @@ def to_dcf(
     output: str,
     bitrate: str | None,
     node_name: str | None,
+    modules: str | None,
 ) -> None:
     """Make a DCF: this device, with this node-ID and these settings.
 
     \b
     canopen eds to-dcf drive.eds --id 5 --bitrate 500 --set 1017=200 -o axis5.dcf
+    canopen eds to-dcf coupler.eds --id 6 --modules 1,1,4 -o coupler6.dcf
     """
     screen = settings.screen()
     check_new_file(settings, screen, output, path)
-    file = open_description(path, settings.encoding)
+    slots = _slots(modules)
+    file = open_description(path, settings.encoding, slots)
     description = file.description
+    known = {each.number: each.product_name for each in description.modules}
+    if unknown := sorted({each for each in slots if each} - known.keys()):
+        tries = tuple(f"{number}: {name}" for number, name in known.items()) or ("leave out --modules",)
+        raise usage("CO001", f"{path} describes no module {unknown[0]}", tries=tries[:MAX_TRIES])
     commissioning = _commissioned(description, node_id, path)
     if bitrate is not None:
         commissioning = replace(commissioning, bit_rate=int(bitrate))
@@ -121,6 +132,14 @@ def to_cdcf(settings: Settings, path: str, node_id: int | None, assignments: tup
     if not order.writes:
         screen.say("[yellow]nothing is configured[/]: name settings with --set, or take a DCF with ParameterValue entries")
     screen.say(f"{escape(output)}: {counted(len(order.writes), 'write')}, {len(data)} bytes")
+
+
+def _slots(text: str | None) -> tuple[int, ...]:
+    """Return the numbers of --modules."""
+    parts = [] if text is None else [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and int(part) <= MAX_MODULE for part in parts):
+        raise usage("CO001", f"--modules {text}: it is a list of numbers", tries=("--modules 1,1,4",))
+    return tuple(map(int, parts))
 
 
 def _commissioned(description: DeviceDescription, node_id: int | None, path: str) -> Commissioning:

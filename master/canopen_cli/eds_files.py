@@ -40,8 +40,8 @@ def lines_of(text: str) -> list[str]:
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 
-def open_description(path: str, encoding: str = "") -> DescriptionFile:
-    """Read a file, however many faults it has. encoding: of its text, "" for a guess.
+def open_description(path: str, encoding: str = "", connected: tuple[int, ...] = ()) -> DescriptionFile:
+    """Read a file, however many faults it has. encoding: of its text, "" for a guess. connected: see `read_description`.
 
     Raises Problem (exit status 6) if nothing can be read.
     """
@@ -49,7 +49,7 @@ def open_description(path: str, encoding: str = "") -> DescriptionFile:
         data = read_file(path)
     except DataError as error:
         raise Problem(ExitCode.BAD_FILE, error.code, error.failed, tries=error.tries) from error
-    description = read_description(data, path, encoding=encoding)
+    description = read_description(data, path, encoding=encoding, connected=connected)
     if not description.dictionary.objects:
         first = next((each for each in description.findings if each.severity is Severity.ERROR), None)
         seen = f"{len(data)} bytes"

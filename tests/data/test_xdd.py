@@ -326,3 +326,8 @@ def test_a_text_has_one_verdict_in_xdd_and_eds(text: str) -> None:
         assert not [each for each in description.findings if each.code == "value"]
         codes.append([each.code for each in check(description) if each.code.startswith(("text", "default"))])
     assert codes[0] == codes[1] == ([] if text == "Größe" else ["text-characters"])
+
+
+def test_that_modules_are_not_read_is_told() -> None:
+    text = xdd(var('dataType="0005" accessType="rw"')).replace(b"<CANopenObjectList", b"<moduleManagement/><CANopenObjectList", 1)
+    assert [each.code for each in read_xdd(text).findings] == ["modules"]

@@ -188,6 +188,10 @@ def descriptions(draw: st.DrawFn, kind: FileKind | None = None) -> DeviceDescrip
     dcf = (kind or draw(st.sampled_from([FileKind.EDS, FileKind.DCF]))) is FileKind.DCF
     plain = describe(draw(dictionaries(dcf)))
     count = draw(st.integers(0, 2))
+    described = [draw(modules(number)) for number in range(1, count + 1)]
+    connected = tuple(draw(st.lists(st.integers(1, 2), max_size=3))) if dcf and count == 2 else ()
+    if connected:  # what they would add to the dictionary: tests/data/test_eds_modules.py
+        described = [replace(each, sub_extensions={}) for each in described]
     info = draw(FILE_INFOS)
     if not dcf:
         info = replace(info, last_eds="")
@@ -202,7 +206,7 @@ def descriptions(draw: st.DrawFn, kind: FileKind | None = None) -> DeviceDescrip
         mandatory=plain.mandatory,
         optional=plain.optional,
         manufacturer=plain.manufacturer,
-        modules=tuple(draw(modules(number)) for number in range(1, count + 1)),
-        connected_modules=tuple(draw(st.lists(st.integers(1, 2), max_size=3))) if dcf and count else (),
+        modules=tuple(described),
+        connected_modules=connected,
         dynamic_channels=tuple(draw(st.lists(CHANNELS, max_size=2))),
     )

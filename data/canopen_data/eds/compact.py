@@ -65,7 +65,7 @@ class Compact:
             message = f"CompactSubObj is {count}; there are {MAX_SUBINDEX} subindices"
             self._variables.warn(section, "CompactSubObj", "count", message)
             count = MAX_SUBINDEX
-        if not self._may_make(count + 1, section.line):
+        if not self.may_make(count + 1, section.line):
             return own
         like = self._variables.read(section, index, 1)
         first = Variable(index, 0, _COUNT, DataType.UNSIGNED8, Access.RO, default=count)
@@ -108,14 +108,15 @@ class Compact:
         )
         for index, cob_base, count, what in bases:
             for number in range(min(count or 0, MAX_PDOS)):
-                if index + number not in known and self._may_make(2 + len(_COMMUNICATION), 0):
+                if index + number not in known and self.may_make(2 + len(_COMMUNICATION), 0):
                     cob_id = cob_base + 0x100 * number if number < 4 else _INVALID
                     name = f"{what} {number + 1} communication parameter"
                     yield _communication(index + number, name, cob_id, number < 4, info.compact_pdo)
-                if index + 0x200 + number not in known and self._may_make(1 + MAPPED, 0):
+                if index + 0x200 + number not in known and self.may_make(1 + MAPPED, 0):
                     yield _mapping(index + 0x200 + number, f"{what} {number + 1} mapping parameter")
 
-    def _may_make(self, count: int, line: int) -> bool:
+    def may_make(self, count: int, line: int) -> bool:
+        """Return whether so many more variables may be made, and count them. The first time that they may not is an error."""
         self._made += count
         if self._made <= MAX_MADE:
             return True

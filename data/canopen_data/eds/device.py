@@ -35,7 +35,7 @@ _COMMENT: Final = re.compile(r"line([0-9]{1,6})", re.ASCII)
 _DUMMY: Final = re.compile(r"dummy([0-9a-f]{4})", re.ASCII)
 _RANGE: Final = re.compile(r"\s*([^-]+?)\s*-\s*([^-]+?)\s*")
 _MODULE: Final = re.compile(r"m([0-9]{1,6})moduleinfo", re.ASCII)
-_EXTENSION: Final = re.compile(r"m([0-9]{1,6})subext([0-9a-f]{4})", re.ASCII)
+_EXTENSION: Final = re.compile(r"m([0-9]{1,6})subext([0-9a-f]{1,4})", re.ASCII)
 
 
 class Fields:
@@ -207,13 +207,19 @@ def modules(document: EdsDocument, findings: Findings) -> tuple[Module, ...]:
     if section is not None and told is not None and told != len(numbers):
         message = f"NrOfEntries is {told}, but there are {len(numbers)} modules"
         Fields(section, findings).warn("count", message, "NrOfEntries")
-    extensions: dict[int, dict[int, Section]] = {}
-    for name, extension in document.named.items():
-        if found := _EXTENSION.fullmatch(name):
-            extensions.setdefault(int(found[1]), {})[int(found[2], 16)] = extension
+    extensions = module_extensions(document)
     if len(numbers) > MAX_MODULES:
         findings.add(Severity.ERROR, "too-long", f"there are {len(numbers)} modules; only the first {MAX_MODULES} were read")
     return tuple(_module(number, document, extensions.get(number, {}), findings) for number in numbers[:MAX_MODULES])
+
+
+def module_extensions(document: EdsDocument) -> dict[int, dict[int, Section]]:
+    """Return the sections [MxSubExt6000], by module and index."""
+    extensions: dict[int, dict[int, Section]] = {}
+    for name, section in document.named.items():
+        if found := _EXTENSION.fullmatch(name):
+            extensions.setdefault(int(found[1]), {})[int(found[2], 16)] = section
+    return extensions
 
 
 def _module(number: int, document: EdsDocument, extensions: dict[int, Section], findings: Findings) -> Module:

@@ -137,6 +137,11 @@ class Section:
                 key, _, behind = line.partition("=")
                 yield Entry(key.strip(), value, number, len(line) - len(behind.lstrip()) + 1)
 
+    def without(self, keys: Iterable[str]) -> Section:
+        """Return the section without some keys, in small letters."""
+        body = Body({key: value for key, value in self.body.values.items() if key not in keys})
+        return Section(self.name, self.line, self._text, body, self.title)
+
     def get(self, key: str) -> str | None:
         """Return the value of a key, in upper or lower case. None if there is no such key."""
         return self.values.get(key.lower())

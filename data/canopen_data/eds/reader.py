@@ -15,7 +15,7 @@ without its object gives an object without a name. A missing ObjectType is taken
 there are sub-objects. Everything that a file can multiply is bounded (ini.py, compact.py), so that 5 MiB of anything take
 seconds.
 
-Left out: [Tools] and object links, which are for people; fixed objects of modules, except for their indices.
+Left out: [Tools] and object links, which are for people.
 
 Source: CiA 306-1 v1.4.0.
 """
@@ -30,6 +30,7 @@ from canopen_data.eds import device
 from canopen_data.eds.compact import Compact
 from canopen_data.eds.encodings import text_of
 from canopen_data.eds.ini import MAX_FILE_SIZE, EdsDocument, Findings, Section, quoted
+from canopen_data.eds.modules import Modules
 from canopen_data.eds.numbers import read_number
 from canopen_data.eds.unused import report_unused
 from canopen_data.eds.variables import OBJECT_FLAGS, Variables
@@ -47,8 +48,11 @@ _WITH_SUBS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 _NO_SUBS: Final[dict[int, Section]] = {}
 
 
-def read_eds(data: bytes | str, source: str = "", *, strict: bool = False, encoding: str = "") -> DeviceDescription:
-    """Read an EDS or a DCF. source: the file's name, for findings. encoding: of its bytes, "" = guess it.
+def read_eds(
+    data: bytes | str, source: str = "", *, strict: bool = False, encoding: str = "", connected: tuple[int, ...] = ()
+) -> DeviceDescription:
+    """Read an EDS or a DCF. source: the file's name, for findings. encoding: of its bytes, "" = guess it. connected: the
+    module in each slot of a modular device, instead of [ConnectedModules]; see modules.py.
 
     Any bytes are accepted: the description's findings hold everything wrong with them. With strict, raises the first error as a
     DictionaryError. The kind is DCF if the file commissions a device or configures one of its objects. The default of an object
@@ -73,6 +77,12 @@ def read_eds(data: bytes | str, source: str = "", *, strict: bool = False, encod
     objects.read()
     compact_pdos = objects.compact.pdos(info, objects.found)
     objects.found.update({each.index: each for each in list(compact_pdos)})
+    modules = device.modules(document, findings)
+    slots = device.connected_modules(document, findings)
+    Modules(document, variables, objects.compact, findings, objects.found, objects.of_section).connect(
+        modules, connected or slots, is_expanded=not connected
+    )
+    slots = connected or slots
     report_unused(document, findings, variables.types)
     if not objects.found:
         findings.add(Severity.ERROR, "no-objects", "there is no section of an object in this file")
@@ -89,8 +99,8 @@ def read_eds(data: bytes | str, source: str = "", *, strict: bool = False, encod
         mandatory=_list(document, "mandatoryobjects", findings),
         optional=_list(document, "optionalobjects", findings),
         manufacturer=_list(document, "manufacturerobjects", findings),
-        modules=device.modules(document, findings),
-        connected_modules=device.connected_modules(document, findings),
+        modules=modules,
+        connected_modules=slots,
         dynamic_channels=device.dynamic_channels(document, findings),
         findings=findings.all(),
         encoding=encoding,
@@ -120,19 +130,22 @@ class _Objects:
         """Read all objects that have a section, then those with sections of sub-objects only."""
         subs_of = self._document.subs
         for index, section in self._document.objects.items():
-            subs = subs_of.get(index, _NO_SUBS)
-            values = section.body.values
-            object_type = _OBJECT_TYPES.get(values.get("objecttype"))
             if not index:
                 self._refuse(section)
-            elif object_type is ObjectType.VAR and not subs and "compactsubobj" not in values:
-                variable = self._variables.read(section, index, 0)
-                self._put(Object(index, variable.name, object_type, MappingProxyType({0: variable}), *_of_single(variable)))
             else:
-                self._put(self._object(section, index, subs, object_type or self._object_type(section, bool(subs))))
+                self._put(self.of_section(section, index, subs_of.get(index, _NO_SUBS)))
         for index, subs in subs_of.items():
             if index not in self._document.objects:
                 self._orphans(index, subs)
+
+    def of_section(self, section: Section, index: int, subs: dict[int, Section]) -> Object:
+        """Return the object of a section and those of its sub-objects."""
+        values = section.body.values
+        object_type = _OBJECT_TYPES.get(values.get("objecttype"))
+        if object_type is ObjectType.VAR and not subs and "compactsubobj" not in values:
+            variable = self._variables.read(section, index, 0)
+            return Object(index, variable.name, object_type, MappingProxyType({0: variable}), *_of_single(variable))
+        return self._object(section, index, subs, object_type or self._object_type(section, bool(subs)))
 
     def _put(self, each: Object) -> None:
         self.found[each.index] = each

@@ -35,7 +35,7 @@ _NAMES: Final = {
     )
 }
 _OTHERS: Final = re.compile(
-    r"m[0-9]{1,6}(?:moduleinfo|comments|fixedobjects|subextends|subext[0-9a-f]{4}|fixed[0-9a-f]{4}(?:sub[0-9a-f]+)?)"
+    r"m[0-9]{1,6}(?:moduleinfo|comments|fixedobjects|subextends|subext[0-9a-f]{1,4}|fixed(?:obj)?[0-9a-f]{1,4}(?:sub[0-9a-f]+)?)"
     r"|tool[0-9]{1,6}|[0-9a-f]{4}objectlinks",
     re.ASCII,
 )

@@ -15,8 +15,8 @@ The reader loads what it can and reports everything wrong, with its place:
 Values are written as in CiA 306. Index, subindex, type and flags are hexadecimal without 0x in CiA 311; a 0x is accepted.
 PDOmapping names a direction: with access rw, TPDO makes it rwr and RPDO rww.
 
-Left out: profiles of modules and of networks (nodelists), and the parts of the device profile for people or for a programmable
-device (functions, characteristics, graphical elements).
+Left out, with a warning: modules. Left out: profiles of networks (nodelists), and the parts of the device profile for people or
+for a programmable device (functions, characteristics, graphical elements).
 """
 
 from __future__ import annotations
@@ -49,6 +49,8 @@ MAX_OBJECTS: Final = 20_000
 """Of one file, with MAX_VARIABLES in all. The largest devices have 3000 objects."""
 MAX_VARIABLES: Final = 100_000
 
+_MODULES: Final = (("ApplicationLayers", "moduleManagement"), ("DeviceManager", "moduleManagement"))
+"""Where an XDD describes what its modules are (from memory; no such file was at hand)."""
 _TYPES: Final = {int(each): each for each in DataType}
 _ACCESS: Final = {each.value: each for each in Access} | ACCESS
 _IN_PARAMETER: Final = {
@@ -79,6 +81,10 @@ def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDe
         reader.read(each)
     if root is not None and root.name == ROOT and not lists:
         findings.error("no-objects", "there is no CANopenObjectList, and so no object", root)
+    for path in _MODULES:
+        for each in device.find_all(bodies, *path):
+            message = "this device has modules; their objects are not read from an XDD, and are missing here"
+            findings.warning("modules", f"{message}: an EDS or DCF of the device has them", each)
     commissioning = device.commissioning(bodies, findings)
     mandatory, optional, manufacturer = lists_of(reader.objects)  # an XDD has no lists
     description = DeviceDescription(
