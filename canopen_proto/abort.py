@@ -58,6 +58,8 @@ class AbortOrigin(Enum):
     """We found a fault in a frame of the other side, or refused the transfer, and sent an abort."""
     CANCELLED = "cancelled"
     """Our own caller cancelled it; an abort was sent if the transfer had begun."""
+    CONTESTED = "contested"
+    """Client only: another client used the same SDO channel, so what the server did cannot be known."""
     REPLACED = "replaced"
     """Server only: the client began another transfer instead. No abort was exchanged."""
 

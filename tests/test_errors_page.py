@@ -97,6 +97,7 @@ def statuses_of_codes() -> dict[str, set[int]]:
     others = [
         errors.SdoNotConfirmed(*given_up),
         errors.SdoGivenUp(*given_up),
+        errors.SdoNotConfirmed(errors.CONTESTED, *given_up[1:]),
         errors.MasterClosed(),
         NotConnected(),
         AlreadyConnected("x"),

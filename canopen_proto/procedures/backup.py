@@ -58,11 +58,13 @@ class ReadResult(StrEnum):
     """The bytes are no value of the object's type."""
     NO_ANSWER = "no answer"
     """The device gave no answer, or none that makes sense."""
+    CONTESTED = "contested"
+    """Another SDO client used the channel, whenever it was tried."""
 
     @property
     def is_missing(self) -> bool:
         """Whether a complete backup should have this object."""
-        return self in (ReadResult.REFUSED, ReadResult.WRONG_LENGTH, ReadResult.NO_ANSWER)
+        return self in (ReadResult.REFUSED, ReadResult.WRONG_LENGTH, ReadResult.NO_ANSWER, ReadResult.CONTESTED)
 
 
 _SERVICE_ERROR: Final = 0x05
@@ -173,7 +175,9 @@ def _read(node: RemoteNode, variable: Variable, block: Block, patience: Patience
 def reading_of(variable: Variable, answer: bytes | SdoFailed) -> Reading:
     """Return the reading of an object that follows from an answer."""
     if isinstance(answer, SdoFailed):
-        if answer.origin is not AbortOrigin.PEER:
+        if answer.origin is AbortOrigin.CONTESTED:
+            result = ReadResult.CONTESTED
+        elif answer.origin is not AbortOrigin.PEER:
             result = ReadResult.NO_ANSWER
         else:
             result = _REFUSALS.get(answer.abort_code, ReadResult.REFUSED)

@@ -66,6 +66,8 @@ class SdoFailed(ProcedureError):
             message = f"node {self.node_id} did not answer {place}"
         elif aborted.origin is AbortOrigin.PEER:
             message = f"node {self.node_id} refused {place}: abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
+        elif aborted.origin is AbortOrigin.CONTESTED:
+            message = f"{place} of node {self.node_id} was disturbed: another SDO client on its channel {aborted.others_doing}"
         else:
             message = f"{place} of node {self.node_id} was given up: 0x{self.abort_code:08X}, {text_of(self.abort_code)}"
         Exception.__init__(self, message + (NOT_CONFIRMED if aborted.not_confirmed else ""))

@@ -38,7 +38,7 @@ from canopen_proto.sdo.block_sender import BlockSender
 from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, BLOCK_UPLOAD, INITIATE_UPLOAD_RESPONSE, SIZE, SPECIFIER
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.segmented_client import Download, Upload, impossible
-from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd
+from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd, Transfer
 
 MAX_FED: Final = 1 << 16
 """Bytes of a download stream that may be held: half a second of a bus at 1 Mbit/s."""
@@ -148,6 +148,12 @@ class BlockUpload(BlockReceiver):
         self._most = most
         self.plain = plain
 
+    def again(self) -> Transfer | None:
+        if self._is_stream:
+            return None
+        plain = None if self.plain is None else Upload(self.end, self.index, self.subindex, self._most)
+        return BlockUpload(self.end, self.index, self.subindex, False, self._most, plain)
+
     def _on_answer(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
         if data[1:4] != self.first[1:4]:
             return False
@@ -157,7 +163,7 @@ class BlockUpload(BlockReceiver):
         plain = self.plain
         if plain is None or command & SPECIFIER != INITIATE_UPLOAD_RESPONSE:
             return False
-        plain.request_id, plain.first = self.request_id, self.first
+        plain.request_id, plain.is_urgent, plain.first = self.request_id, self.is_urgent, self.first
         plain.receive(command, data, frame, now)
         self.instead = plain
         self.state = OVER

@@ -36,6 +36,12 @@ Block transfer, on request: `block=True` (that or an abort), `block="auto"` (for
 upload, if the server has it; see block_client.py), and streams, which never hold the whole: `download_stream` is fed piece by
 piece, `upload_stream` hands out SdoChunk by SdoChunk. block.py tells how it goes.
 
+Another client may use the same channel, against the rules. Its requests are heard (contention.py). A request of ours waits
+until its exchange is over, at most `contest_limit`. A frame of it during a transfer of ours ends the transfer: nothing that comes
+then is certain. A read is made again, a write is reported (origin CONTESTED, `not_confirmed`). Only while the expedited answer to
+our initiate request is due, a stranger's initiate request for another object does no harm: the answer names its object. Urgent
+requests do not wait. A driver never hands us our own frames: they would be taken for a stranger's.
+
 Left out: network indication. Retries are the caller's: SDO knows no repetition (block transfer repeats lost segments only), and a
 repeated download may be executed twice.
 """
@@ -46,29 +52,32 @@ from typing import Final, Literal, TypeAlias
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame, RoutingKey
-from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Outbox, RequestId, Time
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, MAX_SIZE, STREAM_TIMEOUT
 from canopen_proto.sdo.block_client import NO_BLOCKS, BlockDownload, BlockUpload
 from canopen_proto.sdo.codec import (
     ABORT,
+    EXPEDITED_BIT,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
+    LEAST_REQUEST,
     LEAST_RESPONSE,
     NO_MULTIPLEXER,
     SIZE,
     SPECIFIER,
     complete,
 )
+from canopen_proto.sdo.contention import SERVICE_ERROR, Contested, OtherClient, is_own_refusal, spread
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request_queue import RequestQueue
 from canopen_proto.sdo.segmented_client import Download, Upload, own
 from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd, Transfer
 
 __all__ = [
-    "AUTO_BLOCK", "LATE_GUARD", "MAX_QUEUE", "MAX_UPLOAD", "TIMEOUT", "Block", "SdoAborted", "SdoChunk", "SdoClient",
-    "SdoDataWanted", "SdoDownloaded", "SdoStreamUploaded", "SdoUploaded",
+    "AUTO_BLOCK", "CONTEST_LIMIT", "LATE_GUARD", "MAX_QUEUE", "MAX_UPLOAD", "TIMEOUT", "Block", "SdoAborted", "SdoChunk",
+    "SdoClient", "SdoDataWanted", "SdoDownloaded", "SdoStreamUploaded", "SdoUploaded",
 ]  # fmt: skip
 
 TIMEOUT: Final = 500 * MILLISECOND
@@ -76,6 +85,11 @@ TIMEOUT: Final = 500 * MILLISECOND
 LATE_GUARD: Final = 500 * MILLISECOND
 """How long after a time-out its answer is waited for before the same object is asked for again: a server that is twice as slow as
 expected is still understood, and a dead one costs no more than another time-out."""
+CONTEST_LIMIT: Final = 3 * SECOND
+"""How long requests wait for another client on the channel, or are made again because of it, before they end as CONTESTED. A
+client that reads value by value is done with each at once; a download of firmware takes longer than anybody wants to wait."""
+MAX_URGENT_TRIES: Final = 3
+"""How often an urgent read goes out, at once each time, while another client disturbs it."""
 MAX_QUEUE: Final = 256
 """Requests that may wait, urgent ones counted apart (at least 1): enough to configure all PDOs of a node at once."""
 MAX_UPLOAD: Final = 16 << 20
@@ -94,10 +108,13 @@ class SdoClient(ChannelEnd):
     """The client of one SDO channel; see this module's text.
 
     serves_blocks: False once the server has refused a block transfer with 0x05040001 and the object's name: "auto" does without
-    then.
+    then. other: the other client on the channel, if there is one; its `count` of requests is 0 until one was heard.
     """
 
-    __slots__ = ("_nameless_abort", "_queue", "_transfer", "late_guard", "max_queue", "max_upload", "serves_blocks")
+    __slots__ = (
+        "_abandoned", "_collided_at", "_contested_since", "_nameless_abort", "_queue", "_transfer", "_tries", "contest_limit",
+        "late_guard", "max_queue", "max_upload", "other", "serves_blocks",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -111,6 +128,7 @@ class SdoClient(ChannelEnd):
         max_queue: int = MAX_QUEUE,
         copy_guard: Time = 0,
         late_guard: Time = LATE_GUARD,
+        contest_limit: Time = CONTEST_LIMIT,
         crc: bool = True,
         block_size: int = MAX_BLOCK_SIZE,
         max_burst: int = MAX_BURST,
@@ -118,8 +136,8 @@ class SdoClient(ChannelEnd):
         stream_timeout: Time = STREAM_TIMEOUT,
     ) -> None:
         """node_id: of the server. request_key, response_key: the channel (client to server, server to client) as `Frame.key`;
-        the server's first one by default. timeout, copy_guard, late_guard: ns; see this module's text. Inside a block transfer
-        pauses of at least 1 s are survived whatever the timeout is; see `silence_limit` in block.py.
+        the server's first one by default. timeout, copy_guard, late_guard, contest_limit: ns; see this module's text. Inside a
+        block transfer pauses of at least 1 s are survived whatever the timeout is; see `silence_limit` in block.py.
 
         For block transfer: crc, if the server has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
         burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; stream_timeout: ns that the caller
@@ -134,12 +152,18 @@ class SdoClient(ChannelEnd):
         self.max_burst = max_burst
         self.burst_interval = burst_interval
         self.late_guard = late_guard
+        self.contest_limit = contest_limit
         self.max_queue = max_queue
         self.max_upload = max_upload
         self.serves_blocks = True
         self._queue = RequestQueue()
         self._transfer: Transfer | None = None
         self._nameless_abort = b""  # one that came while a block transfer was initiated
+        self.other = OtherClient()
+        self._abandoned: Transfer | None = None  # ended for a stranger's sake: the server may still be in it
+        self._collided_at: Time = -NEVER  # when a stranger last ended a transfer of ours
+        self._contested_since: Time = NEVER  # when a stranger first made us wait, and no transfer of ours has gone well since
+        self._tries = 0  # of an urgent read, since then
 
     # ---- commands ----
 
@@ -254,6 +278,7 @@ class SdoClient(ChannelEnd):
         if not 0 <= abort_code <= 0xFFFFFFFF:
             raise LocalProtocolError(f"node {self.node_id}: {abort_code} is no abort code (0..0xFFFFFFFF)")
         waiting = self._queue.clear()
+        self._forget_other()
         if self._transfer is not None:
             transfer = self._transfer
             transfer.abort(abort_code)
@@ -275,12 +300,15 @@ class SdoClient(ChannelEnd):
         return len(self._queue)
 
     def can_ids(self) -> tuple[RoutingKey, ...]:
-        return (self._hears,)
+        return (self._hears, RoutingKey(self.can_id | self.flags << 29))  # the requests of others
 
     # ---- inputs ----
 
     def receive(self, frame: Frame, now: Time) -> None:
         data = frame.data
+        if frame.can_id == self.can_id and frame.key != self._hears:
+            self._on_foreign(frame, now)
+            return
         if len(data) != 8:
             completed = complete(data, LEAST_RESPONSE)
             if completed is None:
@@ -292,7 +320,7 @@ class SdoClient(ChannelEnd):
             self._on_stray(data, frame, now)
             return
         if not transfer.receive(data[0], data, frame, now):
-            self._on_other(transfer, data[0], data, frame)
+            self._on_other(transfer, data[0], data, frame, now)
         if transfer.state is OVER:
             self._go_on(transfer, now)
         else:
@@ -307,7 +335,9 @@ class SdoClient(ChannelEnd):
         if transfer is None:
             self._begin_next(now)  # a request was held back
             return
-        if self._nameless_abort and transfer.state is INITIATED:
+        if transfer.is_contested:
+            self._end_contested(transfer, now)
+        elif self._nameless_abort and transfer.state is INITIATED:
             self._take_for_refusal(transfer, self._nameless_abort)
         else:
             if transfer.state is INITIATED and (transfer.first[0] == INITIATE_UPLOAD or transfer.is_all_sent):
@@ -320,19 +350,31 @@ class SdoClient(ChannelEnd):
 
     def _on_stray(self, data: bytes, frame: Frame, now: Time) -> None:
         """Take a frame while no transfer is under way."""
+        was_held = bool(self.other.last)
+        self.other.on_answer(data, self.timeout, now)
         if self._queue.is_overdue(data[0] & SPECIFIER, data[1:4]):
             self.ignore(frame, "late response to a request that timed out")
             self._begin_next(now)  # it may have waited for this
-        else:
-            self.ignore(frame, "no transfer is under way")
+            return
+        self.ignore(frame, "answer to another client" if was_held else "no transfer is under way")
+        if was_held and (self._queue.waits or self._abandoned is not None):
+            self._begin_next(now)
 
-    def _on_other(self, transfer: Transfer, command: int, data: bytes, frame: Frame) -> None:
+    def _on_other(self, transfer: Transfer, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """Take an abort, or whatever is not the response that is due."""
         specifier = command & SPECIFIER
         is_named = data[1:4] == transfer.first[1:4]
+        other = self.other
+        if other.last:
+            other.on_answer(data, self.timeout, now)
         is_initiate = specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE)
+        is_near = transfer.is_contested or now < other.heard_at + self.contest_limit
         if not is_named and not transfer.is_answered and self._queue.is_overdue(specifier, data[1:4]):
             self.ignore(frame, "late response to a request that timed out")
+        elif is_near and self._is_in_doubt(transfer, specifier, is_named, data):
+            if is_initiate and isinstance(transfer, Contested):
+                transfer.is_answered = transfer.believes
+            self._end_contested(transfer, now)
         elif specifier == ABORT:
             self._on_abort(transfer, is_named, data, frame)
         elif is_initiate and not is_named:
@@ -347,6 +389,19 @@ class SdoClient(ChannelEnd):
             self.ignore(frame, "late response of a transfer that was given up")
         else:
             transfer.abort(transfer.fault_of(command))
+
+    def _is_in_doubt(self, transfer: Transfer, specifier: int, is_named: bool, data: bytes) -> bool:
+        """Return whether a frame may be a stranger's doing: one was heard just now."""
+        if specifier == ABORT:
+            if is_own_refusal(transfer, data):
+                return False
+            names_another = not is_named and data[1:4] != NO_MULTIPLEXER
+            is_of_protocol = data[7] == SERVICE_ERROR
+            is_ours = is_named or transfer.has_begun
+            return (transfer.is_contested and not names_another) or (is_of_protocol and is_ours)
+        if specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE) and not is_named and not transfer.in_blocks:
+            return False
+        return transfer.is_contested or data != self.last
 
     def _on_abort(self, transfer: Transfer, is_named: bool, data: bytes, frame: Frame) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.17.
@@ -375,7 +430,7 @@ class SdoClient(ChannelEnd):
                 self.serves_blocks = False
             plain = transfer.plain
             if plain is not None and abort_code in NO_BLOCKS:
-                plain.request_id = transfer.request_id
+                plain.request_id, plain.is_urgent = transfer.request_id, transfer.is_urgent
                 transfer.is_given_up = True  # a second copy of the abort may come: copy_guard
                 self._queue.urgent.appendleft(plain)
                 transfer.state = OVER
@@ -396,7 +451,94 @@ class SdoClient(ChannelEnd):
         is_silent = origin is AbortOrigin.TIMEOUT and abort_code != AbortCode.CANNOT_TRANSFER  # that is our own side's silence
         waited = transfer.patience if is_silent else 0
         request_id, index, subindex = transfer.request_id, transfer.index, transfer.subindex
-        self.out.events.append(SdoAborted(self.node_id, request_id, index, subindex, abort_code, origin, not_confirmed, waited))
+        other = self.other.heard if origin is AbortOrigin.CONTESTED else b""
+        self.out.events.append(
+            SdoAborted(self.node_id, request_id, index, subindex, abort_code, origin, not_confirmed, waited, other)
+        )
+
+    # ---- another client on the channel: contention.py ----
+
+    def _on_foreign(self, frame: Frame, now: Time) -> None:
+        """Take a request that we did not send."""
+        data = complete(frame.data, LEAST_REQUEST)
+        if data is None:
+            self.ignore(frame, "too short for an SDO request")
+            return
+        transfer = self._transfer
+        self.other.on_request(data, transfer, self.timeout, now)
+        if transfer is None:
+            if self._queue.waits or self._abandoned is not None:
+                self._begin_next(now)
+        elif not self.other.leaves_sure(transfer):
+            self._end_contested(transfer, now)
+            self._go_on(transfer, now)
+        elif not transfer.is_contested:
+            self._transfer = Contested(transfer, True)
+
+    def _end_contested(self, transfer: Transfer, now: Time) -> None:
+        """End our transfer: what the server did, or does, cannot be known. A read is made again if there is time."""
+        self._contested_since = since = min(self._contested_since, now)
+        self._collided_at = now
+        transfer.is_given_up = True
+        if not transfer.is_download:
+            self._abandoned = transfer
+        elif transfer.in_blocks or not transfer.first[0] & EXPEDITED_BIT:  # before the server stores what both have sent
+            self.send(INITIATE.pack(ABORT, transfer.index, transfer.subindex, AbortCode.GENERAL_ERROR))
+        if transfer.state is INITIATED and not transfer.is_answered:
+            self._queue.expect_late(transfer.first[1:4], now + self.late_guard + spread(now))
+        transfer.state = OVER
+        again = transfer.again()
+        if again is not None and transfer.is_urgent:
+            self._tries += 1
+            again = again if self._tries < MAX_URGENT_TRIES else None
+        if again is None or now >= since + self.contest_limit:
+            self.report_abort(transfer, AbortCode.GENERAL_ERROR, AbortOrigin.CONTESTED, transfer.is_download)
+            return
+        again.request_id, again.is_urgent = transfer.request_id, transfer.is_urgent
+        (self._queue.urgent if again.is_urgent else self._queue.others).appendleft(again)
+
+    def _yields(self, now: Time) -> bool:
+        """Return whether requests wait for a stranger now; then the deadline is set. Requests that waited too long end here."""
+        queue, until = self._queue, self.other.until
+        if now >= until:
+            self.other.close()
+        elif not queue.urgent:
+            if queue.others:
+                self._contested_since = min(self._contested_since, now)
+            limit = self._contested_since + self.contest_limit if queue.others else NEVER
+            if now >= limit:
+                while queue.others:
+                    self.report_abort(queue.others.popleft(), AbortCode.GENERAL_ERROR, AbortOrigin.CONTESTED, False)
+                limit = NEVER
+            has_collided = now < self._collided_at + self.contest_limit
+            self._arm(min(until + spread(now) if has_collided else until, limit))
+            return True
+        if self._abandoned is not None:  # some servers stay in it, deaf for anybody else
+            abandoned, self._abandoned = self._abandoned, None
+            self.send(INITIATE.pack(ABORT, abandoned.index, abandoned.subindex, AbortCode.GENERAL_ERROR))
+        if not queue.waits:
+            self._contested_since = NEVER
+        return False
+
+    def _after_collision(self, transfer: Transfer, now: Time) -> None:
+        """A transfer of ours is over, and strangers have ended others before: if it went well, let one of them go first now."""
+        if transfer.is_given_up:
+            return
+        self._tries = 0
+        if not transfer.is_urgent:
+            self._contested_since = NEVER
+            if now < self._collided_at + self.contest_limit:
+                self.other.goes_first(now)
+            else:
+                self._collided_at = -NEVER
+
+    def _forget_other(self) -> None:
+        """Nothing of a stranger is under way: the server was reset, or the channel is another one."""
+        self.other.close()
+        self._abandoned = None
+        self._collided_at = -NEVER
+        self._contested_since = NEVER
+        self._tries = 0
 
     # ---- the queue ----
 
@@ -413,9 +555,10 @@ class SdoClient(ChannelEnd):
         if len(line) >= self.max_queue:
             raise LocalProtocolError(f"{transfer}, node {self.node_id}: {len(line)} requests are waiting already")
         transfer.request_id = request_id = self.out.next_request_id()
+        transfer.is_urgent = urgent
         if self._transfer is not None:
             line.append(transfer)
-        elif line or queue.urgent or self.copy_guard or queue.overdue:
+        elif line or queue.urgent or self.copy_guard or queue.overdue or self.other.last:
             line.append(transfer)
             self._begin_next(now)
         else:
@@ -424,6 +567,8 @@ class SdoClient(ChannelEnd):
 
     def _begin_next(self, now: Time) -> None:
         """Begin the transfer whose turn it is, if there is one."""
+        if (self.other.last or self._abandoned is not None) and self._yields(now):
+            return
         transfer = self._queue.take(now, self.copy_guard)
         if transfer is not None:
             self._begin(transfer, now)
@@ -437,6 +582,11 @@ class SdoClient(ChannelEnd):
         transfer.deadline = self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
+        # It is urgent, or it would have waited
+        if self.other.may_answer(transfer):
+            self._transfer = Contested(transfer, self.other.leaves_sure(transfer))
+        elif self.other.count and transfer.is_download and transfer.first[1:4] in self._queue.overdue:
+            self._transfer = Contested(transfer, False)
 
     def _follow(self, transfer: Transfer, now: Time) -> None:
         """Do what the transfer under way wants now: wait for its deadline, or go on without it."""
@@ -455,5 +605,7 @@ class SdoClient(ChannelEnd):
         self.deadline = NEVER
         queue = self._queue
         queue.remember(transfer, now)
-        if queue.urgent or queue.others:
+        if self._collided_at > -NEVER:
+            self._after_collision(transfer, now)
+        if queue.urgent or queue.others or self._abandoned is not None:
             self._begin_next(now)

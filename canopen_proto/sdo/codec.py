@@ -101,3 +101,28 @@ def complete(data: bytes, least: tuple[int, ...]) -> bytes | None:
     if not data or len(data) < least[data[0]]:
         return None
     return data[:8].ljust(8, b"\x00")
+
+
+def what_was_asked(request: bytes) -> str:
+    """Return what a client did by a request (eight bytes), as in "asked for 0x1018:01". "" for no bytes."""
+    if not request:
+        return ""
+    command = request[0]
+    specifier = command & SPECIFIER
+    index, subindex = MULTIPLEXER.unpack(request)
+    place = f"0x{index:04X}:{subindex:02X}"
+    if specifier == ABORT:
+        return f"aborted the transfer of {place} with 0x{SIZE.unpack_from(request, 4)[0]:08X}"
+    if specifier == INITIATE_DOWNLOAD:
+        return f"wrote {place}" if command & EXPEDITED_BIT else f"began to write {place}"
+    if specifier == INITIATE_UPLOAD:
+        return f"asked for {place}"
+    if specifier == DOWNLOAD_SEGMENT:
+        return "sent a segment of a write"
+    if specifier == UPLOAD_SEGMENT:
+        return "asked for a segment of a read"
+    if specifier == BLOCK_UPLOAD and not command & 3:
+        return f"began a block read of {place}"
+    if specifier == BLOCK_DOWNLOAD and not command & 1:
+        return f"began a block write of {place}"
+    return f"sent a frame of a block transfer (command 0x{command:02X})"

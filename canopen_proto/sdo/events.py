@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from canopen_proto.abort import AbortOrigin, text_of
 from canopen_proto.machine import Event, Outcome, RequestId, Time
+from canopen_proto.sdo.codec import what_was_asked
 
 # ---- a client ----
 
@@ -55,10 +56,12 @@ class SdoAborted(Outcome):
     not_confirmed: it was a download, all of its data had been sent, and neither a confirmation nor a refusal has come: it may
     have been executed. (False also where only a part had been sent: the server was told that the rest does not come.)
     waited: where the server fell silent, how long that was, in ns; else 0.
+    other: with origin CONTESTED, the last request of the other client, eight bytes; `others_doing` says it in words. Then
+    not_confirmed is True for every download that was begun: the other client's frames may have ended it.
     """
 
-    __slots__ = ("abort_code", "index", "not_confirmed", "origin", "subindex", "waited")
-    __match_args__ = ("node_id", "request_id", "index", "subindex", "abort_code", "origin", "not_confirmed", "waited")
+    __slots__ = ("abort_code", "index", "not_confirmed", "origin", "other", "subindex", "waited")
+    __match_args__ = ("node_id", "request_id", "index", "subindex", "abort_code", "origin", "not_confirmed", "waited", "other")
 
     def __init__(
         self,
@@ -70,6 +73,7 @@ class SdoAborted(Outcome):
         origin: AbortOrigin,
         not_confirmed: bool = False,
         waited: Time = 0,
+        other: bytes = b"",
     ) -> None:
         self.node_id = node_id
         self.request_id = request_id
@@ -79,6 +83,12 @@ class SdoAborted(Outcome):
         self.origin = origin
         self.not_confirmed = not_confirmed
         self.waited = waited
+        self.other = other
+
+    @property
+    def others_doing(self) -> str:
+        """What the other client did, as in "asked for 0x1018:01"; "" if there was none."""
+        return what_was_asked(self.other)
 
     @property
     def text(self) -> str:

@@ -43,6 +43,11 @@ class RequestQueue:
     def __len__(self) -> int:
         return len(self.others) + len(self.urgent)
 
+    @property
+    def waits(self) -> bool:
+        """Whether any request waits."""
+        return bool(self.urgent or self.others)
+
     def find(self, request_id: RequestId) -> Transfer | None:
         """Return the request of that id, if it waits."""
         return next((transfer for transfer in (*self.urgent, *self.others) if transfer.request_id == request_id), None)

@@ -35,7 +35,7 @@ from canopen_proto.sdo.codec import (
 )
 from canopen_proto.sdo.events import SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.segmented import SegmentedTransfer, SegmentReceiver
-from canopen_proto.sdo.transfer import INITIATED, OVER, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd
+from canopen_proto.sdo.transfer import INITIATED, OVER, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd, Transfer
 
 
 class Upload(SegmentReceiver):
@@ -51,6 +51,9 @@ class Upload(SegmentReceiver):
             raise impossible("upload", index, subindex) from None
         super().__init__(end, index, subindex, first)
         self._most = most
+
+    def again(self) -> Transfer:
+        return Upload(self.end, self.index, self.subindex, self._most)
 
     def _on_answer(self, command: int, data: bytes, now: Time) -> bool:
         """The server answers with the value, or with its size and segments to come. 7.2.4.3.6"""

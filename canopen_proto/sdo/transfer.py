@@ -135,23 +135,27 @@ class ChannelEnd(Machine):
 class Transfer:
     """One transfer, under way or waiting; see this module's text.
 
-    first: the data of the initiate request. request_id: that of a client's request. deadline: once it is under way, until it is
-    over. is_answered: the other side has answered the initiate frame, so it has nothing more to say about transfers before.
+    first: the data of the initiate request. request_id, is_urgent: of a client's request. deadline: once it is under way, until
+    it is over. is_answered: the other side has answered the initiate frame: it has nothing more to say about transfers before.
     is_given_up: it ended, and an answer may still come. instead: the transfer that goes on when this one is over, if one does.
     plain: what a client falls back on if the server refuses block transfer, if it may.
     """
 
     __slots__ = (
-        "deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "plain", "request_id", "state", "subindex",
+        "deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "is_urgent", "plain", "request_id", "state",
+        "subindex",
     )  # fmt: skip
 
     is_with_host: ClassVar[bool] = False
     """Whether the host has the whole request, and our answer depends on it alone."""
     in_blocks: ClassVar[bool] = False
     """Whether it is a block transfer."""
+    is_contested: ClassVar[bool] = False
+    """Whether it stands for a request of a client while another client asks too; see contention.py."""
 
     request_id: RequestId
     deadline: Time
+    is_urgent: bool
 
     def __init__(self, end: ChannelEnd, index: int, subindex: int, first: bytes) -> None:
         self.end = end
@@ -165,8 +169,7 @@ class Transfer:
         self.plain: Transfer | None = None
 
     def __str__(self) -> str:
-        is_upload = self.first[0] & SPECIFIER in (INITIATE_UPLOAD, BLOCK_UPLOAD)
-        return f"{'upload' if is_upload else 'download'} 0x{self.index:04X}:{self.subindex:02X}"
+        return f"{'download' if self.is_download else 'upload'} 0x{self.index:04X}:{self.subindex:02X}"
 
     # ---- inputs ----
 
@@ -205,7 +208,17 @@ class Transfer:
         end.report_abort(self, abort_code, origin, self.is_all_sent)
         self.state = OVER
 
+    def again(self) -> Transfer | None:
+        """Return the same request, to be made once more; None if that might do more than the first one (a write), or differ from
+        what the user has got already (a stream)."""
+        return None
+
     # ---- getters ----
+
+    @property
+    def is_download(self) -> bool:
+        """Whether a client writes by it."""
+        return self.first[0] & SPECIFIER not in (INITIATE_UPLOAD, BLOCK_UPLOAD)
 
     @property
     def has_begun(self) -> bool:

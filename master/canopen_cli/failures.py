@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import Final
 
 import click
 
@@ -201,7 +202,7 @@ def _of_chain(error: errors.MasterError) -> Problem:
 
 def _of_sdo(error: SdoFailed) -> Problem:
     silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # our own side ended it
-    code = errors.NO_ANSWER if silent else errors.REFUSED if error.origin is AbortOrigin.PEER else errors.GIVEN_UP
+    code = errors.NO_ANSWER if silent else _SDO_CODES.get(error.origin, errors.GIVEN_UP)
     failed, _, seen = (error.failed if isinstance(error, DriveError) else str(error)).partition(": ")
     return Problem(
         ExitCode.NO_ANSWER if silent or error.not_confirmed else ExitCode.SDO_ABORT,
@@ -215,6 +216,9 @@ def _of_sdo(error: SdoFailed) -> Problem:
         subindex=error.subindex,
         abort=error.abort_code,
     )
+
+
+_SDO_CODES: Final = {AbortOrigin.PEER: errors.REFUSED, AbortOrigin.CONTESTED: errors.CONTESTED}
 
 
 def _of_flash(error: ProgramDownloadFailed) -> Problem:

@@ -35,6 +35,8 @@ NO_ANSWER: Final = "CO201"
 REFUSED: Final = "CO202"
 GIVEN_UP: Final = "CO203"
 UNEXPECTED_ANSWER: Final = "CO204"
+CONTESTED: Final = "CO206"
+"""Another SDO client uses the node's channel."""
 NOT_HEARD: Final = "CO210"
 """A node did not boot, or did not send the frame that was waited for."""
 CHAIN_FILE: Final = "CO320"
@@ -115,10 +117,15 @@ class SdoGivenUp(SdoError):
     """We ended the transfer: the node was reset or lost during it, or its answer was not valid."""
 
 
+class SdoContested(SdoGivenUp):
+    """Another SDO client uses the node's channel: what the node did, or answered, cannot be told apart from its requests."""
+
+
 class SdoNotConfirmed(SdoTimeout, SdoGivenUp):
     """A whole write was sent, but neither confirmed nor refused: it may have been executed. The master never sends it again.
 
-    An `except` for SdoTimeout or SdoGivenUp catches it too; `code` says which of the two it was (CO201, CO203).
+    An `except` for SdoTimeout or SdoGivenUp catches it too; `code` says which of the two it was (CO201, CO203), or that another
+    client disturbed it (CO206).
     """
 
 
@@ -323,10 +330,22 @@ def sdo_error(
         if node.dictionary.get(aborted.index, aborted.subindex) is None:
             cause = cause.partition(", though our dictionary")[0]
         return SdoRefused(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
+    if aborted.origin is AbortOrigin.CONTESTED:
+        contested = SdoNotConfirmed if aborted.not_confirmed else SdoContested
+        seen = f"another SDO client {aborted.others_doing}"
+        return contested(CONTESTED, aborted, bus, f"{place} of {who} was disturbed{hint}", seen, _CONTESTED[0], _CONTESTED[1:])
     given_up = SdoNotConfirmed if aborted.not_confirmed else SdoGivenUp
     is_peers = aborted.origin is AbortOrigin.PEER
     cause = "its answer to the last frame was lost" if is_peers else _OWN_REASONS.get(aborted.abort_code, "")
     return given_up(GIVEN_UP, aborted, bus, f"{place} of {who} was given up{hint}", code_text, cause, ())
+
+
+_CONTESTED: Final = (
+    "two programs use one SDO channel of the node, against CiA 301: a service tool, a second master, another command",
+    "end the other program, or wait until it is done",
+    "if there is none: does the adapter hand our own frames back (receive_own_messages)?",
+)
+"""The cause, and what to try."""
 
 
 _OWN_REASONS: Final[dict[int, str]] = {

@@ -76,6 +76,7 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (SdoFailed(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
         (SdoFailed(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),
         (SdoFailed(aborted(AbortOrigin.LOCAL), "reading"), ExitCode.SDO_ABORT, "CO203"),
+        (SdoFailed(aborted(AbortOrigin.CONTESTED), "reading"), ExitCode.SDO_ABORT, "CO206"),
         (SdoFailed(aborted(AbortOrigin.TIMEOUT, AbortCode.CANNOT_TRANSFER), "reading"), ExitCode.SDO_ABORT, "CO203"),
         (UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1"), ExitCode.SDO_ABORT, "CO204"),
         (DriveFault(AXIS, "is in fault", reason="x", remedy="reset it"), ExitCode.DRIVE_FAULT, "CO402"),

@@ -261,6 +261,54 @@ class Bus:
                 machine.receive(frame, self.now)
 
 
+class Wire(Bus):
+    """A bus as CAN is: one frame at a time, in one order for all receivers; of those that wait, the lowest key goes first.
+
+    A frame waits in the queue of its sender, and in that of each receiver, for part of `delay`. Queues keep their order. Nothing
+    is lost. A participant does not learn when its own frames went.
+    """
+
+    def __init__(self, seed: int | random.Random = 0, *, delay: tuple[Time, Time], frame_time: Time = 100 * MICROSECOND) -> None:
+        super().__init__(seed, delay=delay, frame_time=frame_time)
+        self._queues: dict[int, list[tuple[Time, Frame]]] = {}  # per sender: when each frame is ready for the bus
+        self._free_at: Time = 0
+        self._arrived: dict[int, Time] = {}
+        self.wired: list[tuple[Time, Frame, int]] = []  # as they went: when, what, id of the sender's outbox
+        self._tick = Outbox()  # stands for the bus itself among the receivers
+
+    def _put(self, frame: Frame, sender: Outbox | None) -> None:
+        self.sent.append((self.now, frame))
+        queue = self._queues.setdefault(id(sender), [])
+        ready = self.now + self._random.randint(*self._delay)
+        if queue:
+            ready = max(ready, queue[-1][0])
+        queue.append((ready, frame))
+        self._enter(max(ready, self._free_at), self._tick, frame)
+
+    def _deliver(self, receiver: Outbox, frame: Frame) -> None:
+        if receiver is not self._tick:
+            super()._deliver(receiver, frame)
+            return
+        if self.now < self._free_at:  # it was taken meanwhile
+            self._enter(self._free_at, self._tick, frame)
+            return
+        heads = [(queue[0][1].key, sender) for sender, queue in self._queues.items() if queue and queue[0][0] <= self.now]
+        if not heads:
+            return
+        sender = min(heads)[1]
+        frame = self._queues[sender].pop(0)[1]
+        self.wired.append((self.now, frame, sender))
+        self._free_at = self.now + self._frame_time
+        told = {sender}
+        for machine in self.machines:
+            out = machine.out
+            if id(out) not in told:
+                told.add(id(out))
+                arrival = max(self._free_at + self._random.randint(*self._delay), self._arrived.get(id(out), 0))
+                self._arrived[id(out)] = arrival
+                self._enter(arrival, out, frame)
+
+
 def take_frames(out: Outbox) -> list[str]:
     """For a machine that stands alone: what it sent, in candump's notation; the outbox is emptied of it."""
     frames = [str(frame) for frame in out.frames]

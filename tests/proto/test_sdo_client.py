@@ -141,7 +141,7 @@ def test_another_channel() -> None:
     out = Outbox()
     client = SdoClient(out, 12, request_key=0x18FF0001 | KEY_EXTENDED, response_key=0x18FF0002 | KEY_EXTENDED)
     client.download(0x2000, 0, bytes(5), 0)
-    assert client.can_ids() == (0x18FF0002 | KEY_EXTENDED,)
+    assert client.can_ids() == (0x18FF0002 | KEY_EXTENDED, 0x18FF0001 | KEY_EXTENDED)
     client.receive(Frame(0x18FF0002, bytes.fromhex("6000200000000000"), EXTENDED), 0)
     assert take_frames(out) == ["18FF0001#2100200005000000", "18FF0001#0500000000000000"]
     client.abort_all(AbortCode.GENERAL_ERROR, 0)

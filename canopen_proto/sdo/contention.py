@@ -1,0 +1,211 @@
+"""Other clients on an SDO channel: what they ask for, and what their requests and our own may be confused with.
+
+A channel belongs to one client (CiA 301 v4.2.0, 7.2.4.1); who shares it breaks the rule, and many do: a service tool beside a
+master, two programs on one computer. A server cannot tell them apart. An initiate request of one ends the transfer of another, or
+is not heeded; the segments of one are answered to all. So an SdoClient hears the requests on its own channel too: a participant
+does not receive its own frames, so each request that comes is a stranger's.
+
+CAN has one order of frames for all, but a client does not learn where its own frames stand in it: a stranger's request that comes
+after ours was queued may have gone before it. All that is decided here is right in both cases.
+
+`OtherClient` follows what strangers have under way, as far as requests and answers tell. An exchange is over with its last answer
+or an abort. It also counts as over if nothing was heard of it for a while: the time-out (1 s in block transfer, whose sides may
+pause) if the server has to answer, PAUSE if it is the stranger's turn.
+
+`Contested` stands for a request whose initiate answer is due while a stranger asks for another object. An expedited answer names
+its object, so it is still taken; so is the server's refusal, if it names the object and is not about the protocol. Everything
+else is in doubt, and ends the attempt.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, NEVER, Time
+from canopen_proto.sdo.block import END, END_RESPONSE, KIND, is_initiate, silence_limit
+from canopen_proto.sdo.codec import (
+    ABORT,
+    BLOCK_DOWNLOAD,
+    BLOCK_UPLOAD,
+    DOWNLOAD_SEGMENT,
+    DOWNLOAD_SEGMENT_RESPONSE,
+    EXPEDITED_BIT,
+    INITIATE_DOWNLOAD,
+    INITIATE_DOWNLOAD_RESPONSE,
+    INITIATE_UPLOAD,
+    INITIATE_UPLOAD_RESPONSE,
+    LAST,
+    NO_MULTIPLEXER,
+    SPECIFIER,
+    TOGGLE,
+    UPLOAD_SEGMENT,
+    UPLOAD_SEGMENT_RESPONSE,
+)
+from canopen_proto.sdo.transfer import INITIATED, Buffer, Transfer
+
+PAUSE: Final = 200 * MILLISECOND
+"""How long another client may take for its next request within a transfer: programs with a window to draw need 20 ms and more."""
+SPREAD: Final = 16 * MILLISECOND
+"""Two clients that have disturbed each other go on up to so much apart: longer than a frame waits in a queue, so that one of them
+hears the other."""
+SERVICE_ERROR: Final = 0x05
+"""The highest byte of abort codes about the protocol itself (CiA 301 v4.2.0, table 22): they may be a stranger's doing."""
+_NOTHING: Final = bytes((ABORT,)).ljust(8, b"\x00")
+"""A request that needs no answer."""
+
+
+class OtherClient:
+    """What strangers have under way on the channel; see this module's text.
+
+    last: the request that is to be answered, or was the last one in a transfer under way; empty if none is. in_blocks: it may be
+    a block transfer. until: when it counts as over if nothing else comes. heard: the last request that came, for errors, and
+    heard_at its time. count: of all requests that came.
+    """
+
+    __slots__ = ("_is_ambiguous", "_names", "count", "heard", "heard_at", "in_blocks", "last", "until")
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.heard = b""
+        self.heard_at: Time = -NEVER
+        self.close()
+
+    def close(self) -> None:
+        """The exchange is over."""
+        self.last = b""
+        self.in_blocks = False
+        self.until: Time = -NEVER
+        self._names: set[bytes] = set()  # of the objects whose answers may still come
+        self._is_ambiguous = False  # several exchanges overlap: no answer is the last one for certain
+
+    def on_request(self, data: bytes, ours: Transfer | None, timeout: Time, now: Time) -> None:
+        """Take a stranger's request. ours: our own transfer that is under way."""
+        command = data[0]
+        specifier = command & SPECIFIER
+        self.count += 1
+        self.heard, self.heard_at = data, now
+        if self.in_blocks and self.last[0] & SPECIFIER == BLOCK_DOWNLOAD and command != ABORT and command & KIND != END:
+            self.until = now + silence_limit(timeout)  # a segment, whatever it looks like
+            return
+        if is_initiate(command):
+            name = data[1:4]
+            self._is_ambiguous |= bool(self._names) or (ours is not None and name == ours.first[1:4])
+            self._names.add(name)
+        self.last = data
+        self.in_blocks = specifier in (BLOCK_UPLOAD, BLOCK_DOWNLOAD)
+        if command != ABORT and command != END_RESPONSE:
+            self.until = now + (silence_limit(timeout) if self.in_blocks else timeout)
+        elif ours is not None or self._is_ambiguous:
+            self.until = max(self.until, now + PAUSE)  # no answer is due to this one, but perhaps to another
+        else:
+            self.until = now + SPREAD  # its next request may be right behind
+
+    def on_answer(self, data: bytes, timeout: Time, now: Time) -> None:
+        """Take an answer of the server that is none to us. Does nothing if no stranger has anything under way."""
+        if not self.last or self.last[0] == ABORT:
+            return
+        if self._is_ambiguous:
+            self.until = max(self.until, now + PAUSE)
+        elif self._is_last_answer(data):
+            self.close()
+        else:
+            self.until = now + (silence_limit(timeout) if self.in_blocks else PAUSE)
+
+    def _is_last_answer(self, data: bytes) -> bool:
+        request, command = self.last[0], data[0]
+        asked, said = request & SPECIFIER, command & SPECIFIER
+        is_named = data[1:4] == self.last[1:4]
+        is_alike = (request ^ command) & TOGGLE == 0
+        if command == ABORT:
+            is_nameless = data[1:4] == NO_MULTIPLEXER and not is_initiate(request)
+            return is_nameless or not self._names or data[1:4] in self._names
+        if self.in_blocks:  # the segments of an upload may look like anything else
+            return request & KIND == END and command == END_RESPONSE
+        if asked == INITIATE_DOWNLOAD:
+            return is_named and said == INITIATE_DOWNLOAD_RESPONSE and bool(request & EXPEDITED_BIT)
+        if asked == INITIATE_UPLOAD:
+            return is_named and said == INITIATE_UPLOAD_RESPONSE and bool(command & EXPEDITED_BIT)
+        if asked == DOWNLOAD_SEGMENT:
+            return is_alike and said == DOWNLOAD_SEGMENT_RESPONSE and bool(request & LAST)
+        return is_alike and asked == UPLOAD_SEGMENT and said == UPLOAD_SEGMENT_RESPONSE and bool(command & LAST)
+
+    def leaves_sure(self, transfer: Transfer) -> bool:
+        """Return whether an expedited answer to our request cannot be one to a stranger's.
+
+        Both are initiate requests without blocks, they name different objects, and nothing else was sent for ours yet.
+        """
+        asked = transfer.first[0] & SPECIFIER
+        if (
+            transfer.state is not INITIATED
+            or self.in_blocks
+            or self.last[0] & SPECIFIER not in (INITIATE_DOWNLOAD, INITIATE_UPLOAD)
+        ):
+            return False
+        is_one_frame = asked == INITIATE_UPLOAD or (asked == INITIATE_DOWNLOAD and bool(transfer.first[0] & EXPEDITED_BIT))
+        return is_one_frame and transfer.first[1:4] not in self._names
+
+    def may_answer(self, transfer: Transfer) -> bool:
+        """Return whether answers to a stranger may meet this request of ours."""
+        return bool(self.last) and (self.last[0] != ABORT or transfer.first[1:4] in self._names)
+
+    def goes_first(self, now: Time) -> None:
+        """Let a stranger that has waited go on: for so long our next request waits for it."""
+        if not self.last:
+            self.last, self.until = _NOTHING, now + SPREAD
+
+
+def spread(now: Time) -> Time:
+    """Return a time of 0 to SPREAD that differs from client to client: the clocks of two are never the same to the ns."""
+    return (now ^ now >> 7) * 0x9E3779B1 % SPREAD
+
+
+class Contested(Transfer):
+    """A request whose initiate answer is due, while a stranger asks too; see this module's text.
+
+    request: it. believes: an expedited answer is still taken; else every answer to it is in doubt.
+    """
+
+    __slots__ = ("believes", "request")
+
+    is_contested: ClassVar[bool] = True
+
+    def __init__(self, request: Transfer, believes: bool) -> None:
+        super().__init__(request.end, request.index, request.subindex, request.first)
+        self.request_id = request.request_id
+        self.is_urgent = request.is_urgent
+        self.deadline = request.deadline
+        self.request = request
+        self.believes = believes
+
+    @property
+    def is_all_sent(self) -> bool:
+        return self.request.is_all_sent
+
+    @property
+    def is_download(self) -> bool:
+        return self.request.is_download
+
+    def again(self) -> Transfer | None:
+        return self.request.again()
+
+    @property
+    def room(self) -> int:
+        return self.request.room
+
+    def feed(self, piece: Buffer, last: bool, now: Time) -> None:
+        self.request.feed(piece, last, now)
+
+    def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
+        if not self.believes or (command & SPECIFIER == INITIATE_UPLOAD_RESPONSE and not command & EXPEDITED_BIT):
+            return False
+        is_taken = self.request.receive(command, data, frame, now)
+        self.is_answered = self.request.is_answered
+        self.state = self.request.state
+        return is_taken
+
+
+def is_own_refusal(transfer: Transfer, data: bytes) -> bool:
+    """Return whether an abort of the server is its refusal of our request, and not a stranger's doing."""
+    is_believed = isinstance(transfer, Contested) and transfer.believes
+    return is_believed and data[1:4] == transfer.first[1:4] and data[7] != SERVICE_ERROR
