@@ -372,7 +372,7 @@ class SdoClient(ChannelEnd):
         if not is_named and not transfer.is_answered and self._queue.is_overdue(specifier, data[1:4]):
             self.ignore(frame, "late response to a request that timed out")
         elif is_near and self._is_in_doubt(transfer, specifier, is_named, data):
-            if is_initiate and isinstance(transfer, Contested):
+            if is_named and isinstance(transfer, Contested):
                 transfer.is_answered = transfer.believes
             self._end_contested(transfer, now)
         elif specifier == ABORT:

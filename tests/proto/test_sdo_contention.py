@@ -28,6 +28,7 @@ from canopen_proto.sdo.client import (
     SdoUploaded,
 )
 from canopen_proto.sdo.codec import INITIATE, LEAST_REQUEST, complete, what_was_asked
+from canopen_proto.sdo.contention import SPREAD
 from canopen_proto.sdo.server import SdoServer
 from tests.examples import examples
 from tests.proto.bus import Wire, take_events
@@ -361,7 +362,7 @@ def test_the_servers_abort_because_of_a_stranger_is_no_refusal() -> None:
     bench.hear("80 08 10 00 01 00 04 05")
     assert bench.frames() == [READ]
     assert bench.outcomes() == []
-    bench.wait(TIMEOUT)
+    bench.wait(TIMEOUT + SPREAD)
     assert bench.frames() == ["60C#8008100000000008", READ]
     bench.hear("80 08 10 00 00 00 02 06")
     (end,) = bench.outcomes()
