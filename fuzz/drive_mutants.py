@@ -17,6 +17,7 @@ STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
 
 _STATE: Final = "drive/state.py"
 _HALTING: Final = "drive/halting.py"
+_HOMING: Final = "drive/homing.py"
 _WATCHING: Final = "drive/watching.py"
 _TABLE: Final = "cia402/states.py"
 _DRIVE: Final = "simulated_drive/drive.py"
@@ -25,6 +26,46 @@ DRIVE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
         # ---- the master ----
+        (
+            "never_settled",
+            _HOMING,
+            "    if axis.unanswered:\n        yield from settle(axis)\n",
+            "",
+            "what a homing that begins late shows is taken for the end of the next one",
+            HOMED,
+        ),
+        (
+            "always_in_time",
+            "drive/axis.py",
+            "return max(self._settings.reaction_time, 2 * (self.answer_time or 0))",
+            "return self._settings.reaction_time",
+            "a drive that answers late is not given its time, and an old end is believed",
+            HOMED,
+        ),
+        (
+            "old_end_of_a_stranger",
+            _HOMING,
+            "if axis.answer_time is None and judge.shows_homed(",
+            "if axis.answer_time is None and not judge.shows_homed(",
+            "the end of somebody else's homing is believed of a drive that was never seen to answer",
+            HOMED,
+        ),
+        (
+            "start_left_standing",
+            _HOMING,
+            '            axis.leave_unanswered("a homing")\n',
+            "            pass\n",
+            "a homing that did not begin is forgotten",
+            HOMED,
+        ),
+        (
+            "bits_clear_from_the_first",
+            _HOMING,
+            "self._seen_clear |= ~statusword",
+            "self._seen_clear = -1",
+            "a bit that shows an old end counts as seen 0",
+            HOMED,
+        ),
         (
             "reset_without_edge",
             _STATE,

@@ -22,6 +22,11 @@ may mean something else. It `has_lost_reference` until it is homed again. Until 
 (`drive.ReferenceLost`), unless the settings say that the drive keeps its reference. A drive that this master never homed
 has no reference to lose.
 
+**A drive may act late.** A command that was not answered in time may still act at any later moment. The axis remembers that
+(`unanswered`), and `settle` ends it: the drive is led to another state, and has to show it. A drive obeys its commands in their
+order, so none is left from before then. While none is left, `answer_time` is the time that the drive took to show the state that
+it was last led to, and a drive that takes long is given more time: `reaction_time`.
+
 Events: `AxisStateChanged` when a statusword shows another state, or when the node boots (the state is UNKNOWN then).
 
 Source: IEC 61800-7-201 (CiA 402-2).
@@ -71,15 +76,17 @@ class Axis:
     set. has_scale: whether the user's unit is known; else it is the count. units: as the drive told them when they were last
     read. grip: takes hold before the drive is enabled, and lets go once it is shut down. started_at: when the drive last got
     a rising bit 4 of the controlword, which starts a motion; OBEYED once the drive has shown that it took it. selected_mode:
-    the mode of operation that this master selected last; None: none since the drive's last boot. commanded_at, selected_at:
-    when this master last sent a controlword, and a mode; None: not since then. has_opened_brake: whether this master holds
-    the brake open by an output, see digital_io.py. occupancy: the motion under way, see one_motion.py.
+    the mode of operation that this master selected last; None: none since the drive's last boot. unanswered: what the drive
+    was told and did not answer in time, in words; "": nothing. answer_time: ns, see above; None: not known. commanded_at,
+    selected_at: when this master last sent a controlword, and a mode; None: not since then. has_opened_brake: whether this
+    master holds the brake open by an output, see digital_io.py. occupancy: the motion under way, see one_motion.py.
     """
 
     __slots__ = (
-        "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings", "_shown",
-        "_store", "_was_homed", "commanded_at", "grip", "has_opened_brake", "has_scale", "is_identified", "node", "number",
-        "occupancy", "remote", "selected_at", "selected_mode", "set_points_given", "started_at", "state", "units",
+        "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings",
+        "_shown", "_store", "_was_homed", "answer_time", "commanded_at", "grip", "has_opened_brake", "has_scale",
+        "is_identified", "node", "number", "occupancy", "remote", "selected_at", "selected_mode", "set_points_given",
+        "started_at", "state", "unanswered", "units",
     )  # fmt: skip
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN, number: int = 0) -> None:
@@ -97,6 +104,8 @@ class Axis:
         self._is_homed = self._was_homed = False
         self.grip: AxisGrip | None = None
         self.started_at: Time = OBEYED
+        self.unanswered = ""
+        self.answer_time: Time | None = None
         self.selected_mode: int | None = None
         self.commanded_at: Time | None = None
         self.selected_at: Time | None = None
@@ -129,6 +138,15 @@ class Axis:
         self._direction, self._offset = settings.direction, settings.offset
         self.has_scale = settings.counts_per_unit is not None
         self._scale = 1.0 if settings.counts_per_unit is None else settings.counts_per_unit
+
+    @property
+    def reaction_time(self) -> Time:
+        """ns until what the drive shows answers the last command: that of the settings, or more for a drive that answers late."""
+        return max(self._settings.reaction_time, 2 * (self.answer_time or 0))
+
+    def leave_unanswered(self, what: str) -> None:
+        """Remember that the drive did not answer this in time. What was left before counts on."""
+        self.unanswered, self.answer_time = self.unanswered or what, None
 
     @property
     def statusword(self) -> int:
@@ -493,6 +511,7 @@ class Axis:
             self.is_homed = False
         self._shown = self.selected_mode = self.commanded_at = self.selected_at = None
         self.has_opened_brake = False
+        self.unanswered, self.answer_time = "", None
         self._enter(State.UNKNOWN)
 
     def _enter(self, state: State) -> None:

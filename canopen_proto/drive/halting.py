@@ -168,7 +168,7 @@ def _late_state(axis: Axis) -> Procedure[State]:
     goal = "operation enabled, as commanded"
     try:
         word = yield from wait_for_statusword(
-            axis, lambda word: state_of(word) in POWERED, axis.settings.reaction_time, goal, accept_fault=True, looks=False
+            axis, lambda word: state_of(word) in POWERED, axis.reaction_time, goal, accept_fault=True, looks=False
         )
     except StepTimeout:
         return axis.state
@@ -288,7 +288,7 @@ class _Standstill:
             self._was_moving = True
             return None
         since = self._axis.started_at if has_position else self.watch.began
-        has_obeyed = self._was_moving or heard_at - since >= self._axis.settings.reaction_time
+        has_obeyed = self._was_moving or heard_at - since >= self._axis.reaction_time
         return (has_obeyed and (not has_position or self._is_at_one_place())) or None
 
     def _knows(self, mux: Mux) -> bool:

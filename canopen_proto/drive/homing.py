@@ -12,6 +12,11 @@ its reference.
 A drive shows "neither" before it begins, and between two parts of its way. For `reaction_time` without a break it means that the
 homing did not begin, or was interrupted.
 
+**A drive may act later than that.** So a homing that did not begin may still begin: bit 4 is withdrawn, and the axis remembers it
+(`Axis.unanswered`). What such a homing shows later must not pass for the end of the next one. The next homing therefore first
+sees that the drive has obeyed everything before (`drive.settle`), and fails if it has not. An end that stands in the statusword
+before the edge is believed again only of a drive whose delay is known (`Axis.answer_time`): else it is settled, too.
+
 The method is checked before anything is sent, then what the settings say of the homing is written (homing_parameters.py).
 
 Source: IEC 61800-7-201 (CiA 402-2), homing mode: statusword.
@@ -24,15 +29,15 @@ from typing import Final
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import HomingStatus, Mode, ModeControl, ModeStatus, homing_status
-from canopen_proto.cia402.states import Command, State, StatusBit
-from canopen_proto.drive.axis import Axis, HomingStyle
+from canopen_proto.cia402.states import Command, ControlBit, State, StatusBit
+from canopen_proto.drive.axis import OBEYED, Axis, HomingStyle
 from canopen_proto.drive.controlword import command
 from canopen_proto.drive.failures import HomingFailed, accounted
 from canopen_proto.drive.halting import halt, halt_after
 from canopen_proto.drive.homing_parameters import check_home_position, check_homing_method, method_text, write_homing_parameters
 from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.reasons import LIMIT_SWITCHES
-from canopen_proto.drive.state import enable, set_mode
+from canopen_proto.drive.state import enable, set_mode, settle
 from canopen_proto.drive.units import read_number
 from canopen_proto.drive.watching import Watch, read_statusword
 from canopen_proto.machine import SECOND, Event, Time
@@ -86,18 +91,28 @@ def home(axis: Axis) -> Procedure[None]:
     yield from check_homing_method(axis)
     yield from halt(axis)
     axis.is_homed = False
+    if axis.unanswered:
+        yield from settle(axis)
     is_schunk = axis.settings.homing is HomingStyle.SCHUNK
     yield from set_mode(axis, Mode.HOMING, waive_check=is_schunk)
     if not is_schunk:
         yield from write_homing_parameters(axis)
     yield from enable(axis)
+    judge = _EndOfHoming(axis)
+    if axis.answer_time is None and judge.shows_homed((yield from read_statusword(axis))):
+        yield from settle(axis)
+        yield from enable(axis)
     try:
         yield from command(axis, int(Command.ENABLE_OPERATION))
+        judge.begin((yield from current_time()))
         yield from command(axis, Command.ENABLE_OPERATION | ModeControl.START_HOMING)
-        yield from _wait_for_end(axis)
+        yield from _wait_for_end(axis, judge)
     except (Cancelled, Exception) as cause:
+        if judge.is_awaited:
+            axis.leave_unanswered("a homing")
         yield from halt_after(axis, cause)
         raise
+    axis.started_at = OBEYED
     yield from command(axis, int(Command.ENABLE_OPERATION))
     if not is_schunk:
         yield from check_home_position(axis)
@@ -113,21 +128,25 @@ def home_if_needed(axis: Axis) -> Procedure[bool]:
     (Schunk) if bit 15 shows it.
     """
     has_reference = axis.is_homed or axis.settings.keeps_reference
-    if not has_reference and axis.settings.homing is HomingStyle.SCHUNK:
+    if not has_reference and axis.settings.homing is HomingStyle.SCHUNK and not axis.unanswered:
         has_reference = bool((yield from read_statusword(axis)) & StatusBit.MANUFACTURER_15)
     if not has_reference:
         yield from home(axis)
     return not has_reference
 
 
-def _wait_for_end(axis: Axis) -> Procedure[None]:
+def _wait_for_end(axis: Axis, judge: _EndOfHoming) -> Procedure[None]:
     """Wait for the end of the homing whose edge has just reached the drive."""
+    judge.begin((yield from current_time()))
     watch: Watch[_Ending] = Watch(axis, "the end of homing", mode=Mode.HOMING, stays=State.OPERATION_ENABLED)
-    judge = _EndOfHoming(axis, (yield from current_time()))
     ending = yield from watch.until(judge.judge, axis.settings.homing_timeout)
     if ending is not _Ending.HOMED:
+        remedy = _FREE
+        if judge.is_awaited:
+            yield from command(axis, Command.ENABLE_OPERATION | ControlBit.HALT)  # bit 4 is 0: it has nothing to begin
+            remedy = f"{_FREE}; if it is only slow, a longer reaction_time in its settings"
         failed = "reports a homing error" if ending is _Ending.FAILED else judge.why_it_stands()
-        raise HomingFailed(axis, failed, reason=(yield from _why_it_failed(axis)), remedy=_FREE)
+        raise HomingFailed(axis, failed, reason=(yield from _why_it_failed(axis)), remedy=remedy)
 
 
 def _why_it_failed(axis: Axis) -> Procedure[str]:
@@ -138,19 +157,32 @@ def _why_it_failed(axis: Axis) -> Procedure[str]:
 
 
 class _EndOfHoming:
-    """Judges which statuswords show the end of one homing; see this module's text."""
+    """Judges which statuswords show the end of one homing; see this module's text.
 
-    def __init__(self, axis: Axis, edge: Time) -> None:
-        """Judge a homing whose rising bit 4 reached the drive at `edge`."""
+    is_awaited: the homing was commanded, and the drive has shown nothing of it yet.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self.is_awaited = False
         self._axis = axis
         self._told: HomingStatus | None = None
-        self._reaction_time = axis.settings.reaction_time
+        self._reaction_time: Time = 0
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._bits = _SCHUNK_BITS if self._is_schunk else _STANDARD_BITS
         self._seen_clear = 0  # bits that were 0 after the edge
         self._shown: _Ending | None = None
-        self._shown_since = edge
-        self._began = False
+        self._shown_since: Time = 0
+        self._before = _Ending.STANDS  # what it showed when the edge was sent
+
+    def begin(self, edge: Time) -> None:
+        """Begin, or begin again, with the rising bit 4 that goes to the drive, or has reached it, at `edge`."""
+        self.is_awaited, self._shown_since = True, edge
+        self._reaction_time = self._axis.reaction_time
+        self._before = self._ending_of(self._axis.statusword)
+
+    def shows_homed(self, statusword: int) -> bool:
+        """Return whether a statusword shows that a homing is complete, whichever it was."""
+        return self._ending_of(statusword) is _Ending.HOMED
 
     def judge(self, statusword: int, heard_at: Time) -> _Ending | None:
         """Return the end that this statusword shows for certain, else None."""
@@ -161,8 +193,9 @@ class _EndOfHoming:
             if self._shown is not None:
                 self._shown_since = heard_at
             self._shown = ending
+        if ending is not self._before:
+            self.is_awaited = False
         if ending is _Ending.NONE:
-            self._began = True
             return None
         is_new = self._seen_clear & self._bits.get(ending, 0)
         return ending if is_new or heard_at - self._shown_since >= self._reaction_time else None
@@ -184,6 +217,6 @@ class _EndOfHoming:
 
     def why_it_stands(self) -> str:
         """Return, for a message, why the drive stands, neither homed nor with an error."""
-        if not self._began:
-            return f"did not begin to home within {self._reaction_time / SECOND:g} s (reaction_time)"
+        if self.is_awaited:
+            return f"did not begin to home within {self._reaction_time / SECOND:g} s (reaction_time), and may still begin"
         return "stopped, but is not referenced (bit 15)" if self._is_schunk else "stopped before it was homed: it was interrupted"

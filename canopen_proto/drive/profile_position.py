@@ -25,7 +25,7 @@ from canopen_proto.drive.limits import EXACT, limits_of
 from canopen_proto.drive.one_motion import moves
 from canopen_proto.drive.reasons import LIMIT_SWITCHES
 from canopen_proto.drive.standing import takes
-from canopen_proto.drive.state import enable, set_mode
+from canopen_proto.drive.state import enable, set_mode, settle
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, wait_for_statusword
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.objects import read_if_present, read_int, write
@@ -76,8 +76,10 @@ def move_to(
     yield from require_profile_speed(axis)
     relation = ModeControl.RELATIVE if relative else 0
     try:
-        if axis.mode != Mode.PROFILE_POSITION:
+        if axis.mode != Mode.PROFILE_POSITION or axis.unanswered:
             yield from halt(axis)
+        if axis.unanswered:
+            yield from settle(axis)
         yield from set_mode(axis, Mode.PROFILE_POSITION)
         yield from _end_at_rest(axis)
         yield from set_options(axis, direction)
@@ -95,6 +97,7 @@ def move_to(
             limit = yield from limit_before(axis, target)
             if limit:
                 raise LimitReached(axis, "did not take its target", reason=limit, remedy=OTHER_TARGET) from refused
+            axis.leave_unanswered("a target")
             raise
         axis.started_at = OBEYED
         yield from command(axis, _AT_ONCE | relation)

@@ -16,13 +16,23 @@ from canopen_proto.drive.halting import halt, halt_after, may_be_enabled
 from canopen_proto.drive.one_motion import moves, stops
 from canopen_proto.drive.settings import MODE_CHANGE_STATES
 from canopen_proto.drive.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
-from canopen_proto.machine import Time
+from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.objects import read_if_present, read_int
-from canopen_proto.procedures.steps import Procedure, StepTimeout, act, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed, StepTimeout, act, current_time
 
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
 """How far a state is on the way to Operation enabled; 0 for all other states."""
 _ANOTHER: Final = "a mode that it has"
+
+_ANOTHER_STATE: Final = {
+    State.OPERATION_ENABLED: State.SWITCHED_ON,
+    State.SWITCHED_ON: State.READY_TO_SWITCH_ON,
+    State.SWITCH_ON_DISABLED: State.READY_TO_SWITCH_ON,
+}
+"""State -> the one by which a drive shows that it has obeyed. From all others it goes to Switch on disabled."""
+
+ACTS_LATE: Final = "keep away; if it is only slow, longer reaction_time and state_timeout in its settings; else reset its node"
+"""The remedy for a drive that may still obey an old command."""
 
 
 def _leaves(state: State) -> Callable[[int], bool]:
@@ -54,6 +64,7 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
         yield from _take_power_first(axis, target)
     statusword = yield from read_statusword(axis)
     seen: list[State] = []
+    slowest: Time | None = None
     while (state := state_of(statusword)) is not target:
         if state in FAULT_STATES:
             raise (yield from fault_of(axis, f"and cannot go to {target}"))
@@ -62,10 +73,36 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
             raise state_lost(axis, state, str(target))
         seen.append(state)
         step = next_command(state, target)
+        began = yield from current_time()
+        try:
+            if step is not None:
+                yield from command(axis, int(step))
+            statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
+        except (Cancelled, StepTimeout, SdoFailed):
+            axis.leave_unanswered(f"the way to {target}")
+            raise
         if step is not None:
-            yield from command(axis, int(step))
-        statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
+            slowest = max(slowest or 0, (yield from current_time()) - began)
+    if slowest is not None and not axis.unanswered:
+        axis.answer_time = slowest
     return statusword
+
+
+def settle(axis: Axis) -> Procedure[None]:
+    """Make sure that the drive has obeyed all that it was commanded: lead it to another state, and wait until it shows it.
+
+    An enabled drive slows down by its ramp and has no power then. Others go one state down, or from the lowest one up: there they
+    have no power either. Raises DriveTimeout if the drive does not show the state within `state_timeout`: it may still act.
+    """
+    state = state_of((yield from read_statusword(axis)))
+    left = axis.unanswered or "what it was commanded before"
+    axis.leave_unanswered(left)
+    try:
+        yield from change_state(axis, _ANOTHER_STATE.get(state, State.SWITCH_ON_DISABLED))
+    except StepTimeout as late:
+        failed = f"has not answered within {axis.settings.state_timeout / SECOND:g} s (state_timeout), and may still obey {left}"
+        raise DriveTimeout(axis, failed, reason=late.reason if isinstance(late, DriveTimeout) else "", remedy=ACTS_LATE) from late
+    axis.unanswered = ""
 
 
 def _take_power_first(axis: Axis, target: State) -> Procedure[None]:
@@ -189,6 +226,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     try:
         yield from watch.until(is_shown, axis.settings.state_timeout)
     except DriveTimeout as late:
+        axis.leave_unanswered(mode_name(mode))
         shown = axis.mode or Mode.NO_MODE
         if axis.node.rpdo_of(objects.MODES_OF_OPERATION) is not None:
             # An RPDO cannot be refused: it would go on asking, and the drive might obey at any later time.
@@ -215,7 +253,11 @@ def quick_stop(axis: Axis) -> Procedure[None]:
     yield from insist(axis, int(Command.QUICK_STOP))
     yield from return_brake(axis)
     stopped = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
-    yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
+    try:
+        yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
+    except StepTimeout:
+        axis.leave_unanswered("a quick stop")
+        raise
 
 
 @stops(halt_after)

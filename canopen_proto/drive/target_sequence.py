@@ -43,7 +43,7 @@ from canopen_proto.drive.profile_position import (
     wait_for_acknowledge,
     wait_for_target,
 )
-from canopen_proto.drive.state import enable, set_mode
+from canopen_proto.drive.state import enable, set_mode, settle
 from canopen_proto.drive.watching import Watch
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
@@ -116,8 +116,10 @@ def move_along(axis: Axis, targets: Iterable[Target], *, timeout: Time) -> Proce
     feeder = _Feeder(axis, points, timeout)
     yield from feeder.prepare()
     try:
-        if axis.mode != Mode.PROFILE_POSITION:
+        if axis.mode != Mode.PROFILE_POSITION or axis.unanswered:
             yield from halt(axis)
+        if axis.unanswered:
+            yield from settle(axis)
         yield from set_mode(axis, Mode.PROFILE_POSITION)
         yield from enable(axis)
         for number in range(len(points)):
@@ -242,6 +244,7 @@ class _Feeder:
             yield from wait_for_acknowledge(axis, True)
         except StepTimeout as refused:
             yield from self._tell_refusal(start, refused)
+            axis.leave_unanswered("a target")
             raise
         axis.started_at = OBEYED
         yield from command(axis, word)

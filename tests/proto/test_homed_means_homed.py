@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 from canopen_proto import drive
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import HomingStatus
+from canopen_proto.cia402.modes import HomingStatus, Mode
+from canopen_proto.drive.axis import Axis
 from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulated_drive.homing import HomingFinished
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
@@ -111,3 +113,91 @@ def test_a_homing_that_somebody_else_interrupts_is_told_within_the_reaction_time
     ended = rig.outcome(request)
     assert "stopped before it was homed: it was interrupted" in str(getattr(ended, "error", ended))
     assert rig.bus.now - interrupted_at < REACTION_TIME + SECOND
+
+
+SLOW_METHODS = [1, 17, 19, 21, 33, 34, 35, 37, 0]
+
+
+@given(
+    reaction=st.integers(0, 10_000).map(lambda ms: ms * MILLISECOND),
+    cycle=st.sampled_from([None, None, 10 * MILLISECOND]),
+    methods=st.lists(st.sampled_from(SLOW_METHODS), min_size=1, max_size=3),
+    pauses=st.lists(st.integers(0, 12_000).map(lambda ms: ms * MILLISECOND), min_size=3, max_size=3),
+    was_homed=st.booleans(),
+    shape=st.sampled_from(Shape),
+    was_enabled=st.booleans(),
+)
+@example(2_900 * MILLISECOND, None, [35], [0] * 3, True, Shape.STANDARD, True)
+@example(9_000 * MILLISECOND, None, [35], [0] * 3, True, Shape.STANDARD, True)
+@examples(5)
+def test_however_late_a_drive_acts_and_however_often_one_tries_again_homed_means_homed(
+    reaction: Time,
+    cycle: Time | None,
+    methods: list[int],
+    pauses: list[Time],
+    was_homed: bool,
+    shape: Shape,
+    was_enabled: bool,
+) -> None:
+    """An error is an answer, too. was_homed, was_enabled: somebody else has homed the drive before, or left it enabled."""
+    rig = rig_of(shape, reaction, cycle)
+    if was_homed or was_enabled:
+        patient = Axis(rig.remote, replace(rig.axis.settings, reaction_time=25 * SECOND, state_timeout=25 * SECOND))
+        patient.settings = replace(patient.settings, homing_method=35, homing_timeout=300 * SECOND)
+        rig.run(drive.home(patient) if was_homed else drive.enable(patient))
+        if not was_enabled:
+            rig.run(drive.shut_down(patient))
+            if cycle is not None:
+                rig.remote.enable_rpdo(next(iter(rig.remote.rpdos)), rig.bus.now)
+        rig.bus.run(25 * SECOND)
+        rig.axis = Axis(rig.remote, rig.axis.settings)
+    rig.bus.take_events(HomingFinished)
+    for number, pause in enumerate(pauses):
+        rig.axis.settings = replace(rig.axis.settings, homing_method=methods[number % len(methods)])
+        try:
+            rig.run(drive.home(rig.axis))
+        except ProcedureError:
+            rig.bus.run(pause)
+            assert not rig.axis.is_homed
+            rig.bus.take_events(HomingFinished)
+            continue
+        rig.drive.refresh(rig.bus.now)
+        ended = [event.status for event in rig.bus.take_events(HomingFinished)]
+        assert ended[-1:] == [HomingStatus.COMPLETE], "it was believed before it was done"
+        assert rig.drive._homing.is_referenced
+        assert rig.drive._servo.is_settled
+        stood = rig.drive._servo.position
+        rig.bus.run(12 * SECOND)
+        rig.drive.refresh(rig.bus.now)
+        assert not rig.bus.take_events(HomingFinished)
+        assert rig.drive._servo.position == stood, "it moved afterwards"
+        return
+
+
+@pytest.mark.parametrize("method", [1, 17, 33, 34, 35])
+@pytest.mark.parametrize("reaction", [1_100, 1_500, 2_900])
+def test_a_drive_that_answers_late_is_given_its_time(reaction: int, method: int) -> None:
+    """How late it answers was seen when it was enabled."""
+    rig = rig_of(Shape.STANDARD, reaction * MILLISECOND, None)
+    rig.axis.settings = replace(rig.axis.settings, homing_method=method)
+    home_and_judge(rig)
+
+
+def test_a_homing_that_did_not_begin_may_still_begin_and_the_next_one_waits_for_that() -> None:
+    rig = rig_of(Shape.STANDARD, MILLISECOND, None)
+    rig.axis.settings = replace(rig.axis.settings, homing_method=17)
+    rig.run(drive.set_mode(rig.axis, Mode.HOMING))
+    rig.run(drive.enable(rig.axis))
+    at_once, late = rig.drive.settings, replace(rig.drive.settings, reaction=4 * SECOND)
+    rig.drive.settings = late  # it has got slow since it was enabled
+    with pytest.raises(
+        drive.HomingFailed, match=r"did not begin to home within 1 s \(reaction_time\), and may still begin"
+    ) as told:
+        rig.run(drive.home(rig.axis))
+    assert "a longer reaction_time in its settings" in told.value.remedy
+    with pytest.raises(drive.DriveTimeout, match=r"within 3 s \(state_timeout\), and may still obey a homing"):
+        rig.run(drive.home(rig.axis))
+    rig.drive.settings = at_once
+    rig.bus.run(10 * SECOND)
+    rig.bus.take_events(HomingFinished)
+    home_and_judge(rig)
