@@ -24,6 +24,7 @@ from typing import Final
 from fuzz.boot_mutants import BOOT_MUTANTS
 from fuzz.drive_mutants import DRIVE_MUTANTS
 from fuzz.flash_mutants import FLASH_MUTANTS
+from fuzz.lss_mutants import LSS_MUTANTS
 from fuzz.master_mutants import MASTER_MUTANTS
 from fuzz.mutant import Mutant
 from fuzz.service_mutants import SERVICE_MUTANTS
@@ -404,6 +405,7 @@ WINGS: Final = {
     "sdo": SDO_MUTANTS,
     "boot": BOOT_MUTANTS,
     "flash": FLASH_MUTANTS,
+    "lss": LSS_MUTANTS,
     "drives": DRIVE_MUTANTS,
     "trajectories": TRAJECTORY_MUTANTS,
     "services": SERVICE_MUTANTS,

@@ -1,14 +1,20 @@
 """Give devices their node-IDs by LSS (CiA 305).
 
-`assign_all` repeats three steps until no device without a node-ID is left, or only such as it is not to touch:
+`assign_all` repeats three steps until no device without a node-ID is left, or only such as it is not to touch. One device is
+finished before the next is searched, so what ends it early takes nothing away from those that have theirs:
 
-    1. survey    find the devices without a node-ID; nothing is written
-    2. plan      choose a node-ID for each, by a table of addresses or in order; none that anybody on the bus has; then ask
-    3. write     `give`, one device after the other
+    1. find      one device without a node-ID; nothing is written
+    2. plan      choose its node-ID, by a table of addresses or in order; none that anybody on the bus has; then ask
+    3. write     `give`: it gets its node-ID, stores it and boots
+
+Devices that are left alone, or did not get theirs, are selected while the next one is searched: so they hide nobody. The search
+for one device takes `Pace.device_limit` at most; then the assignment ends, and says so. Nobody is left behind without a word: a
+device has its node-ID, or is in `done` or `left` with the reason, or `unfinished` says why there may be more.
 
 `give` never writes to a device that it is not sure of. All slaves are sent to "waiting", one is selected by its address, and the
 selected one is asked for its identity and node-ID: there has to be exactly one, with that address, and without a node-ID. Each
-step that is not answered is repeated: all of them may be done twice. `Given` names a step that remains unanswered.
+step that is not answered is repeated: all of them may be done twice. `Given` names a step that remains unanswered. A node-ID that
+a device may have is not given to another one.
 
 An interrupted assignment is simply begun again. A device that has its node-ID no longer takes part; one that has got it, and has
 not left "configuration", boots at the first "waiting".
@@ -24,6 +30,7 @@ from canopen_proto.lss.messages import OK, UNCONFIGURED, LssAddress, LssService,
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Time, check_node_id
 from canopen_proto.procedures.lss_scan import (
     NOTHING_KNOWN,
+    TRIES,
     BootUpHeard,
     Known,
     LssError,
@@ -41,8 +48,10 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError,
 NOBODY_AGREED: Final = "nobody agreed"
 """Why a device is left alone whose node-ID somebody did not want to be written."""
 
-TRIES: Final = 3
-"""How often an unanswered step is sent."""
+REFUSED: Final = "the device says"
+"""Begins the reason of a device that has refused."""
+SELECTIONS: Final = 5
+"""How often a device is selected at most: each takes five frames, and one that is lost spoils it."""
 BOOT_WINDOW: Final = 1 * SECOND
 """For the boot-up of a device that leaves LSS with its first node-ID."""
 TWIN_WINDOW: Final = 50 * MILLISECOND
@@ -67,7 +76,8 @@ class Given:
     """How it went with one device.
 
     written: it has confirmed its pending node-ID. stored: the same for its memory; None if that was not wanted. booted: it is
-    there with the new node-ID. remark: for people, what failed, and what that means; "" if all is well.
+    there with the new node-ID. remark: for people, what failed, and what that means; "" if all is well. is_refused: the device
+    itself has said no, so the same once more does not help.
     """
 
     address: LssAddress
@@ -76,6 +86,7 @@ class Given:
     stored: bool | None = None
     booted: bool = False
     remark: str = ""
+    is_refused: bool = False
 
     @property
     def is_complete(self) -> bool:
@@ -99,8 +110,8 @@ class Assignment:
     """An assignment under way; see this module's text. choose: the node-IDs. known: numbers that all addresses have. store:
     whether the devices store their node-ID.
 
-    done: what has been written. left: the devices that are left alone, and why. remark: why devices may be left that were not
-    found; "" if there is no reason to think so. taken: node-IDs that are in use.
+    done: what has been written. left: the devices that are left alone, and why. unfinished: why the search ended before nobody
+    was left; "" if nobody is. remark: what else is to know; or "". taken: node-IDs that are in use, or may be.
     """
 
     tool: LssTool
@@ -111,48 +122,60 @@ class Assignment:
     done: list[Given] = field(default_factory=list)
     left: dict[LssAddress, str] = field(default_factory=dict)
     taken: set[int] = field(default_factory=set)
+    unfinished: str = ""
     remark: str = ""
+    _aside: list[LssAddress] = field(default_factory=list)  # they have no part in the search
     _listen: Time = LISTEN
 
     def next_plan(self) -> Procedure[list[Planned]]:
-        """Find the devices that are left, and choose their node-IDs. Empty: there is nothing to do any more. Writes nothing."""
-        if self.remark:
-            return []
-        try:
-            found = yield from survey(self.tool, self.pace, self.known)
-        except LssError as failed:
-            if not self.done:
-                raise
-            self.remark = str(failed)
-            return []
-        written = {given.address for given in self.done if given.written}
-        returned = [str(each) for each in found.found if each in written]
-        tried = {given.address for given in self.done}.union(self.left)
-        new = [each for each in found.found if each not in tried]
-        if returned:
+        """Find the next device, and choose its node-ID. Empty: there is nothing to do any more. Writes nothing.
+
+        Raises LssError if not even one device can be found.
+        """
+        while not self.unfinished:
+            address = yield from self._next_device()
+            if address is None:
+                break
+            node_id = yield from self._free_node_id(address)
+            if node_id is not None:
+                self.taken.add(node_id)
+                return [Planned(address, node_id)]
+            self.left[address] = "no node-ID for it is free, or it is not in the table"
+            self._aside.append(address)
+        return []
+
+    def _next_device(self) -> Procedure[LssAddress | None]:
+        """Find a device that was not met yet; None if there is none, or if the search ended: see `unfinished`."""
+        while True:
+            try:
+                found = yield from survey(self.tool, self.pace, self.known, 1, self._aside)
+            except LssError as failed:
+                if not self.done and not self.left:
+                    raise
+                self.unfinished = str(failed)
+                return None
+            if found.again is not None:
+                self.unfinished = (
+                    f"{found.again} takes part in the fastscan though it is selected: devices with higher addresses are hidden "
+                    "behind it. Try: canopen lss identify with their vendor-ID and product code"
+                )
+                return None
+            if not found.found:
+                return None
+            (address,) = found.found
+            if all(address != given.address for given in self.done):
+                return address
+            self._aside.append(address)
             self.remark = (
-                f"{', '.join(returned)} took part in the fastscan again, after it was given a node-ID. Some devices do so though "
+                f"{address} took part in the fastscan again, after it was given a node-ID. Some devices do so though "
                 "they have one; or there are two devices with this address, or it has reset without having stored its node-ID"
             )
-        elif found.again is not None and not new:
-            self.remark = (
-                f"{found.again} takes part in the fastscan though it is selected: devices with higher addresses are hidden "
-                "behind it. Try: canopen lss identify with their vendor-ID and product code"
-            )
-        return (yield from self._plan(new))
 
-    def _plan(self, addresses: Iterable[LssAddress]) -> Procedure[list[Planned]]:
-        planned = []
-        for address in addresses:
+    def _free_node_id(self, address: LssAddress) -> Procedure[int | None]:
+        node_id = self._choose(address)
+        while node_id is not None and (yield from self._is_taken(node_id)):
             node_id = self._choose(address)
-            while node_id is not None and (yield from self._is_taken(node_id)):
-                node_id = self._choose(address)
-            if node_id is None:
-                self.left[address] = "no node-ID for it is free, or it is not in the table"
-            else:
-                self.taken.add(node_id)
-                planned.append(Planned(address, node_id))
-        return planned
+        return node_id
 
     def _is_taken(self, node_id: int) -> Procedure[bool]:
         listen, self._listen = self._listen, 0  # once is enough
@@ -170,12 +193,15 @@ class Assignment:
             result = yield from give(self.tool, self.pace, planned.address, planned.node_id, store=self.store)
             self.done.append(result)
             written.append(result)
+            if not result.written:
+                self._aside.append(planned.address)
         return written
 
     def leave(self, plan: Iterable[Planned]) -> None:
         """Leave the devices of a plan alone: nobody agreed to it."""
         for planned in plan:
             self.left[planned.address] = NOBODY_AGREED
+            self._aside.append(planned.address)
             self.taken.discard(planned.node_id)
 
 
@@ -248,14 +274,14 @@ def _give(tool: LssTool, pace: Pace, address: LssAddress, node_id: int, present:
     error = yield from _confirmed(tool, pace, LssService.CONFIGURE_NODE_ID, node_id)
     if error:
         yield from _take_back(tool, pace, present)
-        return Given(address, node_id, remark=f"the node-ID was not confirmed ({error})")
-    stored, remark = None, ""
+        return Given(address, node_id, remark=f"the node-ID was not confirmed ({error})", is_refused=REFUSED in error)
+    stored, remark, is_refused = None, "", False
     if store:
         error = yield from _confirmed(tool, pace, LssService.STORE, node_id)
-        stored = not error
+        stored, is_refused = not error, REFUSED in error
         remark = f"the node-ID is not stored ({error}): the device loses it without power" if error else ""
     booted, why = yield from _start(tool, address, node_id, present)
-    return Given(address, node_id, True, stored, booted, "; ".join(filter(None, (remark, why))))
+    return Given(address, node_id, True, stored, booted, "; ".join(filter(None, (remark, why))), is_refused)
 
 
 class LssNotSelected(ProcedureError):
@@ -268,13 +294,14 @@ def select_only(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[Non
     Then all slaves are to be sent to "waiting" (`all_waiting`).
     """
     seen: list[set[int]] = []
-    for _ in range(TRIES):
+    for attempt in range(SELECTIONS):
         yield from all_waiting(tool)
         yield from ask(tool, lambda now: tool.master.select(address, now, window=pace.window, guard=pace.after_answer))
         seen = yield from identity_of_selected(tool, pace)
         if matches(seen, [address]):
             return
-        pace.slow_down()
+        if attempt:
+            pace.slow_down()  # not one lost frame
     if not any(seen):
         raise LssNotSelected(f"no device with the address {address} answers")
     raise LssNotSelected(f"another device is selected beside {address}: is a second LSS master at work?")
@@ -300,7 +327,7 @@ def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> 
             reply = yield from ask(tool, lambda now: tool.master.configure_node_id(node_id, now, window=pace.window))
         errors = {error_text(service, answer[1], answer[2]) for answer in reply.answers if answer[1] != OK}
         if errors:
-            return f"the device says: {', '.join(sorted(errors))}"
+            return f"{REFUSED}: {', '.join(sorted(errors))}"
         if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:
             return "two devices answered"
         if reply.count:

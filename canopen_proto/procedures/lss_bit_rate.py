@@ -21,8 +21,8 @@ from typing import Final
 
 from canopen_proto.lss.messages import BIT_RATES, OK, LssAddress, LssService, LssState, error_text
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
-from canopen_proto.procedures.lss_assign import TRIES, LssNotSelected, select_only
-from canopen_proto.procedures.lss_scan import LssTool, Pace, all_waiting, ask
+from canopen_proto.procedures.lss_assign import LssNotSelected, select_only
+from canopen_proto.procedures.lss_scan import TRIES, LssTool, Pace, all_waiting, ask
 from canopen_proto.procedures.steps import Cancelled, Procedure, act, sleep
 
 DELAY: Final = 1000 * MILLISECOND

@@ -11,10 +11,12 @@ The slave that is found is in "configuration" then, and takes part no longer, un
 all of them without writing anything. A device that comes a second time does take part: CANopenNode's slaves answer even when they
 are selected, Lely's even with a node-ID. Then the survey ends, and says so.
 
-**Nothing is believed that could be a late answer.** A late one counts for the next question and makes a wrong bit. Then
-"is it this one?" remains unanswered, and the number is asked for again, each question with twice the window and all of it
-(`Pace`). Silence counts after the whole window only; after an answer a guard time is enough for the others. At the end the slave
-that should have been selected is asked for its identity. "Nobody" is believed the second time, and if also 0x4C is not answered.
+**Nothing is believed that could be a late or a lost answer.** A late one counts for the next question, a lost one for silence:
+both make a wrong bit. Then "is it this one?" remains unanswered. A question that every slave at that number answers, with a long
+window, tells which it was (`_look_closer`): late answers make the window longer, lost ones make each silent question be repeated
+(`Pace`). So loss costs a little time, and not the patience for a slow device. Silence counts after the whole window only; after
+an answer a guard time is enough for the others. At the end the slave that should have been selected is asked for its identity.
+"Nobody" is believed the third time, after a long window, and if also 0x4C is not answered.
 """
 
 from __future__ import annotations
@@ -27,10 +29,10 @@ from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingK
 from canopen_proto.group import Group
 from canopen_proto.lss.master import WINDOW, LssMaster, LssReply
 from canopen_proto.lss.messages import CONFIRM, FIELD_NAMES, UNCONFIGURED, LssAddress, LssService, LssState, number_of
-from canopen_proto.machine import MILLISECOND, SECOND, Event, Machine, Outbox, RequestId, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, RequestId, Time
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.scan import Scanner
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Request, act
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, Request, act, current_time
 
 NUMBERS: Final = len(FIELD_NAMES)
 BITS: Final = 32
@@ -42,7 +44,13 @@ GUARD: Final = 5 * MILLISECOND
 SLOWEST_FACTOR: Final = 4
 """The guard time is at least so many times the slowest answer that was seen."""
 MAX_WINDOW: Final = 2 * SECOND
-ATTEMPTS: Final = 4
+PATIENCE: Final = 10
+"""So many windows is a late answer awaited where only that can tell late from lost."""
+DEVICE_LIMIT: Final = 120 * SECOND
+"""To find one device: a hundred times what a quick bus needs, nine times what the standard window needs."""
+TRIES: Final = 3
+"""How often an unanswered step is sent; and a silent question, once answers got lost."""
+ATTEMPTS: Final = 8
 """How often a scan is begun, and a number asked for, before it is given up."""
 
 Known = tuple[int | None, int | None, int | None, int | None]
@@ -52,6 +60,10 @@ NOTHING_KNOWN: Final[Known] = (None, None, None, None)
 
 class LssError(ProcedureError):
     """LSS did not lead to its goal. The message says what was seen, and what to try."""
+
+
+class LssTimeOver(LssError):
+    """The time for one device is over."""
 
 
 class LssFound(Event):
@@ -120,12 +132,16 @@ class _BootUps(Machine):
 class Pace:
     """How long the questions wait, ns. It adapts: to the slowest answer, and to answers that went missing.
 
-    window: for silence. guard: after an answer, at least. slowest: the slowest answer so far.
+    window: for silence. guard: after an answer, at least. slowest: the slowest answer so far. repeats: how often a silent
+    question is asked, 1 to TRIES. device_limit: the longest time to find one device; `until` is its end: then LssTimeOver.
     """
 
     window: Time = WINDOW
     guard: Time = GUARD
     slowest: Time = 0
+    repeats: int = 1
+    device_limit: Time = DEVICE_LIMIT
+    until: Time = NEVER
 
     def learn(self, reply: LssReply) -> None:
         """Take the time of the answers to a question that waited its whole window."""
@@ -133,9 +149,18 @@ class Pace:
         self.window = min(max(self.window, 2 * self.slowest), max(MAX_WINDOW, self.window))
 
     def slow_down(self) -> None:
-        """Wait twice as long from now on, and after an answer as long as for silence: something was late or lost."""
-        self.window = min(2 * self.window, max(MAX_WINDOW, self.window))
-        self.guard = self.window
+        """Be more careful: something was late or lost. Repeat silent questions; if that is not enough, wait twice as long, and
+        after an answer as long as for silence."""
+        if self.repeats < TRIES:
+            self.repeats += 1
+        else:
+            self.window = min(2 * self.window, max(MAX_WINDOW, self.window))
+            self.guard = self.window
+
+    @property
+    def patience(self) -> Time:
+        """A window for answers that are later than all before."""
+        return max(self.window, min(PATIENCE * self.window, MAX_WINDOW))
 
     @property
     def after_answer(self) -> Time:
@@ -168,12 +193,19 @@ def all_waiting(tool: LssTool) -> Procedure[None]:
 
 def identity_of_selected(tool: LssTool, pace: Pace) -> Procedure[list[set[int]]]:
     """Return the numbers that the slaves in "configuration" give for each part of their address."""
-    numbers = []
+    numbers: list[set[int]] = []
     for service in (
         LssService.INQUIRE_VENDOR, LssService.INQUIRE_PRODUCT, LssService.INQUIRE_REVISION, LssService.INQUIRE_SERIAL,
     ):  # fmt: skip
-        reply = yield from ask(tool, lambda now, service=service: tool.master.inquire(service, now, window=pace.window))  # type: ignore[misc]
-        numbers.append({number_of(answer) for answer in reply.answers})
+        given: set[int] = set()
+        for _ in range(TRIES):
+            reply = yield from ask(tool, lambda now, service=service: tool.master.inquire(service, now, window=pace.window))  # type: ignore[misc]
+            given = {number_of(answer) for answer in reply.answers}
+            if given:
+                break
+        numbers.append(given)
+        if not given:
+            return [*numbers, *(set() for _ in range(NUMBERS - len(numbers)))]
     return numbers
 
 
@@ -198,25 +230,36 @@ class _Unclear(Exception):
     """Another device is selected than the one that was found: begin the survey again."""
 
 
-def survey(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, limit: int = MAX_NODE_ID) -> Procedure[Survey]:
+def survey(
+    tool: LssTool,
+    pace: Pace,
+    known: Known = NOTHING_KNOWN,
+    limit: int = MAX_NODE_ID,
+    aside: Collection[LssAddress] = (),
+) -> Procedure[Survey]:
     """Find the devices without a node-ID whose addresses have the numbers of `known`; at most `limit` of them. Writes nothing.
 
-    Each is reported by LssFound. At the end, and when it is cancelled, all slaves are in "waiting". Raises LssError if the
-    answers make no sense even when the questions wait long.
+    aside: devices that do not take part: they are selected first. Each device is reported by LssFound. At the end, and when it is
+    cancelled, all slaves are in "waiting". Raises LssError if the answers make no sense even when the questions wait long, and
+    LssTimeOver if one device takes longer than `pace` allows.
     """
+    result = Survey()
+    pace.until = (yield from current_time()) + pace.device_limit
     try:
         for _ in range(ATTEMPTS):
             yield from all_waiting(tool)
             try:
-                result = yield from _survey_once(tool, pace, known, limit)
+                yield from _survey_once(tool, pace, known, limit, (*aside, *result.found), result)
             except _Unclear:
                 pace.slow_down()
                 continue
             yield from all_waiting(tool)
             return result
-    except Cancelled:
+    except (Cancelled, LssError):
         yield from all_waiting(tool)
         raise
+    finally:
+        pace.until = NEVER
     yield from all_waiting(tool)
     raise LssError(
         f"the fastscan found addresses that no device has, {ATTEMPTS} times, with up to {pace.window / 1e6:g} ms for an answer. "
@@ -224,20 +267,34 @@ def survey(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, limit: int =
     )
 
 
-def _survey_once(tool: LssTool, pace: Pace, known: Known, limit: int) -> Procedure[Survey]:
-    result = Survey()
+def _survey_once(
+    tool: LssTool, pace: Pace, known: Known, limit: int, aside: Collection[LssAddress], result: Survey
+) -> Procedure[None]:
+    selected: list[LssAddress] = []
+    for each in aside:
+        selected += [each] * (yield from _is_selected(tool, pace, each))
     while len(result.found) < limit:
-        address = yield from fastscan(tool, pace, known, first=not result.found)
+        address = yield from fastscan(tool, pace, known, first=not selected)
         if address is None:
             break
-        if address in result.found:
+        if address in selected:
             result.again = address
             break
-        if not matches((yield from identity_of_selected(tool, pace)), (*result.found, address)):
+        selected.append(address)
+        if address in aside or not matches((yield from identity_of_selected(tool, pace)), selected):
             raise _Unclear
         result.found.append(address)
+        pace.until = (yield from current_time()) + pace.device_limit
         yield from _report(tool, LssFound(0, address))
-    return result
+
+
+def _is_selected(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[bool]:
+    """Select a device beside others; return whether it has answered. One that is not there does not answer."""
+    for _ in range(TRIES):
+        reply = yield from ask(tool, lambda now: tool.master.select(address, now, window=pace.window, guard=pace.after_answer))
+        if reply.count:
+            return True
+    return False
 
 
 def fastscan(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, *, first: bool = True) -> Procedure[LssAddress | None]:
@@ -245,7 +302,7 @@ def fastscan(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, *, first: 
 
     known: numbers that the address has. first: no slave is selected yet; slaves in "configuration" do not take part. The
     caller has to check the result (`identity_of_selected`): a late answer may have been the last one. Raises LssError if
-    nothing sensible comes.
+    nothing sensible comes, and LssTimeOver at the end of the time of `pace`.
     """
     last = absent = 0
     for _ in range(ATTEMPTS):
@@ -253,7 +310,10 @@ def fastscan(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, *, first: 
             return None
         numbers: list[int] = []
         for sub in range(NUMBERS):
-            number = yield from _number(tool, pace, sub, known[sub])
+            try:
+                number = yield from _number(tool, pace, sub, known[sub])
+            except LssTimeOver:
+                raise LssTimeOver(_time_over(numbers)) from None
             if number is None:
                 break
             numbers.append(number)
@@ -270,32 +330,49 @@ def fastscan(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, *, first: 
     )
 
 
+def _time_over(numbers: Sequence[int]) -> str:
+    """Say what is known of the device that was being searched."""
+    known = ", ".join(f"{name} 0x{number:X}" for name, number in zip(FIELD_NAMES, numbers, strict=False))
+    return (
+        f"the time for one device is over before its address was known ({known or 'nothing of it is known'}): answers get lost, "
+        "or come late. Try: less traffic on the bus; its known numbers (--vendor, --product); a longer --limit"
+    )
+
+
 def _anybody(tool: LssTool, pace: Pace, first: bool) -> Procedure[bool]:
-    """Begin a fastscan; return whether anybody takes part. Silence is believed the second time."""
-    for attempt in range(ATTEMPTS):
-        reply = yield from _question(tool, pace, 0, CONFIRM, 0, 0, None)
+    """Begin a fastscan; return whether anybody takes part. Silence is believed the third time, after a long window."""
+    known = False
+    for silent in range(1, 1 + ATTEMPTS + TRIES):
+        believed = TRIES * pace.repeats
+        reply = yield from _question(tool, pace, 0, CONFIRM, 0, 0, None, pace.patience if silent == believed else pace.window)
         if reply.count:
             pace.learn(reply)
             return True
         if first:  # else those that are selected answer this
-            known = yield from ask(tool, lambda now: tool.master.identify_non_configured(now, window=pace.window))
-            if known.count:
-                pace.slow_down()
-                continue
-        if attempt:
+            others = yield from ask(tool, lambda now: tool.master.identify_non_configured(now, window=pace.window))
+            if others.count:
+                pace.learn(others)
+                known = True
+        if silent >= believed and not known:
             return False
+    if not known:
+        return False
     raise LssError(
         "devices without a node-ID are there (they answer 0x4C), but do not take part in a fastscan, which not all devices know. "
-        "Try: canopen lss identify with their vendor-ID and product code; or connect one at a time, and canopen lss set-id --only"
+        "Try: canopen lss identify with their vendor-ID and product code; or one device at a time, and canopen lss set-id only ID"
     )
 
 
 def _question(
-    tool: LssTool, pace: Pace, number: int, bit: int, sub: int, following: int, guard: Time | None
+    tool: LssTool, pace: Pace, number: int, bit: int, sub: int, following: int, guard: Time | None, window: Time = 0
 ) -> Procedure[LssReply]:
-    return (
-        yield from ask(tool, lambda now: tool.master.fastscan(number, bit, sub, following, now, window=pace.window, guard=guard))
+    """Ask the slaves without a node-ID. window: that of `pace` if it is 0. Raises LssTimeOver."""
+    if pace.until < NEVER and (yield from current_time()) >= pace.until:
+        raise LssTimeOver(_time_over(()))
+    reply = yield from ask(
+        tool, lambda now: tool.master.fastscan(number, bit, sub, following, now, window=window or pace.window, guard=guard)
     )
+    return reply
 
 
 def _number(tool: LssTool, pace: Pace, sub: int, known: int | None) -> Procedure[int | None]:
@@ -306,16 +383,55 @@ def _number(tool: LssTool, pace: Pace, sub: int, known: int | None) -> Procedure
         if number is None:
             number = 0
             for bit in range(HIGHEST_BIT, -1, -1):
-                if not (yield from _question(tool, pace, number, bit, sub, sub, pace.after_answer)).count:
+                if not (yield from _says_yes(tool, pace, number, bit, sub)):
                     number |= 1 << bit
-        if (yield from _question(tool, pace, number, 0, sub, following, None)).count:
+        if (yield from _is_it(tool, pace, number, sub, following, TRIES if known is not None else pace.repeats)):
             return number
-        if not following and (yield from _has_serial(tool, pace, number)):
-            return number  # the answer was lost, but it is selected
-        pace.slow_down()
-        if known is not None or number == ALL_ONES:
+        if known is not None or not (yield from _look_closer(tool, pace, sub)):
             return None
     return None
+
+
+def _says_yes(tool: LssTool, pace: Pace, number: int, bit: int, sub: int) -> Procedure[bool]:
+    """Return whether any slave says that its bits down to this one are those of `number`. A repetition changes nothing there."""
+    for _ in range(pace.repeats):
+        if (yield from _question(tool, pace, number, bit, sub, sub, pace.after_answer)).count:
+            return True
+    return False
+
+
+def _is_it(tool: LssTool, pace: Pace, number: int, sub: int, following: int, tries: int) -> Procedure[bool]:
+    """Ask "is it this one?". A slave that has said yes goes on: if its answer was lost, it shows so by where it is."""
+    for _ in range(tries):
+        if (yield from _question(tool, pace, number, 0, sub, following, None)).count:
+            return True
+        if following:
+            if (yield from _is_anybody_at(tool, pace, following, pace.window)):
+                return True
+        elif (yield from _has_serial(tool, pace, number)):
+            return True  # it is selected
+    return False
+
+
+def _is_anybody_at(tool: LssTool, pace: Pace, sub: int, window: Time) -> Procedure[bool]:
+    """Return whether a slave is asked about this number: its highest bit is 0 or 1. Learns how late the answers are."""
+    for number in (0, 1 << HIGHEST_BIT):
+        reply = yield from _question(tool, pace, number, HIGHEST_BIT, sub, sub, None, window)
+        if reply.count:
+            pace.learn(reply)
+            return True
+    return False
+
+
+def _look_closer(tool: LssTool, pace: Pace, sub: int) -> Procedure[bool]:
+    """Find out why a number was wrong: answers were late, or lost. Return whether anybody is still asked about it."""
+    window, slowest = pace.window, max(pace.slowest, pace.guard)
+    for _ in range(TRIES):
+        if (yield from _is_anybody_at(tool, pace, sub, pace.patience)):
+            if pace.window == window and pace.slowest <= slowest:  # not late, so lost
+                pace.slow_down()
+            return True
+    return False
 
 
 def _has_serial(tool: LssTool, pace: Pace, number: int) -> Procedure[bool]:
@@ -340,28 +456,54 @@ def search(
 ) -> Procedure[list[LssAddress]]:
     """Find all devices of a type, with and without a node-ID, by halving the ranges (inclusive): six frames a step.
 
-    Also for devices that know no fastscan. Each is reported by LssFound; two with one address count once.
+    Also for devices that know no fastscan. Each is reported by LssFound; two with one address count once. Raises LssError if a
+    range has a device and neither half of it has: answers come late, or get lost.
     """
     found: list[LssAddress] = []
-    waiting = [(revisions, serials)]
+    if not (yield from _is_in(tool, pace, vendor_id, product_code, revisions, serials)):
+        return found
+    waiting = [(revisions, serials)]  # each has a device
     while waiting:
         revision, serial = waiting.pop()
-        reply = yield from ask(
-            tool,
-            lambda now, revision=revision, serial=serial: tool.master.identify(  # type: ignore[misc]
-                vendor_id, product_code, revision, serial, now, window=pace.window, guard=pace.after_answer
-            ),
-        )
-        if not reply.count:
-            continue
-        if revision[0] < revision[1]:
-            waiting += [(half, serial) for half in reversed(_halves(revision))]
-        elif serial[0] < serial[1]:
-            waiting += [(revision, half) for half in reversed(_halves(serial))]
-        else:
+        if revision[0] == revision[1] and serial[0] == serial[1]:
             found.append(LssAddress(vendor_id, product_code, revision[0], serial[0]))
             yield from _report(tool, LssFound(0, found[-1]))
+            continue
+        if revision[0] < revision[1]:
+            halves = [(half, serial) for half in _halves(revision)]
+        else:
+            halves = [(revision, half) for half in _halves(serial)]
+        for _ in range(ATTEMPTS):
+            there: list[tuple[tuple[int, int], tuple[int, int]]] = []
+            for half in halves:
+                there += [half] * (yield from _is_in(tool, pace, vendor_id, product_code, *half))
+            if there:
+                break
+            pace.slow_down()
+        else:
+            raise LssError(
+                "a device answers in a range of revisions or serial numbers, and in neither half of it, with up to "
+                f"{pace.window / 1e6:g} ms for an answer. Answers come late or get lost. Try: less traffic on the bus; a longer "
+                "window"
+            )
+        waiting += reversed(there)
     return found
+
+
+def _is_in(
+    tool: LssTool, pace: Pace, vendor_id: int, product_code: int, revisions: tuple[int, int], serials: tuple[int, int]
+) -> Procedure[bool]:
+    """Return whether a device of this type answers in these ranges. Silence is believed the second time, or later."""
+    for _ in range(1 + pace.repeats):
+        reply = yield from ask(
+            tool,
+            lambda now: tool.master.identify(
+                vendor_id, product_code, revisions, serials, now, window=pace.window, guard=pace.after_answer
+            ),
+        )
+        if reply.count:
+            return True
+    return False
 
 
 def _halves(bounds: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:

@@ -14,6 +14,7 @@ from canopen_cli.lss_support import (
     address_text,
     estimate,
     knowing,
+    limited,
     node_id_text,
     open_lss,
     progress,
@@ -21,6 +22,7 @@ from canopen_cli.lss_support import (
     windowed,
 )
 from canopen_cli.options import Settings, common
+from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted, escape
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
@@ -33,10 +35,17 @@ COLUMNS = ("vendor-ID", "product code", "revision", "serial number")
 @click.command()
 @knowing
 @windowed
+@limited
 @common
 @click.pass_obj
 def scan(
-    settings: Settings, vendor: int | None, product: int | None, revision: int | None, serial: int | None, window: Time
+    settings: Settings,
+    vendor: int | None,
+    product: int | None,
+    revision: int | None,
+    serial: int | None,
+    window: Time,
+    limit: Time,
 ) -> None:
     """Find the devices without a node-ID, and show their addresses. Nothing is written.
 
@@ -47,7 +56,7 @@ def scan(
     known = (vendor, product, revision, serial)
 
     async def find() -> Survey:
-        async with open_lss(settings, screen, window) as lss, progress(lss, screen, known):
+        async with open_lss(settings, screen, window, limit) as lss, progress(lss, screen, known):
             screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
             result: Survey = await lss.run(survey(lss.tool, lss.pace, known))
             return result
@@ -92,6 +101,14 @@ def identify(
             return found
 
     found = run(settings, screen, find)
+    if not found:
+        raise Problem(
+            ExitCode.NO_ANSWER,
+            "CO211",
+            "nobody answered; some devices know only fastscan (CANopenNode's)",
+            cause="no such device, no power, another bit rate; or it does not know this service",
+            tries=("canopen lss scan    (devices without a node-ID, by fastscan)", "canopen scan    (devices with one)"),
+        )
     _show(settings, screen, found)
     screen.say(f"{counted(len(found), 'device')} of this type")
 

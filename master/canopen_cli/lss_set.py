@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
+import trio
 
 from canopen_cli.lss_support import (
     Lss,
@@ -16,6 +17,7 @@ from canopen_cli.lss_support import (
     address_text,
     estimate,
     knowing,
+    limited,
     node_id_text,
     number_of,
     open_lss,
@@ -45,6 +47,7 @@ from canopen_proto.procedures.lss_assign import (
 from canopen_proto.procedures.lss_bit_rate import store_all
 from canopen_proto.procedures.lss_scan import Known, all_waiting
 
+GO_ON: Final = "the same command again: it goes on with those that are left"
 TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 
 
@@ -117,6 +120,7 @@ def store(settings: Settings, device: Target, window: Time) -> None:
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @knowing
 @windowed
+@limited
 @common
 @click.pass_obj
 def assign(
@@ -130,11 +134,13 @@ def assign(
     revision: int | None,
     serial: int | None,
     window: Time,
+    limit: Time,
 ) -> None:
     """Give all devices without a node-ID theirs, in order or by a table.
 
-    It finds them first, shows what each is to get, and asks. Node-IDs that somebody has are not given. Interrupted, or with
-    devices switched on later: the same command again goes on.
+    One after the other: it finds a device, shows what it is to get, and asks; the device stores its node-ID and boots before the
+    next one is searched. Node-IDs that somebody has are not given. Interrupted, or with devices switched on later: the same
+    command again goes on.
 
     \b
     canopen lss assign --ids 10-20 -b can0
@@ -149,7 +155,7 @@ def assign(
     questions = Questions(screen, agrees=yes)
 
     async def give_all() -> tuple[Assignment, list[int]]:
-        async with open_lss(settings, screen, window) as lss:
+        async with open_lss(settings, screen, window, limit) as lss:
             screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
             assignment = await _assign(lss, screen, questions, choose, known, store=not no_store)
             given = {each.node_id for each in assignment.done}
@@ -165,6 +171,10 @@ def assign(
     _show(settings, screen, result.done)
     if NOBODY_AGREED in result.left.values():
         raise Problem(ExitCode.INTERRUPTED, "CO132", f"by you: {counted(len(result.done), 'node-ID')} written")
+    if result.unfinished:
+        text, _, tries = result.unfinished.partition(" Try: ")
+        failed = f"there may be more devices without a node-ID: {text}"
+        raise Problem(ExitCode.PARTIAL, "CO212", failed, tries=(*filter(None, tries.split("; ")), GO_ON))
     if absent:
         failed = f"no device has node-ID {', '.join(map(str, absent))} of {table}"
         step = "look whether these devices are on, and whether their rows have the right numbers"
@@ -179,7 +189,7 @@ def assign(
 
 
 async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice, known: Known, *, store: bool) -> Assignment:
-    assignment = Assignment(lss.tool, choose, lss.pace, known, store)
+    assignment, begun = Assignment(lss.tool, choose, lss.pace, known, store), trio.current_time()
     while True:
         async with progress(lss, screen, known):
             plan: list[Planned] = await lss.run(assignment.next_plan())
@@ -193,6 +203,7 @@ async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice
         for planned in plan:
             (given,) = await lss.run(assignment.write([planned]))
             screen.say(f"{_line(given)}")
+            screen.say(f"[dim]{counted(len(assignment.done), 'device')} so far, in {trio.current_time() - begun:.1f} s[/]")
 
 
 def read_table(path: Path | None) -> Sequence[tuple[Known, int]]:
@@ -240,7 +251,22 @@ def _show(settings: Settings, screen: Screen, done: Sequence[Given]) -> None:
     if unfinished:
         first = unfinished[0]
         failed = f"{counted(len(unfinished), 'device')} did not get everything; the first: {address_text(first.address)}"
-        raise Problem(ExitCode.PARTIAL, "CO212", failed, seen=first.remark, tries=("the same command again",))
+        raise Problem(ExitCode.PARTIAL, "CO212", failed, seen=first.remark, tries=_next_steps(first))
+
+
+def _next_steps(given: Given) -> tuple[str, ...]:
+    """Return what may help a device that did not get everything. The same again does not help one that has refused."""
+    if given.is_refused and given.stored is False:
+        return (
+            f"canopen store {given.node_id}    (0x1010: some devices keep their node-ID with their parameters)",
+            "the maker's manual: many such devices take their node-ID from switches",
+            "--no-store, and this command after each power-up",
+        )
+    if given.is_refused:
+        return ("another node-ID: --ids", "the maker's manual: the device has refused this one")
+    if given.written and not given.booted:
+        return ("canopen nmt reset-comm --all", "power off and on")
+    return ("the same command again: devices that have their node-ID are left alone",)
 
 
 def _as_json(given: Given) -> dict[str, Any]:
@@ -255,4 +281,5 @@ def _as_json(given: Given) -> dict[str, Any]:
         "stored": given.stored,
         "booted": given.booted,
         "remark": given.remark or None,
+        "refused": given.is_refused,
     }

@@ -22,6 +22,7 @@ from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssState
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.lss_assign import LssNotSelected, own_node_id, select_only
 from canopen_proto.procedures.lss_scan import (
+    DEVICE_LIMIT,
     NUMBERS,
     Known,
     LssError,
@@ -61,13 +62,13 @@ class Lss:
 
 
 @asynccontextmanager
-async def open_lss(settings: Settings, screen: Screen, window: Time) -> AsyncIterator[Lss]:
+async def open_lss(settings: Settings, screen: Screen, window: Time, limit: Time = DEVICE_LIMIT) -> AsyncIterator[Lss]:
     """Open the bus of the options, with a tool for LSS on it."""
     async with open_session(settings, screen) as session:
         tool = LssTool(session.network.out)
         session.network.attach(tool)
         try:
-            yield Lss(session, tool, Pace(window=window))
+            yield Lss(session, tool, Pace(window=window, device_limit=limit))
         finally:
             session.network.detach(tool)
 
@@ -142,6 +143,13 @@ def windowed(command: T) -> T:
     """Add --window."""
     help_text = f"How long silence has to last to count.  [default: {WINDOW // 10**6}ms; slow or busy buses need more]"
     added: T = click.option("--window", type=Duration(2_000_000), default=WINDOW, help=help_text)(command)
+    return added
+
+
+def limited(command: T) -> T:
+    """Add --limit."""
+    help_text = f"The longest time to find one device.  [default: {DEVICE_LIMIT // SECOND}s]"
+    added: T = click.option("--limit", type=Duration(SECOND), default=DEVICE_LIMIT, help=help_text)(command)
     return added
 
 

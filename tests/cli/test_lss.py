@@ -6,10 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli import questions, session
+from canopen_cli import fleet, questions
 from canopen_cli.lss_set import read_table
 from canopen_cli.problem import ExitCode, Problem
+from canopen_proto.lss.slave import LssSlave
 from tests.cli.cli_support import Run
+
+NOT_SUPPORTED = 1
 
 QUICK = ("--window", "10ms", "-b", "demo")
 DRIVE = ("--vendor", "0x332", "--product", "0x43", "--revision", "0x10000")
@@ -18,7 +21,7 @@ DRIVE = ("--vendor", "0x332", "--product", "0x43", "--revision", "0x10000")
 @pytest.fixture
 def without_ids(monkeypatch: pytest.MonkeyPatch) -> None:
     """The demo's drives are two, and have no node-ID."""
-    monkeypatch.setattr(session, "DEMO_NODES", (255, 255))
+    monkeypatch.setattr(fleet, "DEMO_NODES", (255, 255))
 
 
 @pytest.mark.usefixtures("without_ids")
@@ -36,6 +39,35 @@ def test_assign_gives_them_ids_in_order(run: Run) -> None:
     outcome = run("lss", "assign", "--ids", "10-20", "--yes", *DRIVE, *QUICK, "--json")
     assert [(each["node"], each["stored"], each["booted"]) for each in outcome.json] == [(10, True, True), (11, True, True)]
     assert outcome.status == ExitCode.OK
+
+
+def test_identify_does_not_say_that_nobody_is_there(run: Run) -> None:
+    outcome = run("lss", "identify", "--vendor", "0x999", "--product", "1", *QUICK)
+    assert (outcome.status, "0 devices" in outcome.err) == (ExitCode.NO_ANSWER, False)
+    assert "nobody answered; some devices know only fastscan" in outcome.err
+    assert "canopen lss scan" in outcome.err
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_a_refused_store_is_not_answered_by_the_same_command_again(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(slave: LssSlave, error: int, now: int, spec: int = 0) -> None:
+        complete(slave, NOT_SUPPORTED, now, spec)
+
+    complete = LssSlave.complete_store
+    monkeypatch.setattr(LssSlave, "complete_store", refuse)
+    outcome = run("lss", "assign", "--ids", "10-20", "--yes", *DRIVE, *QUICK)
+    assert outcome.status == ExitCode.PARTIAL
+    assert "storing not supported" in outcome.err
+    assert "--no-store, and this command after each power-up" in outcome.err
+    assert "the same command again" not in outcome.err
+
+
+@pytest.mark.usefixtures("without_ids")
+def test_each_device_is_finished_before_the_next_is_searched(run: Run) -> None:
+    lines = run("lss", "assign", "--ids", "10-20", "--yes", *DRIVE, *QUICK).err.splitlines()
+    story = [each for each in lines if each.startswith(("found", "1 device so far", "2 devices so far")) or ", ready" in each]
+    one, two = "0x332:0x43:0x10000:0x1:", "0x332:0x43:0x10000:0x2:"
+    assert [each.split()[0] for each in story] == ["found", one, "1", "found", two, "2"]
 
 
 @pytest.mark.usefixtures("without_ids")
@@ -65,7 +97,7 @@ def test_assign_writes_nothing_without_a_yes(run: Run, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(questions, "read_input", answer)
     outcome = run("lss", "assign", "--ids", "10-20", *DRIVE, *QUICK)
-    assert "Write 2 node-IDs?" in outcome.err
+    assert outcome.err.count("Write 1 node-ID?") == 2
     assert outcome.err.count("is left alone: nobody agreed") == 2
     assert (outcome.status, "interrupted by you: 0 node-IDs written" in outcome.err) == (ExitCode.INTERRUPTED, True), outcome.err
 

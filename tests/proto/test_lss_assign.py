@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
+from hypothesis import given as given_by
+from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssConfiguration, LssService, LssState
-from canopen_proto.lss.slave import LssResetNeeded, LssSlave
-from canopen_proto.machine import MILLISECOND, Outbox, Time
+from canopen_proto.lss.slave import LssResetNeeded, LssSlave, LssStoreRequested
+from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.procedures.lss_assign import Assignment, Given, LssGiven, assign_all, by_table, give, in_order
+from canopen_proto.procedures.lss_scan import LssError
 from canopen_proto.procedures.runner import ProcedureCancelled
-from tests.examples import takes_all
+from tests.examples import examples, takes_all
 from tests.proto.lss_bench import LssBench, random_addresses
 
 TYPE = (0x360, 0x2, 0x10003)
@@ -145,6 +150,7 @@ def test_refusals_are_told(answers: dict[int, str | None], remark: str) -> None:
     (given,) = bench.run(assign_all(assignment(bench))).done
     assert remark in given.remark
     assert not given.is_complete
+    assert given.is_refused == any(answer is not None and answer[:2] != "5E" for answer in answers.values())
     assert slave.state == 0
 
 
@@ -228,3 +234,115 @@ def test_many_devices_on_a_bad_bus(seed: int) -> None:
     given = [node_id for node_id in bench.ids if node_id != UNCONFIGURED]
     assert len(given) == len(set(given)) == 4
     assert all(each.is_complete or each.remark for each in result.done)
+
+
+# ---- whatever is lost, however late ----
+
+LIMIT = 20 * SECOND
+GIVEN_WITHIN = 60 * SECOND
+"""For one device: to be selected, to get its node-ID, to store it and to boot; and for the last question of a search."""
+
+
+class Hostile(LssBench):
+    """Devices that store, cannot store, or say nothing when they should store."""
+
+    def __init__(self, answers: list[int | None], addresses: list[LssAddress], **faults: object) -> None:
+        self.answers = dict(zip(addresses, answers, strict=False))
+        super().__init__(addresses, **faults)  # type: ignore[arg-type]
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, LssStoreRequested):
+            for node in self.nodes:
+                answer = self.answers.get(node.lss.address, 0)
+                if node.lss.is_storing and answer is not None:
+                    node.lss.complete_store(answer, self.bus.now)
+
+
+@examples(60, least=12)
+@given_by(
+    seed=st.integers(0, 1 << 32),
+    count=st.integers(1, 5),
+    loss=st.sampled_from([0.0, 0.002, 0.01, 0.03, 0.06]),
+    latest=st.sampled_from([MILLISECOND // 5, 2 * MILLISECOND, 8 * MILLISECOND, 30 * MILLISECOND]),
+    copies=st.sampled_from([0.0, 0.05]),
+    same=st.sampled_from([(), TYPE[:1], TYPE]),
+    storing=st.lists(st.sampled_from([0, 0, 0, 1, 2, None]), min_size=5, max_size=5),
+    agrees=st.booleans(),
+    is_twin=st.booleans(),
+)
+def test_each_device_has_its_node_id_for_good_or_is_named(
+    seed: int,
+    count: int,
+    loss: float,
+    latest: Time,
+    copies: float,
+    same: tuple[int, ...],
+    storing: list[int | None],
+    agrees: bool,
+    is_twin: bool,
+) -> None:
+    """And no node-ID is there twice, what is called complete is so, nobody stays selected, and the time is kept."""
+    addresses = random_addresses(count, seed, same)
+    bench = Hostile(storing, addresses, seed=seed, loss=loss, delay=(50_000, latest), copies=copies)
+    if is_twin:
+        bench.add(addresses[0])
+    bench.pace.device_limit = LIMIT
+    result = Assignment(bench.tool, in_order(range(1, 20)), bench.pace)
+    chance, begun = random.Random(seed), bench.bus.now
+    try:
+        bench.run(assign_all(result, lambda plan: agrees or chance.random() < 0.5))
+    except LssError:
+        assert (result.done, result.left) == ([], {})
+        assert UNCONFIGURED in bench.ids
+        assert loss or latest > MILLISECOND, "a quiet bus"
+    else:
+        told = {given.address: given for given in result.done}
+        for slave in bench.slaves:
+            given = told.get(slave.address)
+            if given is None:
+                assert slave.address in result.left or result.unfinished, slave.address
+                assert slave.active.node_id == UNCONFIGURED
+            elif given.is_complete:
+                assert (slave.active.node_id, slave.persistent.node_id) == (given.node_id,) * 2
+            else:
+                assert given.remark
+    bench.bus.run(SECOND)
+    ids = [each for each in bench.ids if each != UNCONFIGURED]
+    assert len(ids) == len(set(ids))
+    assert bench.bus.now - begun <= (len(bench.slaves) + 1) * (LIMIT + GIVEN_WITHIN)
+
+
+def test_eight_devices_at_a_loss_of_two_per_cent_get_their_ids_within_minutes() -> None:
+    """With the window that a real bus has. The first ones have theirs before the last one is found."""
+    bench = LssBench(random_addresses(8, 2), window=100 * MILLISECOND, seed=2, loss=0.02)
+    request_id = bench.network.run(assign_all(Assignment(bench.tool, in_order(range(1, 20)), bench.pace)), bench.bus.now)
+    bench.bus.run_until(lambda: len(bench.running) == 1, 60 * SECOND)
+    assert bench.slaves[[node.node_id for node in bench.nodes].index(1)].persistent.node_id == 1
+    result = bench.end_of(request_id)
+    assert [given.is_complete for given in result.done] == [True] * 8
+    assert bench.bus.now < 240 * SECOND
+
+
+def test_the_time_for_one_device_is_kept_and_what_is_known_of_it_is_told() -> None:
+    bench = LssBench(some(2), window=100 * MILLISECOND)
+    bench.pace.device_limit = 8 * SECOND
+    result = Assignment(bench.tool, in_order(range(10, 100)), bench.pace, KNOWN)
+    bench.run(assign_all(result))
+    assert (result.unfinished, len(result.done)) == ("", 2)
+    bench = LssBench([LssAddress(*TYPE, 0xFFFF_FFFF)], window=100 * MILLISECOND)
+    bench.pace.device_limit = 3 * SECOND
+    begun = bench.bus.now
+    with pytest.raises(LssError, match=r"the time for one device is over.*vendor-ID 0x360, product code 0x2"):
+        bench.run(assign_all(Assignment(bench.tool, in_order(range(10, 100)), bench.pace)))
+    assert bench.bus.now - begun < 4 * SECOND
+    assert bench.none_is_selected
+
+
+def test_a_device_that_was_left_alone_hides_no_other() -> None:
+    """It is selected while the others are searched, though it has the lowest address and answers each fastscan."""
+    addresses = some(4)
+    bench = LssBench(addresses)
+    table = [((*TYPE, addresses[3].serial), 5)]
+    result = bench.run(assign_all(assignment(bench, choose=by_table(table))))
+    assert bench.ids == [UNCONFIGURED] * 3 + [5]
+    assert (list(result.left), result.unfinished) == (addresses[:3], "")

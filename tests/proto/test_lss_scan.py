@@ -59,7 +59,7 @@ def test_a_survey_finds_all_devices_without_a_node_id(count: int, seed: int) -> 
     result = bench.run(survey(bench.tool, bench.pace))
     assert (result.found, result.again) == (sorted(addresses), None)
     assert [event.address for event in bench.events if isinstance(event, LssFound)] == sorted(addresses)
-    assert bench.sent(LssService.FASTSCAN) == 133 * count + 2  # it asks twice whether anybody is left
+    assert bench.sent(LssService.FASTSCAN) == 133 * count + 3  # it asks three times whether anybody is left
     assert bench.none_is_selected
     assert bench.ids == [255] * count + [5]
 
@@ -80,7 +80,7 @@ def test_known_numbers_choose_the_devices() -> None:
 def test_nobody_is_there() -> None:
     bench = scene([LssAddress(1, 2, 3, 4)], [5])
     assert bench.run(survey(bench.tool, bench.pace)).found == []
-    assert bench.bus.now < 10 * QUICK
+    assert bench.bus.now < 20 * QUICK
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -159,6 +159,33 @@ def test_a_search_finds_all_devices_of_a_type_with_and_without_a_node_id() -> No
     assert bench.run(search(bench.tool, bench.pace, 1, 1)) == []
     with pytest.raises(LocalProtocolError):
         bench.run(search(bench.tool, bench.pace, -1, 1))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_search_loses_nobody_though_frames_are_lost(seed: int) -> None:
+    """Or it says so."""
+    addresses = random_addresses(3, seed, TYPE[:2])
+    bench = scene(addresses, seed=seed, loss=0.01)
+    assert bench.run(search(bench.tool, bench.pace, *TYPE[:2])) == sorted(addresses)
+
+
+class YesOnce(LssSlave):
+    """A slave that answers one question of a search, and no other."""
+
+    has_answered = False
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        super().receive(frame, now)
+        if frame.data[0] == LssService.IDENTIFY_SERIAL_HIGH and self.has_answered:
+            self.out.frames.clear()
+        self.has_answered |= bool(self.out.frames)
+
+
+def test_a_search_says_that_its_answers_make_no_sense() -> None:
+    bench = scene([])
+    bench.bus.attach(YesOnce(Outbox(), LssAddress(*TYPE, 5)))
+    with pytest.raises(LssError, match="in neither half of it"):
+        bench.run(search(bench.tool, bench.pace, *TYPE[:2]))
 
 
 @pytest.mark.parametrize("number", [0, 0xFFFF_FFFF])

@@ -1,0 +1,91 @@
+"""Planted bugs of LSS (CiA 305): devices that are forgotten, and node-IDs that are not what was told. Tests find them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fuzz.mutant import Mutant
+
+ASSIGN: Final = ("tests/proto/test_lss_assign.py",)
+SCAN: Final = ("tests/proto/test_lss_scan.py",)
+
+_ASSIGN: Final = "procedures/lss_assign.py"
+_SCAN: Final = "procedures/lss_scan.py"
+
+LSS_MUTANTS: Final = tuple(
+    Mutant(*each, in_corpus=False)
+    for each in (
+        (
+            "nobody_at_first_silence",
+            _SCAN,
+            "        believed = TRIES * pace.repeats\n",
+            "        believed = 1\n",
+            "one lost frame, and a device is left behind without a word",
+            ASSIGN,
+        ),
+        (
+            "loss_is_lateness",
+            _SCAN,
+            "        if self.repeats < TRIES:\n            self.repeats += 1\n        else:\n",
+            "        if True:\n",
+            "lost frames make every question wait for seconds: eight devices take hours",
+            ASSIGN,
+        ),
+        (
+            "search_without_end",
+            _SCAN,
+            "    if pace.until < NEVER and (yield from current_time()) >= pace.until:\n",
+            "    if False:\n",
+            "a search has no end",
+            ASSIGN,
+        ),
+        (
+            "unfinished_is_silent",
+            _ASSIGN,
+            "                self.unfinished = str(failed)\n                return None\n",
+            "                return None\n",
+            "a search that was given up looks like one that found all",
+            ASSIGN,
+        ),
+        (
+            "left_alone_hides_others",
+            _ASSIGN,
+            "            self._aside.append(address)\n        return []\n",
+            "        return []\n",
+            "a device that is left alone is found again and again, and hides those behind it",
+            ASSIGN,
+        ),
+        (
+            "taken_is_free",
+            _ASSIGN,
+            "                self.taken.add(node_id)\n",
+            "",
+            "a node-ID that a device may have, since it did not confirm it, is given to another one",
+            ASSIGN,
+        ),
+        (
+            "silence_is_stored",
+            _ASSIGN,
+            "        stored, is_refused = not error, REFUSED in error\n",
+            "        stored, is_refused = True, False\n",
+            "a device that stores nothing is called ready",
+            ASSIGN,
+        ),
+        (
+            "second_device_is_one",
+            _ASSIGN,
+            "        if reply.count > 1:\n            raise LssNotSelected",
+            "        if False:\n            raise LssNotSelected",
+            "two devices with one address get one node-ID",
+            ASSIGN,
+        ),
+        (
+            "search_believes_silence",
+            _SCAN,
+            "            if there:\n                break\n            pace.slow_down()\n",
+            "            break\n",
+            "a search through ranges forgets a device because one frame was lost",
+            SCAN,
+        ),
+    )
+)
