@@ -11,11 +11,15 @@ INHIBIT_UNIT: Final = 100 * MICROSECOND
 
 
 class Finding(NamedTuple):
-    """A fault. rule: one of RULES (observer.py). node_id: of the device that it concerns; 0 for none. text: for people."""
+    """A fault. rule: one of RULES (observer.py). node_id: of the device that it concerns; 0 for none. text: for people.
+
+    is_certain: no frames that are missing from the recording, or that came late, can look like this. Else it is likely only.
+    """
 
     rule: str
     node_id: int
     text: str
+    is_certain: bool = True
 
 
 def ms_text(time: Time) -> str:

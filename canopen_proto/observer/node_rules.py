@@ -8,6 +8,9 @@ Two nodes with one ID: their heartbeats tell two states in turn. A state that ch
 a boot-up, is that; a single change is a device that changes its state by itself (CiA 301 v4.2.0, 7.3.2.2). Or heartbeats with
 one state come in less than half of the producer time (0x1017), again and again, once the recording has shown that time.
 
+A boot-up of a node that has sent something since its last one, and was not told to reset, is told: it was switched off and on, or
+has reset itself; or the recording lacks the command.
+
 Two masters are not seen by NMT commands: CAN does not tell who has sent them. A node that is operational behind its boot-up
 without a command is no fault: it may start by itself (CiA 301 v4.2.0, 7.3.2.2.1; 0x1F80).
 """
@@ -20,6 +23,7 @@ from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.observer.finding import Finding, ms_text
+from canopen_proto.observer.words import nmt_command_text
 
 OBEYING: Final = 100 * MILLISECOND
 """Time for a node to obey an NMT command: what it has in its queues still goes out, and a slow node takes its time."""
@@ -35,6 +39,7 @@ _AFTER: Final[dict[int, int]] = {
     NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
 }
 """The state behind a command; behind a reset it is not known until the node says it."""
+_RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 _STATES: Final = frozenset(int(state) for state in NmtState)
 _TURNS: Final = 3
@@ -48,7 +53,8 @@ class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
     __slots__ = (
-        "deadline", "early", "is_asked", "is_said", "is_told", "last", "limit", "period", "since", "state", "toggle", "turns",
+        "deadline", "early", "is_asked", "is_reset", "is_said", "is_told", "is_up", "last", "limit", "period", "since",
+        "state", "toggle", "turns",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -63,6 +69,8 @@ class _View:
         self.last: Time = -NEVER  # its last heartbeat
         self.early = 0  # heartbeats in a row that came too early
         self.is_asked = False  # by a guarding request
+        self.is_up = False  # it has sent something since it booted
+        self.is_reset = False  # it was told to boot
         self.toggle: int | None = None  # the toggle bit of its last guarding answer
 
 
@@ -116,14 +124,19 @@ class NodeRules:
 
     def command(self, command: int, node_id: int, now: Time) -> list[Finding]:
         """Take note of an NMT command. node_id: 0 for all nodes."""
-        if command not in _COMMANDS or node_id > MAX_NODE_ID:
-            return [Finding("nmt", 0, f"an NMT command 0x{command:02X} for node {node_id}: there is no such one")]
+        if command not in _COMMANDS:
+            return [Finding("nmt", 0, f"an NMT command 0x{command:02X} for node {node_id}: there is no such command")]
+        if node_id > MAX_NODE_ID:
+            name = nmt_command_text(command)
+            text = f"the NMT command {name} (0x{command:02X}) with node-ID {node_id}: 0 is all nodes, 1 to {MAX_NODE_ID} one node"
+            return [Finding("nmt", 0, text)]
         for view in self._views[node_id : node_id + 1] if node_id else self._views:
             view.state = _AFTER.get(command)
             view.since = now
             view.turns.clear()
             view.is_told = view.is_said = False
             view.last = -NEVER  # a heartbeat that tells the new state may come at once
+            view.is_reset = view.is_reset or command in _RESETS
         return []
 
     def error_control(self, node_id: int, data: bytes, now: Time) -> list[Finding]:
@@ -138,7 +151,11 @@ class NodeRules:
             view.is_said = view.is_asked = False
             view.turns.clear()
             view.period, view.toggle = 0, _TOGGLE  # the first guarding answer has 0 (CiA 301 v4.2.0, 7.2.8.3.2.1)
-            return []
+            is_expected = view.is_reset or not view.is_up
+            view.is_reset = view.is_up = False
+            text = "it boots in the middle of operation, and no reset command is in the recording"
+            return [] if is_expected else [Finding("boot-up", node_id, text, is_certain=False)]
+        view.is_up = True
         found = self._answered(node_id, view, data[0])
         if state not in _STATES:
             found.append(Finding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
@@ -175,6 +192,7 @@ class NodeRules:
     def sdo(self, node_id: int, now: Time, found: list[Finding], *, is_answer: bool) -> None:
         """Take note of an SDO frame."""
         view = self._views[node_id]
+        view.is_up = view.is_up or is_answer
         if view.state != NmtState.STOPPED or now - view.since < OBEYING or (view.is_told and not is_answer):
             return
         view.is_told = True
@@ -184,6 +202,7 @@ class NodeRules:
     def pdo(self, node_id: int, now: Time, found: list[Finding]) -> None:
         """Take note of a PDO that a node has sent."""
         view = self._views[node_id]
+        view.is_up = True
         if view.state is None or view.state == _OPERATIONAL or now - view.since < OBEYING:
             return
         view.since = now  # said again after a while only

@@ -17,7 +17,7 @@ Left out: services of other standards but LSS and the flying master (CiA 302-2).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Final, NamedTuple, TypeAlias
 
@@ -40,7 +40,7 @@ from canopen_proto.frame import (
     RoutingKey,
 )
 from canopen_proto.frame_bits import frame_bits
-from canopen_proto.indices import CONSUMER_HEARTBEAT_TIME, PRODUCER_HEARTBEAT_TIME
+from canopen_proto.indices import CONSUMER_HEARTBEAT_TIME, DEVICE_TYPE, IDENTITY_OBJECT, PRODUCER_HEARTBEAT_TIME
 from canopen_proto.lss import messages as lss
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import index_of, subindex_of
@@ -51,7 +51,7 @@ from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
 from canopen_proto.observer.parameters import Parameters
-from canopen_proto.observer.pdo import OverheardPdo, OverheardPdos
+from canopen_proto.observer.pdo import PROFILE, STATUSWORDS, OverheardPdo, OverheardPdos
 from canopen_proto.observer.pdo_rules import PdoRules
 from canopen_proto.observer.sdo import SdoFollower, Settled
 from canopen_proto.observer.sequences import Sequences, Summary
@@ -75,6 +75,7 @@ RULES: Final = {
     "stopped": "an SDO to or from a node that is stopped",
     "state": "a heartbeat with a state that CiA 301 does not have",
     "nmt": "an NMT command that CiA 301 does not have",
+    "boot-up": "a node boots in the middle of operation",
     "two sync": "two nodes produce SYNC",
     "sync counter": "the counter of SYNC leaves a number out, or goes back",
     "late heartbeat": "a heartbeat later than its consumers allow",
@@ -103,6 +104,7 @@ class Observation(NamedTuple):
     wire; 0 if the observer was given no bit rate.
     summaries: of sequences of frames that are over (sequences.py), with this frame or before it. is_part: the frame belongs to
     such a sequence, so a summary of it comes with this frame, with one behind it, or by `Observer.unfinished`.
+    statuswords: of drives (CiA 402) that the node itself tells with this frame, each with its index: 0x6041, 0x6841 ...
     """
 
     meaning: Meaning
@@ -111,12 +113,14 @@ class Observation(NamedTuple):
     bits: int = 0
     is_part: bool = False
     summaries: tuple[Summary, ...] = ()
+    statuswords: tuple[tuple[int, int], ...] = ()
 
 
 class Observer:
     """See this module's text.
 
     dictionary_of: returns the dictionary of a node-ID, or None. bitrate: bit/s; 0 if it is not known: then no look at the load.
+    drives: nodes of which it is known otherwise that they are drives: PDOs.csv may describe their PDOs (pdo.py).
     """
 
     def __init__(
@@ -125,6 +129,7 @@ class Observer:
         *,
         bitrate: int = 0,
         load_limit: float = LOAD_LIMIT,
+        drives: Iterable[int] = (),
     ) -> None:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
         self._parameters = Parameters(self._dictionaries)
@@ -144,6 +149,9 @@ class Observer:
         self._now: Time = -NEVER
         self._load = _Load(bitrate, load_limit) if bitrate else None
         self._settled: Settled | None = None  # by this frame
+        self._statuswords: tuple[tuple[int, int], ...] = ()  # by this frame
+        for node_id in drives:
+            self._pdos.identified(node_id, DEVICE_TYPE, PROFILE)
         for node_id, dictionary in self._dictionaries.items():
             self._renew(node_id)
             self._read_consumers(node_id, dictionary)
@@ -171,9 +179,10 @@ class Observer:
             found += self._shared()
         bits = 0 if self._load is None else self._load.add(frame, now, found)
         settled, self._settled = self._settled, None
+        statuswords, self._statuswords = self._statuswords, ()
         if sequences.is_part or sequences.ended:
-            return Observation(meaning, tuple(found), settled, bits, *sequences.take())
-        return Observation(meaning, tuple(found), settled, bits)
+            return Observation(meaning, tuple(found), settled, bits, *sequences.take(), statuswords)
+        return Observation(meaning, tuple(found), settled, bits, False, (), statuswords)
 
     def idle(self, now: Time) -> tuple[tuple[Finding, ...], tuple[Summary, ...]]:
         """Return what is wrong because nothing comes, and the sequences that a silence has ended. now: ns; all frames before it
@@ -211,7 +220,7 @@ class Observer:
         if pdos:
             if key & KEY_REMOTE:
                 return partial(_plain, pdos[0].name, pdos[0].node_id, words.of_request)
-            return partial(self._pdo, pdos[0]) if len(pdos) == 1 else partial(self._one_of, pdos)
+            return partial(self._pdo, pdos[0]) if pdo is not None else partial(self._one_of, pdos)
         if self._assigned is None:
             self._assigned = self._assignments()
         return self._assigned.get(key)
@@ -336,18 +345,22 @@ class Observer:
         return Meaning("EMCY", node_id, words.of_emergency, frame)
 
     def _one_of(self, pdos: tuple[OverheardPdo, ...], frame: Frame, now: Time, found: list[Finding]) -> Meaning:
-        """Take a PDO that is one of several by PDOs.csv: the first one with its length."""
-        pdo = next((each for each in pdos if each.byte_length == len(frame.data)), pdos[0])
-        return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
+        """Take a PDO that PDOs.csv describes: the first one with its length. A frame of another length is none of these."""
+        for pdo in pdos:
+            if pdo.byte_length == len(frame.data):
+                self._statuswords = pdo.statuswords(frame.data) if pdo.has_statusword else ()
+                return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
+        return Meaning(_pdo_name(frame.can_id & _FUNCTION), frame.can_id & MAX_NODE_ID, words.of_bytes, frame)
 
     def _pdo(self, pdo: OverheardPdo, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
-        if not pdo.is_guess:
-            if len(frame.data) != pdo.byte_length:
-                text = f"{pdo.name} has {len(frame.data)} bytes, and its mapping {pdo.byte_length}"
-                found.append(Finding("pdo length", pdo.node_id, text))
-            if pdo.direction is Direction.TPDO:
-                self._nodes.pdo(pdo.node_id, now, found)
-            self._timings.came(pdo.node_id, pdo.name, now, found)
+        if len(frame.data) != pdo.byte_length:
+            text = f"{pdo.name} has {len(frame.data)} bytes, and its mapping {pdo.byte_length}"
+            found.append(Finding("pdo length", pdo.node_id, text))
+        elif pdo.has_statusword:
+            self._statuswords = pdo.statuswords(frame.data)
+        if pdo.direction is Direction.TPDO:
+            self._nodes.pdo(pdo.node_id, now, found)
+        self._timings.came(pdo.node_id, pdo.name, now, found)
         return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
 
     def _request(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
@@ -382,6 +395,11 @@ class Observer:
             self._nodes.consumer(node_id, subindex, value)
         elif index == PRODUCER_HEARTBEAT_TIME:
             self._nodes.producer(node_id, value * MILLISECOND)
+        elif index == DEVICE_TYPE or (index == IDENTITY_OBJECT and subindex == 1):
+            if self._pdos.identified(node_id, index, value):
+                self._routes.clear()
+        elif subindex == 0 and index in STATUSWORDS:
+            self._statuswords = ((index, value & 0xFFFF),)
         self._timings.settle(node_id, index, subindex, value)
         if self._parameters.settle(node_id, index, subindex, data):
             self._renew(node_id, index)

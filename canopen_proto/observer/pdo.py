@@ -2,7 +2,8 @@
 
 Three sources say which settings a device's PDOs have, the surer one first: the recording, the device's own file (parameters.py),
 and, if there is neither of these, the PDO descriptions of the dictionary (PDOs.csv): the first one with the frame's CAN-ID and
-length. They may be those of another device: the name of such a PDO ends with "?".
+length. They may be those of another device: the name of such a PDO ends with "?". Such a guess needs a reason: the recording has
+shown that the device is a drive (0x1000: CiA 402), or that it is of the vendor whose PDOs the file describes (0x1018:01).
 
 If the mapping of a PDO is known and its COB-ID is not, the COB-ID is that of the predefined connection set (CiA 301 v4.2.0,
 7.3.5). If two devices have the same COB-ID, the recording goes before a file, the sender before a receiver, then the lower
@@ -14,9 +15,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, TypeAlias
 
+from canopen_proto.cia402.axes import AXIS_STEP, MAX_AXES
+from canopen_proto.cia402.objects import STATUSWORD
 from canopen_proto.datatypes import ValueRangeError, bit_length_of
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
+from canopen_proto.indices import DEVICE_TYPE
+from canopen_proto.multiplexer import index_of
 from canopen_proto.observer.meaning import Shown, Words, hex_text, object_text, shown_of, value_text
 from canopen_proto.observer.parameters import Parameters
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError, entries_of
@@ -28,6 +33,12 @@ PREDEFINED_PDOS: Final = 4
 _FIRST_COB_ID: Final = {Direction.TPDO: TPDO1, Direction.RPDO: RPDO1}
 _NEXT_PDO: Final = 0x100  # from the function code of a PDO to that of the next in its direction
 
+STATUSWORDS: Final = frozenset(index_of(STATUSWORD) + axis * AXIS_STEP for axis in range(MAX_AXES))
+"""The statuswords of all axes that a device may have."""
+VENDOR: Final = 0x332
+"""0x1018:01 of the devices that PDOs.csv describes: SCHUNK's."""
+PROFILE: Final = 402
+"""The lower half of 0x1000, of a drive."""
 
 _Place: TypeAlias = tuple[Direction, int]
 """Direction and number of a PDO of a device."""
@@ -36,11 +47,14 @@ _Place: TypeAlias = tuple[Direction, int]
 class OverheardPdo:
     """A PDO of a device. Never changes.
 
-    name: "TPDO 1", or its name in PDOs.csv and "?"; is_guess: the latter. is_recorded: the recording has
-    shown its parameters. mapping: None for a multiplexed PDO. byte_length: of its frames. say: puts a frame in words.
+    name: "TPDO 1", or its name in PDOs.csv and "?". is_recorded: the recording has shown its parameters. mapping: None for a
+    multiplexed PDO. byte_length: of its frames. has_statusword: the device sends a statusword in it. say: puts a frame in words.
     """
 
-    __slots__ = ("_dictionaries", "byte_length", "direction", "is_guess", "is_recorded", "mapping", "name", "node_id", "say")
+    __slots__ = (
+        "_dictionaries", "_statuswords", "byte_length", "direction", "has_statusword", "is_recorded", "mapping", "name",
+        "node_id", "say",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -51,17 +65,21 @@ class OverheardPdo:
         dictionaries: Mapping[int, ObjectDictionary],
         *,
         is_recorded: bool = False,
-        is_guess: bool = False,
     ) -> None:
         self.node_id = node_id
         self.name = name
         self.direction = direction
         self.mapping = mapping
         self.is_recorded = is_recorded
-        self.is_guess = is_guess
         self.byte_length = MPDO.size if mapping is None else mapping.byte_length
         self.say = self._multiplexed if mapping is None else self._mapped
         self._dictionaries = dictionaries
+        self._statuswords = () if mapping is None or direction is Direction.RPDO else tuple(_statuswords_of(mapping))
+        self.has_statusword = bool(self._statuswords)
+
+    def statuswords(self, data: bytes) -> tuple[tuple[int, int], ...]:
+        """Return the statuswords in a frame of the right length, each with its index."""
+        return tuple((index, data[at] | data[at + 1] << 8) for index, at in self._statuswords)
 
     def _mapped(self, frame: Frame) -> Words:
         mapping, data = self.mapping, frame.data
@@ -106,6 +124,7 @@ class OverheardPdos:
         self._of_node: dict[int, dict[_Place, tuple[RoutingKey, OverheardPdo]]] = {}
         self._by_key: dict[RoutingKey, list[OverheardPdo]] = {}  # the surest one first
         self._crowded: set[RoutingKey] = set()  # those of several PDOs
+        self._described: set[int] = set()  # nodes that PDOs.csv may describe
 
     def renew(self, node_id: int, index: int | None = None) -> None:
         """Take note that the parameters of a device have changed; index: only those of this object."""
@@ -121,6 +140,14 @@ class OverheardPdos:
                 places[place] = found
                 self._by_key.setdefault(found[0], []).append(found[1])
                 self._sort(found[0])
+
+    def identified(self, node_id: int, index: int, value: int) -> bool:
+        """Take note of a device's 0x1000, or its 0x1018:01. Return whether PDOs.csv may describe this device since then."""
+        is_described = value & 0xFFFF == PROFILE if index == DEVICE_TYPE else value == VENDOR
+        if not is_described or node_id in self._described:
+            return False
+        self._described.add(node_id)
+        return True
 
     def _sort(self, key: RoutingKey) -> None:
         pdos = self._by_key[key]
@@ -150,7 +177,7 @@ class OverheardPdos:
     def guesses(self, key: RoutingKey) -> tuple[OverheardPdo, ...]:
         """Return the PDOs that PDOs.csv describes with a routing key, for a device that has shown none itself."""
         node_id = key & MAX_NODE_ID
-        if self._of_node.get(node_id):
+        if node_id not in self._described or self._of_node.get(node_id):
             return ()
         dictionaries = self._parameters.dictionaries
         found = []
@@ -160,7 +187,7 @@ class OverheardPdos:
                     mapping = PdoMapping.from_description(each)
                 except MappingError:
                     continue
-                found.append(OverheardPdo(node_id, f"{each.name}?", each.direction, mapping, dictionaries, is_guess=True))
+                found.append(OverheardPdo(node_id, f"{each.name}?", each.direction, mapping, dictionaries))
         return tuple(found)
 
     def _pdo_of(self, node_id: int, direction: Direction, number: int) -> tuple[RoutingKey, OverheardPdo] | None:
@@ -201,6 +228,15 @@ class OverheardPdos:
             return PdoMapping(entries_of(filter(None, entries), self._parameters.dictionaries[node_id])), False
         except MappingError:
             return None, False
+
+
+def _statuswords_of(mapping: PdoMapping) -> Iterator[tuple[int, int]]:
+    """Return the index of each whole statusword in a PDO, and its first byte."""
+    bit = 0
+    for entry in mapping.entries:
+        if entry.index in STATUSWORDS and not entry.subindex and entry.bit_length == 16 and not bit % 8:
+            yield entry.index, bit // 8
+        bit += entry.bit_length
 
 
 def _name_of(entry: MappedEntry, label: str) -> str:

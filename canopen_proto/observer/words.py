@@ -6,7 +6,7 @@ from typing import Final
 
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.error_codes import error_text, register_names
-from canopen_proto.frame import Frame
+from canopen_proto.frame import MAX_NODE_ID, Frame
 from canopen_proto.lss import messages as lss
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand
 from canopen_proto.observer.meaning import Words, bytes_text, hex_text
@@ -37,8 +37,15 @@ def of_nmt(frame: Frame) -> Words:
     data = frame.data
     if len(data) < 2:
         return Words(f"too short: {hex_text(data)}")
-    command = _COMMANDS.get(data[0]) or f"unknown command 0x{data[0]:02X}"
+    command = nmt_command_text(data[0])
+    if data[1] > MAX_NODE_ID:
+        return Words(f"{command}: node-ID {data[1]}, which no node can have")
     return Words(f"{command}: {'all nodes' if data[1] == 0 else f'node {data[1]}'}")
+
+
+def nmt_command_text(command: int) -> str:
+    """Return the name of an NMT command."""
+    return _COMMANDS.get(command) or f"unknown command 0x{command:02X}"
 
 
 def of_negotiation(frame: Frame) -> Words:

@@ -26,6 +26,7 @@ from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.meaning import Shown
 from canopen_proto.observer.observer import Observation, Observer
 from canopen_proto.observer.sequences import Summary
+from canopen_proto.observer.story import Event
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.record import Record
 
@@ -291,7 +292,13 @@ class FrameLines:
 
 def finding_text(finding: Finding) -> str:
     """Return a finding in words, fit for a screen."""
-    return f"{finding.rule}: {f'node {finding.node_id}: ' if finding.node_id else ''}{clean(finding.text)}"
+    likely = "" if finding.is_certain else " (likely)"
+    return f"{finding.rule}{likely}: {f'node {finding.node_id}: ' if finding.node_id else ''}{clean(finding.text)}"
+
+
+def event_text(event: Event) -> str:
+    """Return an event in words, fit for a screen."""
+    return f"{event.kind}: {f'node {event.node_id}: ' if event.node_id else ''}{clean(event.text)}"
 
 
 def _object_json(shown: Shown) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, cast
 import click
 import trio
 
-from canopen_cli.frame_lines import Buses, FrameChoice, choosing, finding_text
+from canopen_cli.frame_lines import Buses, FrameChoice, choosing, event_text, finding_text
 from canopen_cli.live_source import FILE_OR_INPUT, require_frames, tell_skipped
 from canopen_cli.monitor import Watch
 from canopen_cli.new_files import check_new_file
@@ -25,15 +25,19 @@ from canopen_master.plain_text import json_text
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND
 from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observer
+from canopen_proto.observer.story import KINDS, Story
 from canopen_transports import open_transport
 from canopen_transports.locator import bitrate_text, parse_bitrate
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from io import BufferedReader
 
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
+MAX_LINES: Final = 10_000
+"""Findings that wait for the end of the story. Further ones are counted only."""
 
 
 def _reader(source: Path) -> LogReader:
@@ -231,7 +235,13 @@ def decode(
 @common
 @click.pass_obj
 def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
-    """Say what is wrong on the bus that a file was recorded on; - is standard input. Exit status 1 if anything is.
+    """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
+
+    First the story, in the order of time: emergencies, drives in fault, boot-ups in the middle of operation, nodes that fell
+    silent and came back, aborted SDO transfers. What repeats is told once, and counted. Then the findings: what is against the
+    standard. "certain": nothing else can look like this. "likely": frames that are missing from the recording might.
+
+    Exit status 1 if anything was told but aborts: many programs ask for objects that a device may lack.
 
     \b
     canopen log check trace.log
@@ -244,26 +254,65 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
         raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
     files = NodeFiles(settings, screen, read_dictionary(screen))
     reader, buses = _reader(source), Buses(files, bitrate=rate, load_limit=limit / 100)
-    counts: Counter[str] = Counter()
+    stories: dict[str, Story] = {}  # by channel
+    counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
+    lines: list[str] = []  # of findings, which follow the story
     number = 0
     for number, record in enumerate(reader, 1):
         if number % 256 == 0:
             screen.check_reader()
         seconds, observation = buses.observe(record)
-        for finding in observation.findings:
-            counts[finding.rule] += 1
+        story = stories.get(record.channel)
+        if story is None:
+            story = stories[record.channel] = Story()
+        events = story.add(record.frame, observation, record.time)
+        if not (events or observation.findings):
+            continue
+        where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
+        for event in events:
             if settings.json:
-                where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
-                screen.out.out(json_text(where | finding._asdict()), highlight=False)
+                told = {"event": event.kind, "node_id": event.node_id, "text": event.text}
+                screen.out.out(json_text(where | told), highlight=False)
             else:
-                screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {finding_text(finding)}", highlight=False)
-    for rule, count in sorted(counts.items()):
-        screen.say(f"{count:>7} x [bold]{rule}[/]: {RULES[rule]}")
+                screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {event_text(event)}", highlight=False)
+        for finding in observation.findings:
+            counts[finding.rule, finding.is_certain] += 1
+            if settings.json:
+                screen.out.out(json_text(where | finding._asdict()), highlight=False)
+                continue
+            line = f"{seconds:12.6f} {record.frame!s:<25} {finding_text(finding)}"
+            if finding.rule == "boot-up":
+                screen.out.out(line, highlight=False)
+            elif len(lines) < MAX_LINES:
+                lines.append(line)
+    for line in lines:
+        screen.out.out(line, highlight=False)
     total = sum(counts.values())
-    screen.say(f"{counted(number, 'frame')}, {counted(total, 'finding') if total else 'no findings'}")
+    left_out = total - sum(count for (rule, _), count in counts.items() if rule == "boot-up") - len(lines)
+    if left_out > 0 and not settings.json:
+        screen.out.out(f"... and {counted(left_out, 'finding')} more", highlight=False)
+    events_told = _summed(story.told for story in stories.values())
+    repeated = _summed(story.repeated for story in stories.values())
+    for kind in sorted(events_told):
+        again = f", and {repeated[kind]} times more" if repeated[kind] else ""
+        screen.say(f"{events_told[kind]:>7} x [bold]{kind}[/]: {KINDS[kind]}{again}")
+    for (rule, is_certain), count in sorted(counts.items()):
+        screen.say(f"{count:>7} x [bold]{rule}[/]{'' if is_certain else ' (likely)'}: {RULES[rule]}")
+    totals = [counted(sum(events_told.values()), "event")] if events_told else []
+    if total:
+        likely = sum(count for (_, is_certain), count in counts.items() if not is_certain)
+        totals.append(f"{counted(total, 'finding')}{f' ({total - likely} certain, {likely} likely)' if likely else ''}")
+    screen.say(f"{counted(number, 'frame')}, {', '.join(totals) or 'no findings'}")
     tell_skipped(screen, reader)
     require_frames(reader, str(source), number)
-    return ExitCode.DIFFERENT if counts else ExitCode.OK
+    return ExitCode.DIFFERENT if counts or events_told.keys() - {"abort"} else ExitCode.OK
+
+
+def _summed(counts: Iterable[dict[str, int]]) -> Counter[str]:
+    total: Counter[str] = Counter()
+    for each in counts:
+        total.update(each)
+    return total
 
 
 def _per(count: float, seconds: float) -> float:

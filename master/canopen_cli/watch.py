@@ -32,6 +32,7 @@ from canopen_cli.watch_view import Around, picture, plain
 from canopen_cli.watched import Sample, View, Watched
 from canopen_master.bus import BusChanged, FramesLost
 from canopen_master.plain_text import clean, json_text
+from canopen_proto.cia402.axes import axis_of
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT
 from canopen_proto.machine import MILLISECOND, SECOND, Time
@@ -113,7 +114,8 @@ def watch(
     files = NodeFiles(settings, screen, read_dictionary(screen))
     dictionary, variables = _objects(files.dictionary_of(node_id), keys, drive, type_name)
     watched = Watched(node_id, dictionary, variables, STALE_AFTER * every, round(SPAN * SECOND) if plot else 0)
-    observer = Observer(lambda each: dictionary if each == node_id else files.dictionary_of(each))
+    drives = (node_id,) if any(axis_of(each.mux) is not None for each in variables) else ()
+    observer = Observer(lambda each: dictionary if each == node_id else files.dictionary_of(each), drives=drives)
     with ExitStack() as stack:
         watching = _Watching(settings, screen, watched, observer, channel, plot)
         if csv_path is not None:

@@ -331,6 +331,34 @@ def test_check(run: Run, tmp_path: Path, log: Path) -> None:
     assert [(each["rule"], each["channel"]) for each in found] == [("double id", "can0"), ("length", "can1")]
 
 
+FAULT = (
+    "(1.0) can0 605#40001A0000000000\n(1.1) can0 585#4F001A0001000000\n(1.2) can0 605#40001A0100000000\n"
+    "(1.3) can0 585#43001A0110004160\n(1.4) can0 000#01\n(1.5) can0 085#1023030000000000\n(1.6) can0 185#0802\n"
+)
+"""Between two reads and a fault of the drive, a command that is too short."""
+
+
+def test_check_tells_the_story_before_the_findings(run: Run) -> None:
+    Path("a.log").write_text(FAULT)
+    outcome = run("log", "check", "a.log")
+    assert outcome.status == 1
+    emergency, fault, finding = outcome.out.splitlines()
+    assert "0.500000 085#1023030000000000      EMCY: node 5: 0x2310 continuous over-current" in emergency
+    assert "0.600000 185#0802                  fault: node 5: the drive is in fault" in fault
+    assert "0.400000 000#01                    length: " in finding
+    assert "1 x EMCY: a node tells an error" in outcome.err
+    assert "7 frames, 2 events, 1 finding\n" in outcome.err
+    told = [json.loads(line) for line in run("log", "check", "a.log", "--json").out.splitlines()]
+    assert [each.get("event") or each["rule"] for each in told] == ["length", "EMCY", "fault"]
+    assert [each.get("is_certain") for each in told] == [True, None, None]
+
+
+def test_aborts_alone_are_no_fault(run: Run) -> None:
+    Path("a.log").write_text("(1.0) can0 605#4000200000000000\n(1.1) can0 585#8000200000000206\n")
+    outcome = run("log", "check", "a.log")
+    assert (outcome.status, "2 frames, 1 event\n" in outcome.err) == (0, True)
+
+
 def test_check_looks_at_the_load(run: Run, tmp_path: Path) -> None:
     text = "".join(f"({1 + number / 1000:.6f}) can0 185#0102030405060708\n" for number in range(2500))
     (tmp_path / "a.log").write_text(text)
@@ -356,20 +384,23 @@ def test_a_bus_server_records_too(run: Run) -> None:
 
 
 def test_decode_reads_what_candump_shows_from_standard_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = "  can0  603   [8]  40 41 60 00 00 00 00 00\n\n  can0  183   [8]  37 02 00 00 64 00 00 00\n"
+    said = (
+        "  can0  603   [8]  40 00 10 00 00 00 00 00\n\n  can0  583   [8]  43 00 10 00 92 01 02 00\n"
+        "  can0  183   [8]  37 02 00 00 64 00 00 00\n"
+    )
     monkeypatch.setattr("sys.stdin", typed(said.encode()))
     outcome = run("log", "decode", "-")
     assert outcome.status == 0
-    read, pdo = outcome.out.splitlines()
-    assert read.endswith("read 6041:00 statusword")
-    assert "schunk_default_tPDO" in pdo  # PDOs.csv, as no file is given
+    read, answer, pdo = outcome.out.splitlines()
+    assert read.endswith("read 1000:00 device_type")
+    assert "schunk_default_tPDO" in pdo  # PDOs.csv, as no file is given, and the device is a drive
     assert "position_actual_value = 100" in pdo
     monkeypatch.setattr("sys.stdin", typed(b"what is this\n"))
     outcome = run("log", "stats", "-")
     assert outcome.status == 6
     assert "standard input:1 is not understood" in outcome.err
     monkeypatch.setattr("sys.stdin", typed(b"\xff\xfe" + said.encode("utf-16-le")))  # what PowerShell pipes
-    assert run("log", "decode", "-").out.splitlines() == [read, pdo]
+    assert run("log", "decode", "-").out.splitlines() == [read, answer, pdo]
     monkeypatch.setattr("sys.stdin", typed(b"M\xe4r\n"))
     outcome = run("log", "decode", "-")
     assert outcome.status == 6

@@ -145,7 +145,7 @@ def test_only_what_was_asked_for(run: Run, options: tuple[str, ...], expected: l
 
 
 def test_a_pdo_is_one_whatever_its_name(run: Run) -> None:
-    Path("b.log").write_text("(1.0) can0 183#3702000064000000\n(2.0) can0 703#05\n")
+    Path("b.log").write_text("(1.0) can0 583#4300100092010200\n(1.0) can0 183#3702000064000000\n(2.0) can0 703#05\n")
     assert "schunk_default_tPDO?" in run("monitor", "b.log", "--service", "pdo").out
     assert times(run("monitor", "b.log", "--service", "tpdo").out) == [0]
     assert times(run("monitor", "b.log", "--object", "position_actual_value").out) == [0]

@@ -195,6 +195,7 @@ def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, st
     yield "stopped", [(1, "763#04"), (200, READ)], [(1, "763#04"), (1, "763#7F"), (200, READ)]
     yield "state", every(1, "763#11"), every(1, "763#04")
     yield "nmt", every(1, "000#0763"), every(1, "000#0163")
+    yield "boot-up", every(1, RUNS, "763#00"), every(1, RUNS, "000#8163", "763#00")
     first, second = ([*write(0x1005, 0, 0x4000_0080, 4, each), *write(0x1006, 0, 9000, 4, each)] for each in (98, 99))
     yield "two sync", [*first, *second], first
     yield "sync counter", every(0, "080#05", "080#07"), []

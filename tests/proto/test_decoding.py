@@ -54,7 +54,7 @@ def meanings(*frames: str, of: int | None = 5) -> list[str]:
     [
         ("000#0105", "NMT 5 start: node 5"),
         ("000#8000", "NMT 0 enter pre-operational: all nodes"),
-        ("000#77FF", "NMT 0 unknown command 0x77: node 255"),
+        ("000#77FF", "NMT 0 unknown command 0x77: node-ID 255, which no node can have"),
         ("000#01", "NMT 0 too short: 01"),
         ("080#", "SYNC 0"),
         ("080#07", "SYNC 0 counter 7"),
@@ -217,6 +217,31 @@ def test_pdo_parameters_count_for_a_device_without_a_file_as_well() -> None:
     assert meaning == "TPDO 1 5 0x6041:00 = 111"  # its COB-ID is the standard's until another is seen
 
 
+@pytest.mark.parametrize(
+    ("reason", "is_told"),
+    [
+        ("585#4300100092010200", True),  # 0x1000: a drive
+        ("585#4300100091010F00", False),  # inputs and outputs
+        ("585#4318100132030000", True),  # 0x1018:01: the vendor whose PDOs the file describes
+        ("585#4318100133030000", False),
+        ("585#4318100232030000", False),  # 0x1018:02
+        ("586#4300100092010200", False),  # another node
+        ("080#", False),
+    ],
+)
+def test_a_guess_needs_a_reason_and_the_length(reason: str, is_told: bool) -> None:
+    dictionary = ObjectDictionary(
+        [], pdos=[PdoDescription("short", 0x180, Direction.TPDO, 1, (Variable(0x6041, 0, "statusword", U16),))]
+    )
+    observer = Observer(lambda node_id: dictionary)
+    request = Frame(int(reason[:3], 16) + 0x80, b"\x40" + bytes.fromhex(reason[6:12]) + bytes(4))
+    for frame in (Frame.parse("185#0F00"), request, Frame.parse(reason)):
+        observer.observe(frame, 0)
+    guess, longer = (observer.observe(Frame.parse(text), 0).meaning for text in ("185#0F00", "185#0F0000"))
+    assert f"{guess.service} {guess.text}".startswith("short? statusword" if is_told else "TPDO 1 0f 00")
+    assert f"{longer.service} {longer.text}" == "TPDO 1 0f 00 00", "its length refutes the guess"
+
+
 def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
     variables = [Variable(0x6040, 0, "controlword", U16), Variable(0x6064, 0, "position", DataType.INTEGER32)]
     control, position = variables
@@ -225,7 +250,7 @@ def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
         PdoDescription("long", 0x200, Direction.RPDO, 1, (control, Filler("notused16", 16), position)),
     ]
     dictionary = ObjectDictionary([Object(0x6040, "c", ObjectType.VAR, {0: control})], pdos=pdos)
-    observer = Observer(lambda node_id: dictionary)
+    observer = Observer(lambda node_id: dictionary, drives=[5])
     seen = [
         observer.observe(Frame.parse(text), 0).meaning
         for text in ("205#0F00", "205#0F00000001000000", "205#0F", "285#0F00", "180#")
@@ -233,7 +258,7 @@ def test_pdos_of_the_csv_file_for_devices_that_describe_none() -> None:
     assert [f"{each.service} {each.text}" for each in seen] == [
         "short? controlword = 15 (enable operation)",
         "long? controlword = 15 (enable operation), position = 1",
-        "short? shorter than its mapping of 2 bytes: 0f",
+        "RPDO 1 0f",
         "TPDO 2 0f 00",
         "? nothing",
     ]
