@@ -34,6 +34,7 @@ from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act, upload
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block
+from canopen_proto.sdo.codec import what_was_asked
 
 MAX_SILENT: Final = 3
 """Objects in a row without an answer, after which the device counts as gone. One may be a device's fault, or a lost frame."""
@@ -90,11 +91,15 @@ class Reading:
 
 @dataclass(slots=True)
 class Backup:
-    """The objects of a node as read. dictionary: used for reading. readings: in order of index and subindex."""
+    """The objects of a node as read. dictionary: used for reading. readings: in order of index and subindex.
+
+    others_doing: what another SDO client did on the node's channel meanwhile, its last request in words; "" if none was heard.
+    """
 
     node_id: int
     dictionary: ObjectDictionary
     readings: list[Reading] = field(default_factory=list)
+    others_doing: str = ""
 
     @property
     def values(self) -> dict[Mux, Value]:
@@ -109,8 +114,8 @@ class Backup:
 
     @property
     def is_complete(self) -> bool:
-        """Whether every object that should be read was read."""
-        return not any(each.result.is_missing for each in self.readings)
+        """Whether every object that should be read was read, and no other client used the channel meanwhile."""
+        return not self.others_doing and not any(each.result.is_missing for each in self.readings)
 
 
 class ObjectRead(Event):
@@ -139,12 +144,14 @@ def back_up(
     """Read all readable objects of a node.
 
     dictionary: the objects to read; by default the node's. only: read only these objects of it. domains: read DOMAINs too. block:
-    how to read objects of variable length, see `Block`. Raises SdoFailed if the device is gone; see this module's text.
+    how to read DOMAINs, see `Block`. All else may have 1 to 4 bytes, which only a plain upload brings in one frame. Raises
+    SdoFailed if the device is gone; see this module's text.
     """
     dictionary = node.dictionary if dictionary is None else dictionary
     backup = Backup(node.node_id, dictionary)
     wanted = list(dictionary if only is None else only)
     patience = Patience()
+    heard = node.sdo.other.count
     for variable in wanted:
         result = _not_asked(dictionary, variable, domains)
         if result is None:
@@ -153,7 +160,14 @@ def back_up(
             reading = Reading(variable, result)
         backup.readings.append(reading)
         yield from report(node, reading, len(backup.readings), len(wanted))
+    backup.others_doing = others_doing(node, heard)
     return backup
+
+
+def others_doing(node: RemoteNode, heard: int) -> str:
+    """Return what another SDO client did on the node's channel last; "" if none was heard since `other.count` was `heard`."""
+    other = node.sdo.other
+    return what_was_asked(other.heard) if other.count > heard else ""
 
 
 def _not_asked(dictionary: ObjectDictionary, variable: Variable, domains: bool) -> ReadResult | None:
@@ -168,7 +182,9 @@ def _not_asked(dictionary: ObjectDictionary, variable: Variable, domains: bool) 
 
 
 def _read(node: RemoteNode, variable: Variable, block: Block, patience: Patience) -> Procedure[Reading]:
-    answer = yield from ask(node, variable.index, variable.subindex, block if variable.size is None else False, patience)
+    answer = yield from ask(
+        node, variable.index, variable.subindex, block if variable.data_type is DataType.DOMAIN else False, patience
+    )
     return reading_of(variable, answer)
 
 

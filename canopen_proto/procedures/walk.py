@@ -22,10 +22,11 @@ from canopen_proto.datatypes import DataType, integer_type
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.machine import Event, LocalProtocolError
-from canopen_proto.procedures.backup import Backup, Patience, Reading, ReadResult, ask, back_up, reading_of
+from canopen_proto.procedures.backup import Backup, Patience, Reading, ReadResult, ask, back_up, others_doing, reading_of
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoFailed, act
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.client import Block
 
 COMMUNICATION: Final = indices.COMMUNICATION_AREA
 """The communication profile area; CiA 301 v4.2.0, table 41."""
@@ -71,6 +72,7 @@ def walk(
     if indices and not 1 <= indices[0] <= indices[-1] <= 0xFFFF:
         raise LocalProtocolError(f"walk: indices are 0x0001..0xFFFF, not 0x{indices[0]:X}..0x{indices[-1]:X}")
     found = _Walk(node, names, domains)
+    heard = node.sdo.other.count
     for done, index in enumerate(indices):
         if done % PROGRESS_STEP == 0:
             news = WalkProgress(node.node_id, index, done, len(indices), len(found.readings))
@@ -78,7 +80,7 @@ def walk(
         yield from found.walk_index(index)
         if len(found.readings) >= MAX_OBJECTS:
             break
-    return Backup(node.node_id, _dictionary_of(found.readings), found.readings)
+    return Backup(node.node_id, _dictionary_of(found.readings), found.readings, others_doing(node, heard))
 
 
 def back_up_by_names(node: RemoteNode, names: ObjectDictionary, *, domains: bool = False) -> Procedure[Backup]:
@@ -89,7 +91,8 @@ def back_up_by_names(node: RemoteNode, names: ObjectDictionary, *, domains: bool
     """
     walked = yield from walk(node, [COMMUNICATION], names=names, domains=domains)
     rest = yield from back_up(node, names, only=[each for each in names if each.index not in COMMUNICATION], domains=domains)
-    return Backup(node.node_id, names.with_objects(walked.dictionary.objects.values()), walked.readings + rest.readings)
+    dictionary = names.with_objects(walked.dictionary.objects.values())
+    return Backup(node.node_id, dictionary, walked.readings + rest.readings, walked.others_doing or rest.others_doing)
 
 
 class _Walk:
@@ -119,7 +122,8 @@ class _Walk:
         if known is not None and known.data_type is DataType.DOMAIN and not self._domains:
             self.readings.append(Reading(known, ReadResult.DOMAIN))
             return b""
-        answer = yield from ask(self._node, index, subindex, "auto", self._patience)
+        block: Block = "auto" if known is not None and known.data_type is DataType.DOMAIN else False
+        answer = yield from ask(self._node, index, subindex, block, self._patience)
         if isinstance(answer, SdoFailed) and answer.abort_code in ABSENT:
             return None
         self.readings.append(_reading(index, subindex, known, answer))

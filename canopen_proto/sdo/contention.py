@@ -51,6 +51,8 @@ SPREAD: Final = 16 * MILLISECOND
 hears the other."""
 SERVICE_ERROR: Final = 0x05
 """The highest byte of abort codes about the protocol itself (CiA 301 v4.2.0, table 22): they may be a stranger's doing."""
+MAX_NAMES: Final = 16
+"""Objects of strangers' open requests that are remembered; with more of them nothing is certain."""
 _NOTHING: Final = bytes((ABORT,)).ljust(8, b"\x00")
 """A request that needs no answer."""
 
@@ -91,7 +93,8 @@ class OtherClient:
         if is_initiate(command):
             name = data[1:4]
             self._is_ambiguous |= bool(self._names) or (ours is not None and name == ours.first[1:4])
-            self._names.add(name)
+            if len(self._names) <= MAX_NAMES:
+                self._names.add(name)
         self.last = data
         self.in_blocks = specifier in (BLOCK_UPLOAD, BLOCK_DOWNLOAD)
         if command != ABORT and command != END_RESPONSE:
@@ -135,19 +138,16 @@ class OtherClient:
 
         Both are initiate requests without blocks, they name different objects, and nothing else was sent for ours yet.
         """
-        asked = transfer.first[0] & SPECIFIER
-        if (
-            transfer.state is not INITIATED
-            or self.in_blocks
-            or self.last[0] & SPECIFIER not in (INITIATE_DOWNLOAD, INITIATE_UPLOAD)
-        ):
+        if transfer.state is not INITIATED or self.last[0] & SPECIFIER not in (INITIATE_DOWNLOAD, INITIATE_UPLOAD):
             return False
+        asked = transfer.first[0] & SPECIFIER
         is_one_frame = asked == INITIATE_UPLOAD or (asked == INITIATE_DOWNLOAD and bool(transfer.first[0] & EXPEDITED_BIT))
-        return is_one_frame and transfer.first[1:4] not in self._names
+        return is_one_frame and transfer.first[1:4] not in self._names and len(self._names) <= MAX_NAMES
 
     def may_answer(self, transfer: Transfer) -> bool:
         """Return whether answers to a stranger may meet this request of ours."""
-        return bool(self.last) and (self.last[0] != ABORT or transfer.first[1:4] in self._names)
+        is_named = transfer.first[1:4] in self._names or len(self._names) > MAX_NAMES
+        return bool(self.last) and (self.last[0] != ABORT or is_named)
 
     def goes_first(self, now: Time) -> None:
         """Let a stranger that has waited go on: for so long our next request waits for it."""

@@ -7,6 +7,9 @@ The finished file is checked: its bytes are read as `restore` will read them, an
 device sent. Values that differ are in `BackupFile.lost`. This happens with bytes that are no value of the object's type (a
 BOOLEAN of 0xFF, a REAL32 that is a signalling NaN), and with files larger than the reader accepts.
 
+If another SDO client used the device's channel meanwhile, the file says so at the beginning of its Description ([FileInfo]):
+`disturbance_of` returns what.
+
 Source: CiA 306-1 v1.4.0, 5 (device configuration file).
 """
 
@@ -15,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Final
 
 from canopen_data.configured import with_configured
 from canopen_data.describing import describe
@@ -26,6 +30,11 @@ from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.procedures.backup import Backup, Reading, ReadResult
+
+MAX_DESCRIPTION: Final = 243
+"""Characters; CiA 306-1."""
+_DISTURBED: Final = "DISTURBED: another SDO client "
+_END: Final = " during this backup"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +60,20 @@ def backup_file(
     if bit_rate is not None:
         commissioning = replace(commissioning, bit_rate=bit_rate)
     bare = replace(whole, dictionary=_without_others(whole.dictionary, backup))
-    configured = with_configured(bare, backup.values, commissioning, file_info=file_info or whole.file_info)
+    info = file_info or whole.file_info
+    before = info.description.partition(_END)[2].strip() if disturbance_of(info) else info.description  # of an older backup
+    said = f"{_DISTURBED}{backup.others_doing}{_END} {before}".strip() if backup.others_doing else before
+    info = replace(info, description=said[:MAX_DESCRIPTION])
+    configured = with_configured(bare, backup.values, commissioning, file_info=info)
     text = write_eds(configured, FileKind.DCF)
     file = _encoded(backup, text, whole.encoding)
     return _encoded(backup, text, "utf-8") if file.lost else file  # a reader may not be able to guess the description's encoding
+
+
+def disturbance_of(info: FileInfo) -> str:
+    """Return what another SDO client did while a backup was made, as its DCF says; "" if it says nothing of that."""
+    found = info.description.startswith(_DISTURBED) and _END in info.description
+    return info.description.removeprefix(_DISTURBED).partition(_END)[0] if found else ""
 
 
 def _encoded(backup: Backup, text: str, encoding: str) -> BackupFile:

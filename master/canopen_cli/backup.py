@@ -43,9 +43,10 @@ if TYPE_CHECKING:
 def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
     """Read all values of a node into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
 
+    If another SDO client uses the node's channel meanwhile, the backup says so, and `restore` wants --force for it.
     Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
     those of the data files are read; with --walk, all objects that answer at its indices. Exit status 7: an object could not be
-    read, or the file cannot hold its exact bytes.
+    read, the file cannot hold its exact bytes, or another client was heard.
 
     \b
     canopen backup 5 -o before.dcf -e drive.eds
@@ -63,6 +64,7 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
         unread = [reading_as_json(each) for each in found.readings if each.value is None]
         counts = {str(result): number for result, number in found.counts.items()}
         document = {"node": node_id, "file": output, "bit_rate": bit_rate, "counts": counts, "not_read": unread}
+        document["other_client"] = found.others_doing or None
         screen.json(document | {"not_exact": [reading_as_json(each) for each in lost]})
     else:
         tell_unread(screen, found, lost)
@@ -73,7 +75,7 @@ def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, 
 async def _backup(
     settings: Settings, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool
 ) -> tuple[Backup, DeviceDescription | None]:
-    async with open_session(settings, screen) as session:
+    async with open_session(settings, screen) as session, session.claim(node_id):
         found = await read_all(session, screen, node_id, indices, domains)
         return found, session.description_of(node_id)
 

@@ -139,11 +139,17 @@ _WORDS: Final = {
     ReadResult.ABSENT: "not in the device",
     ReadResult.NO_ANSWER: "without an answer",
     ReadResult.WRONG_LENGTH: "of a wrong length",
+    ReadResult.CONTESTED: "disturbed by another SDO client",
 }
 
 
 def tell_unread(screen: Screen, backup: Backup, lost: Sequence[Reading] = ()) -> None:
     """List the missing objects, and with -v everything that was not read. lost: readings that a file could not hold exactly."""
+    if backup.others_doing:
+        screen.say(
+            f"[yellow]another SDO client used the channel of node {backup.node_id} meanwhile: it {backup.others_doing}.[/] "
+            "What was read is of the device, but the other may have changed it. End the other program, and read again."
+        )
     for each in lost:
         data = (each.data or b"")[:16].hex(" ")
         screen.say(

@@ -68,7 +68,7 @@ def dump(settings: Settings, node_id: int, output: str | None, indices: tuple[ra
 async def _dump(
     settings: Settings, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool
 ) -> tuple[Backup, DeviceDescription | None]:
-    async with open_session(settings, screen) as session:
+    async with open_session(settings, screen) as session, session.claim(node_id):
         found = await read_all(session, screen, node_id, indices, domains)
         return found, session.description_of(node_id) if indices is None else None
 

@@ -164,6 +164,7 @@ def read(
 
 async def _read(settings: Settings, screen: Screen, request: Request, keys: tuple[str, ...]) -> list[Reading]:
     async with open_session(settings, screen) as session:
+        await session.wait_for(request.node_id)
         node = session.node(request.node_id)
         variables = [find(node.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
@@ -174,7 +175,7 @@ async def _read(settings: Settings, screen: Screen, request: Request, keys: tupl
 async def _read_file(
     settings: Settings, screen: Screen, request: Request, key: str, output: str, file: IO[bytes]
 ) -> FileTransfer:
-    async with open_session(settings, screen) as session:
+    async with open_session(settings, screen) as session, session.claim(request.node_id):
         node = session.node(request.node_id)
         variable = find(node.dictionary, key, request.type_name or BYTES)
         _check_readable(variable)
@@ -254,7 +255,7 @@ def _shown(reading: Reading) -> str:
 
 
 async def _write_file(settings: Settings, screen: Screen, request: Request, key: str, path: str) -> FileTransfer:
-    async with open_session(settings, screen) as session:
+    async with open_session(settings, screen) as session, session.claim(request.node_id):
         node = session.node(request.node_id)
         variable = find(node.dictionary, key, request.type_name or BYTES)
         _check_writable(variable)

@@ -80,7 +80,8 @@ def restore(
     The node becomes Pre-operational meanwhile; PDOs that change are disabled first and enabled last. If something fails, the rest
     is not written, and the node stays Pre-operational. If all goes well, it is put back into the state that it was in.
     Set-points, outputs, commands and read-only objects are not written, nor objects that could not be read before. A file of
-    another node-ID, or of another type of device, is refused. Exit status: 7 if something was left out that could not be read.
+    another node-ID, or of another type of device, is refused; so is a backup that another SDO client has disturbed, without
+    --force. Exit status: 7 if something was left out that could not be read.
 
     \b
     canopen restore 5 before.dcf --dry-run
@@ -88,7 +89,7 @@ def restore(
     canopen restore 5 before.dcf --to 6
     """
     screen = settings.screen()
-    dictionary = settings_in(path, node_id, any_device, settings.encoding)
+    dictionary = settings_in(path, node_id, any_device, settings.encoding, disturbed=settings.force)
     if to is not None:
         dictionary, node_id = moved_to(dictionary, node_id, to), to
     values = settings_of(dictionary, node_id)
@@ -109,9 +110,13 @@ def restore(
     return ExitCode.PARTIAL if tell_unread(screen, dictionary, so_far[0]) else ExitCode.OK
 
 
-def settings_in(path: str, node_id: int, any_node: bool, encoding: str) -> ObjectDictionary:
-    """Return the dictionary of a file. Raises a Problem if the file is of another node, or sets nothing."""
+def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, disturbed: bool = True) -> ObjectDictionary:
+    """Return the dictionary of a file. Raises a Problem if the file is of another node, or sets nothing.
+
+    disturbed: also of a backup that another SDO client has disturbed; else that is a Problem too.
+    """
     from canopen_cli.eds_files import open_description
+    from canopen_data.backup_file import disturbance_of
 
     description = open_description(path, encoding).description
     named = description.node_id
@@ -124,6 +129,17 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str) -> Objec
                 f"canopen restore {named} {path}",
                 f"canopen restore {named} {path} --to {node_id}    (its COB-IDs become those of node {node_id})",
                 "--any-device, to write it as it is",
+            ),
+        )
+    others_doing = disturbance_of(description.file_info)
+    if others_doing and not disturbed:
+        raise usage(
+            "CO137",
+            f"{path} is a backup that another SDO client has disturbed; nothing was written",
+            seen=f"it {others_doing} while the backup was made, and may have changed what was read",
+            tries=(
+                f"canopen backup {node_id} -o again.dcf    (with the other program ended)",
+                "--force, to write it all the same",
             ),
         )
     if not any(each.configured is not None for each in description.dictionary):
@@ -140,7 +156,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str) -> Objec
 
 
 async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: list[Restoration]) -> None:
-    async with open_session(settings, screen) as session:
+    async with open_session(settings, screen) as session, session.claim(wanted.node_id):
         if not wanted.any_device:
             await _check_identity(session, wanted)
         node = session.node(wanted.node_id).remote

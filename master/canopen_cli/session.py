@@ -21,6 +21,7 @@ from canopen_cli.screen import Screen, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_data.findings import Severity
+from canopen_master.channel_claim import channel_claim, channel_free
 from canopen_master.errors import NO_ANSWER, SdoTimeout
 from canopen_master.master import Master
 from canopen_master.node import Node
@@ -47,10 +48,11 @@ LOOK_AGAIN: Final = 0.05
 
 
 class Session:
-    """An open master of one bus, and the files of the devices on it."""
+    """An open master of one bus, and the files of the devices on it. bus: its locator."""
 
-    def __init__(self, master: Master, files: NodeFiles) -> None:
+    def __init__(self, master: Master, files: NodeFiles, bus: str) -> None:
         self.master = master
+        self.bus = bus
         self.files = files
         self._of_axes: dict[tuple[int, int], ObjectDictionary] = {}
 
@@ -63,6 +65,14 @@ class Session:
         if axis and self.description_of(node_id) is None:
             dictionary = self._of_axes.setdefault((node_id, axis), with_axis(dictionary, axis))
         return self.master.node(node_id, dictionary)
+
+    def claim(self, node_id: int) -> AbstractAsyncContextManager[None]:
+        """Have the SDO channel of a node for a long transfer; see channel_claim.py. Raises ChannelTaken."""
+        return channel_claim(self.bus, node_id)
+
+    async def wait_for(self, node_id: int) -> None:
+        """Wait for a long transfer of another program with a node. Raises ChannelTaken."""
+        await channel_free(self.bus, node_id)
 
     def dictionary_of(self, node_id: int) -> ObjectDictionary:
         """Return the dictionary of a node; see NodeFiles."""
@@ -122,7 +132,7 @@ async def open_session(
         master = await stack.enter_async_context(
             open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
         )
-        session = Session(master, files)
+        session = Session(master, files, bus)
         try:
             yield session
         except Exception as error:

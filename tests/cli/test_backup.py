@@ -414,3 +414,22 @@ def test_progress_goes_on_while_an_object_is_waited_for(run: Run, world: Lasting
     assert outcome.status == ExitCode.PARTIAL
     assert "not read:" in outcome.err
     assert "/141" in outcome.err
+
+
+def test_a_backup_that_another_client_disturbed_is_restored_only_by_force(run: Run, world: Lasting) -> None:
+    change(run, world)
+    found = Backup(5, load_description("before.dcf").dictionary, [], "wrote 0x2000:00")
+    write_dcf("disturbed.dcf", found, load_description("before.dcf"), None)
+    info = load_description("disturbed.dcf").file_info
+    assert info.description == "DISTURBED: another SDO client wrote 0x2000:00 during this backup"
+    write_dcf("again.dcf", Backup(5, found.dictionary, []), load_description("disturbed.dcf"), None)
+    assert load_description("again.dcf").file_info.description == ""
+    text = Path("before.dcf").read_text().replace("[FileInfo]\n", f"[FileInfo]\nDescription={info.description}\n", 1)
+    Path("full.dcf").write_text(text)
+    refused = run("restore", *NODE, "full.dcf", "--yes")
+    assert refused.status == ExitCode.USAGE
+    assert "error CO137" in refused.err
+    assert "wrote 0x2000:00" in refused.err
+    assert world.writes == []
+    assert run("restore", *NODE, "full.dcf", "--yes", "--force").status == 0
+    assert world.writes != []

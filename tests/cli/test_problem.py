@@ -25,6 +25,7 @@ from canopen_cli.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_master import errors
+from canopen_master.channel_claim import ChannelTaken
 from canopen_master.hooks import ScriptError
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.set_point_check import FASTER, NO_SCALE
@@ -62,6 +63,7 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (LogFileError("cannot read x", "no such file", "", ()), ExitCode.BAD_FILE, "CO342"),
         (errors.NodeSilent("CO210", 5, "x", "node 5 did not boot"), ExitCode.NO_ANSWER, "CO210"),
         (errors.UnexpectedAnswer("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
+        (ChannelTaken("CO208", 5, "x", "another program uses it"), ExitCode.SDO_ABORT, "CO208"),
         (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
         (errors.UnknownChain("CO322", "no chain"), ExitCode.USAGE, "CO322"),
         (errors.PlanRefused("joint 1 cannot go to 95", joint=1, value=95.0, limit=90.0), ExitCode.USAGE, "CO323"),

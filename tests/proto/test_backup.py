@@ -288,3 +288,21 @@ def test_what_counts_as_the_same_value() -> None:
     assert not same(DataType.UNSIGNED8, None, 0)
     assert same(DataType.UNSIGNED8, None, None)
     assert not same(DataType.UNSIGNED8, 300, "text")
+
+
+def test_a_backup_that_met_another_client_is_right_and_not_complete() -> None:
+    bench = Bench()
+    bench.bus.send(f"{0x600 + bench.remote.node_id:03X}#4018100100000000")
+    backup = bench.run(back_up(bench.remote))
+    assert backup.others_doing == "asked for 0x1018:01"
+    assert not backup.is_complete
+    assert all(each.value is not None for each in backup.readings if each.result is ReadResult.READ)
+    assert backup.values == bench.run(back_up(bench.remote)).values
+
+
+def test_small_values_are_asked_for_so_that_their_answer_names_the_object() -> None:
+    """An upload in blocks, or of segments, may be confused with another client's; one frame may not."""
+    bench = Bench()
+    bench.run(back_up_by_names(bench.remote, bench.dictionary))
+    asked = {frame[4:6] for frame in bench.bus.trace() if frame.startswith(f"{0x600 + bench.remote.node_id:03X}#")}
+    assert asked == {"40", "60", "70"}
