@@ -5,7 +5,8 @@ checked; ours also checks the file and keeps lines and columns for its findings,
 look up a name (ours makes its tables of names when somebody asks first).
 
 Makers' files are not part of the project: they are looked for in `$CANOPEN_VENDOR_EDS`, else in `../shared/eds` beside the
-repository, and left out where they are missing. The generated file has 2000 objects of the kinds that such files have.
+repository, and left out where they are missing. The generated files have 2000 objects of the kinds that such files have, and
+28 672, as many as the manufacturer-specific and the profile areas hold together.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from canopen_proto.dictionary import ObjectDictionary
 FOLDER = Path(os.environ.get("CANOPEN_VENDOR_EDS") or Path(__file__).parents[1] / ".." / "shared" / "eds")
 FILES = ("canopen-sample.eds", "inovance-e35.eds")
 OBJECTS = 2000
+MOST_OBJECTS = 28_672
 
 
 class _Stream(io.StringIO):
@@ -54,17 +56,17 @@ def _whole(section: str, name: str, object_type: int, count: int) -> list[str]:
     return [f"[{section}]", f"ParameterName={name}", f"ObjectType=0x{object_type:X}", f"SubNumber={count}", ""]
 
 
-def generated() -> str:
-    """An EDS of 2000 objects: of five, three are variables, one is an array and one a record of four entries each.
+def generated(objects: int = OBJECTS) -> str:
+    """An EDS with so many objects: of five, three are variables, one is an array and one a record of four entries each.
 
     Defaults and limits are round numbers that occur again and again, as they do in makers' files: there, from four to nine tenths
     of the sections say the same as another one, but for the name; here it is seven tenths.
     """
     lines = ["[FileInfo]", "FileName=generated.eds", "", "[DeviceInfo]", "VendorName=Generated", "VendorNumber=1", ""]
-    lines += ["[ManufacturerObjects]", f"SupportedObjects={OBJECTS}"]
-    lines += [f"{number}=0x{0x2000 + number:04X}" for number in range(1, OBJECTS + 1)]
+    lines += ["[ManufacturerObjects]", f"SupportedObjects={objects}"]
+    lines += [f"{number}=0x{0x2000 + number:04X}" for number in range(1, objects + 1)]
     lines.append("")
-    for number in range(1, OBJECTS + 1):
+    for number in range(1, objects + 1):
         section, name = f"{0x2000 + number:04X}", f"Parameter {number}"
         default = "0" if number % 3 else str(number)
         limits = ("LowLimit=-1000", f"HighLimit={number // 20 * 100}")
@@ -125,5 +127,5 @@ def cases() -> list[Case]:
     logging.getLogger("canopen").setLevel(logging.ERROR)  # the peer warns of its own sample
     found = [path for name in FILES if (path := FOLDER / name).exists()]
     texts = {f"{path.name}, {path.stat().st_size // 1000} kB": path.read_text("utf-8", "replace") for path in found}
-    texts[f"generated, {OBJECTS} objects"] = generated()
+    texts |= {f"generated, {count} objects": generated(count) for count in (OBJECTS, MOST_OBJECTS)}
     return [_case(f"EDS import: {name}", text) for name, text in texts.items()]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -22,6 +23,9 @@ from canopen_data.checks import RULES, check
 from canopen_data.description import FileKind
 from canopen_data.findings import Finding, Severity
 from canopen_data.repair import repair
+
+MAX_REPAIRED: Final = 5000
+"""Objects of a file whose repairs are counted: that takes ten times the time and memory of all checks."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,10 @@ def lint(settings: Settings, paths: tuple[str, ...], strict: bool, max_errors: i
         return _list_rules(screen)
     if not paths:
         raise click.UsageError("Missing argument 'FILE...'.")
-    reports = [_report(path, settings.encoding) for path in paths]
+    reports = []
+    for path in paths:
+        with _told(screen, path):
+            reports.append(_report(path, settings.encoding))
     if settings.json:
         documents = [report.as_json() for report in reports]
         screen.json(documents if len(documents) > 1 else documents[0])
@@ -120,6 +127,13 @@ def _show(screen: Screen, report: _Report, most: int) -> None:
     kind = f"{description.kind}, {description.encoding}, {counted(len(description.dictionary.objects), 'object')}"
     screen.say(f"[bold]{escape(report.path)}[/] ({kind}): {counts_text(counts_of(report.findings))}")
     if report.findings and description.kind in (FileKind.EDS, FileKind.DCF):
-        repairs = len(repair(description).repairs)
-        if repairs:
-            screen.say(f"  {counted(repairs, 'repair')} without guessing: canopen eds fix {escape(report.path)} --dry-run")
+        command = f"canopen eds fix {escape(report.path)} --dry-run"
+        if len(description.dictionary.objects) > MAX_REPAIRED:
+            screen.say(f"  what can be repaired without guessing: {command}")
+        elif repairs := len(repair(description).repairs):
+            screen.say(f"  {counted(repairs, 'repair')} without guessing: {command}")
+
+
+def _told(screen: Screen, path: str) -> AbstractContextManager[object]:
+    """Show on a terminal which file is being read and checked; a large one takes seconds."""
+    return screen.err.status(escape(path)) if screen.draws else nullcontext()

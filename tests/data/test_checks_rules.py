@@ -9,6 +9,7 @@ import pytest
 from canopen_data.checks import RULES, check
 from canopen_data.description import Commissioning, FileKind
 from canopen_data.eds.reader import read_eds
+from canopen_data.findings import Severity
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.standard import standard_object
@@ -311,3 +312,14 @@ def test_findings_come_in_the_order_of_the_file() -> None:
 
     faulty = several(field(0x2000, 0, default=101), field(0x2001, 0, default="x"), head(document=Lines()))
     assert [(each.code, each.column) for each in check(faulty(clean()))] == [("default-type", 2), ("default-limits", 2)]
+
+
+def test_the_findings_of_one_file_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last one gives the number and the worst severity of the rest."""
+    monkeypatch.setattr("canopen_data.checks.MAX_FINDINGS", 5)
+    listed = "".join(f"{number}=0x{0x1F00 + number:04X}\n" for number in range(20))
+    found = check(read_eds(f"[ManufacturerObjects]\n{listed}[1F00]\nDataType=5\nAccessType=ro\n"))
+    assert len(found) == 6
+    assert found[-1].code == "too-many"
+    assert found[-1].severity is Severity.ERROR
+    assert "more findings are not listed" in found[-1].message

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_data.eds.ini import MAX_FINDINGS, EdsDocument, Entry, Findings, fold
+from canopen_data.eds.ini import MAX_FINDINGS, Body, EdsDocument, Entry, Findings, Section, fold
 from canopen_data.findings import Severity
 
 HASH = "a comment begins with ';'; this line and all others that begin with '#' were taken for comments"
@@ -122,3 +124,21 @@ def test_any_text_has_all_its_lines(text: str) -> None:
         for entry in section.entries:
             assert lines[entry.line - 1][entry.column - 1 :].startswith(entry.value)
             assert section.values[entry.key.lower()] is not None
+
+
+def test_the_places_of_many_findings_take_one_look_at_the_section() -> None:
+    """A list of thousands of objects may have a finding in each line."""
+
+    class Text(str):
+        looks = 0
+
+        def split(self, *args: Any, **named: Any) -> list[str]:
+            Text.looks += 1
+            return super().split(*args, **named)
+
+    text = Text("ManufacturerObjects]\n" + "\n".join(f"{number} = x" for number in range(1000)))
+    section = Section("ManufacturerObjects", 7, text, Body({}), None)
+    for number in range(1000):
+        assert section.place_of(str(number)) == (8 + number, len(f"{number} = x"))
+    assert section.place_of("none") == (7, 1)
+    assert Text.looks == 1

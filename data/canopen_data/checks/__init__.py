@@ -20,12 +20,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 from typing import Final
 
 from canopen_data.checks import cob_ids, device, mappings, profiles, structure, values
 from canopen_data.checks.subject import Rule, Subject
 from canopen_data.description import DeviceDescription
-from canopen_data.findings import Finding
+from canopen_data.findings import Finding, Severity
 
 __all__ = ["RULES", "Rule", "check"]
 
@@ -34,17 +35,32 @@ _FAMILIES: Final = (device, structure, values, profiles, mappings, cob_ids)
 RULES: Final[tuple[Rule, ...]] = tuple(rule for family in _FAMILIES for rule in family.RULES)
 """All rules, by family. Codes are unique."""
 
+MAX_FINDINGS: Final = 10_000
+"""Kept of one file; a small file can have hundreds of thousands."""
+
 _CHECKS: Final = tuple(each for family in _FAMILIES for each in family.CHECKS)
 
 
 def check(description: DeviceDescription) -> list[Finding]:
     """Return all findings of all rules, in the order of the file if there is one. The reader's findings are not repeated.
 
+    MAX_FINDINGS are kept; one more gives the number and the worst severity of the others.
+
     A line that stands for many sub-objects (CompactSubObj) has one finding per rule, which gives the number of sub-objects.
     """
     subject = Subject(description, RULES)
-    found = [finding for each in _CHECKS for finding in each(subject)]
-    return sorted(_once(found, subject.shared), key=lambda finding: (finding.line, finding.column))
+    found: list[Finding] = []
+    hidden, worst = 0, Severity.NOTICE
+    for finding in chain.from_iterable(each(subject) for each in _CHECKS):
+        if len(found) < MAX_FINDINGS:
+            found.append(finding)
+        else:
+            hidden += 1
+            worst = min(worst, finding.severity, key=list(Severity).index)
+    found = sorted(_once(found, subject.shared), key=lambda finding: (finding.line, finding.column))
+    if hidden:
+        found.append(Finding(worst, "too-many", f"{hidden} more findings are not listed", description.source))
+    return found
 
 
 def _once(found: Iterable[Finding], shared: Collection[tuple[str, int, int]]) -> Iterator[Finding]:

@@ -113,7 +113,7 @@ class Section:
     title: its ParameterName, if that is the first key; body: all other keys. `values` has all of them.
     """
 
-    __slots__ = ("_text", "body", "line", "name", "title")
+    __slots__ = ("_places", "_text", "body", "line", "name", "title")
 
     def __init__(self, name: str, line: int, text: str, body: Body, title: str | None) -> None:
         self.name = name
@@ -121,6 +121,7 @@ class Section:
         self.body = body
         self.title = title
         self._text = text  # from the name up to the line before the next section
+        self._places: dict[str, tuple[int, int]] | None = None  # of all keys, once somebody asks for one
 
     @property
     def values(self) -> Mapping[str, str]:
@@ -148,13 +149,13 @@ class Section:
 
     def place_of(self, key: str) -> tuple[int, int]:
         """Return line and column of a value; of the section's name if there is no such key."""
-        folded = key.lower()
-        if folded:
+        if self._places is None:
+            self._places = {}
             for number, line in enumerate(self._text.split("\n")[1:], start=self.line + 1):
                 spelt, equals, value = line.partition("=")
-                if equals and spelt.strip().lower() == folded:
-                    return number, len(line) - len(value.lstrip()) + 1
-        return self.line, 1
+                if equals and (folded := spelt.strip().lower()):
+                    self._places.setdefault(folded, (number, len(line) - len(value.lstrip()) + 1))
+        return self._places.get(key.lower(), (self.line, 1))
 
 
 class EdsDocument:
