@@ -7,10 +7,12 @@ from typing import Final
 from fuzz.mutant import Mutant
 
 CLOCK: Final = ("tests/proto/test_path_clock.py",)
+ROUNDED: Final = ("tests/data/test_path_rounding.py",)
 LIMITS: Final = ("tests/proto/test_path_limits.py",)
 
 _CHECK: Final = "trajectory/limit_check.py"
 _CLOCK: Final = "trajectory/path_clock.py"
+_FITTING: Final = "trajectory/fitting.py"
 _RESERVE: Final = "trajectory/reserve.py"
 _SPEED: Final = "trajectory/speed_change.py"
 _STOP: Final = "trajectory/stop_check.py"
@@ -91,6 +93,31 @@ TRAJECTORY_MUTANTS: Final = tuple(
             "rate = override if reserve.rests_at_start else 0.0",
             "a path that goes on from a motion under way begins with a standstill",
             CLOCK,
+        ),
+        # ---- samples with few decimals ----
+        (
+            "twice_the_rounding",
+            _FITTING,
+            "problem = _Problem(steps, positions, resolution / 2.0)",
+            "problem = _Problem(steps, positions, resolution)",
+            "the path leaves the positions that a file can have meant",
+            ROUNDED,
+        ),
+        (
+            "rounding_taken_for_motion",
+            _FITTING,
+            "return shares[-1] > _NOTHING * half and shares[len(shares) // 2] <= half",
+            "return False",
+            "the rounding of a file is followed, with a jerk of thousands",
+            ROUNDED,
+        ),
+        (
+            "starts_with_a_jerk",
+            _FITTING,
+            "            a, c = 0.0, c + a\n",
+            "            a = 0.0\n",
+            "the smoothest positions do not know that the path is at rest at its start",
+            ROUNDED,
         ),
         # ---- what a path leaves free ----
         (

@@ -2,6 +2,7 @@
 
     path.py            `Path`: positions of all joints over time, in pieces of polynomials
     interpolation.py   paths from waypoints with times: `linear`, `cubic`, `quintic`, `from_function`
+    fitting.py         the smoothest positions that samples with few decimals can have meant
     limit_check.py     `JointLimits`, and `first_violation`: the first place at which a path exceeds one
     path_clock.py      `PathClock`: runs a path, slows it down, stops on it, goes on
     reserve.py         what a path leaves free of its limits, for braking

@@ -8,6 +8,10 @@
 The path passes the positions with the velocities (polynomials of degree 3), or with velocities and accelerations (degree 5).
 Without velocities it is a spline, at rest at both ends, or straight lines. All joints have the same columns.
 
+**Positions with few decimals.** A spline through them would tremble: 0.01 degrees of rounding at 10 ms are a jerk of 40,000
+degrees/s³. So if the samples of a joint are no rougher than their rounding, the spline goes through the smoothest positions
+within half a unit of the last decimal of its column (canopen_proto.trajectory.fitting); the first and the last one stay.
+
 Commas, semicolons or tabs separate columns, whichever the header has; quotes around a cell are left out. Blank lines are skipped,
 and lines that begin with `#`. Numbers have a decimal point. The times rise, and may begin anywhere.
 
@@ -26,6 +30,7 @@ from typing import Final, NamedTuple
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_data.rows import Cell
 from canopen_proto.dictionary.model import did_you_mean
+from canopen_proto.trajectory.fitting import smoothed
 from canopen_proto.trajectory.interpolation import cubic, linear, quintic
 from canopen_proto.trajectory.path import TIME_TOLERANCE, Path, PathError
 
@@ -34,6 +39,8 @@ POSITION, VELOCITY, ACCELERATION = "position", "velocity", "acceleration"
 QUANTITIES: Final = (POSITION, VELOCITY, ACCELERATION)
 MAX_ROWS: Final = 1_000_000
 """More rows than 1 kHz gives in a quarter of an hour are a recording that was chosen by mistake, and would fill the memory."""
+_FINEST: Final = 1e-10
+"""Numbers with more decimals are those of a computer: nobody has rounded them."""
 _SEPARATORS: Final = ",;\t"
 _BYTE_ORDER_MARK: Final = "\ufeff"
 
@@ -45,11 +52,33 @@ class Between(StrEnum):
     LINES = "lines"
 
 
+class Rounding(NamedTuple):
+    """How exactly a file gives the positions of a joint.
+
+    unit: of the last decimal, in the unit of the joint. step: the shortest time from row to row, in s. is_smoothed: whether the
+    path goes through the smoothest positions within half a unit.
+    """
+
+    unit: float
+    step: float
+    is_smoothed: bool
+
+    @property
+    def jerk(self) -> float:
+        """The jerk that rounding alone can make: a third difference of eight halves of a unit, over three steps."""
+        return 4.0 * self.unit / self.step**3
+
+    def decimals_for(self, jerk: float) -> int:
+        """Return how many decimals keep the jerk of rounding below a tenth of this one."""
+        return max(0, math.ceil(-math.log10(0.1 * jerk * self.step**3 / 4.0) - 1e-9))
+
+
 class PathFile(NamedTuple):
-    """A path, and the names of its joints in its order."""
+    """A path, and the names of its joints in its order. roundings: of each joint."""
 
     joints: tuple[str, ...]
     path: Path
+    roundings: tuple[Rounding, ...]
 
 
 def read_path(text: str, source: str = "", *, joints: Sequence[str] = (), between: Between = Between.SPLINE) -> PathFile:
@@ -66,6 +95,7 @@ def read_path(text: str, source: str = "", *, joints: Sequence[str] = (), betwee
     columns = _Columns(header, joints, findings)
     times: list[float] = []
     values: list[list[float]] = []
+    decimals = [0] * len(header)
     for cells in itertools.islice(lines, MAX_ROWS + 1):
         if len(cells) != len(header):
             message = f"this row has {len(cells)} columns, the header has {len(header)}"
@@ -80,6 +110,7 @@ def read_path(text: str, source: str = "", *, joints: Sequence[str] = (), betwee
                 )
             times.append(time)
         values.append(numbers)
+        decimals = [max(most, _decimals(cell.text)) for most, cell in zip(decimals, cells, strict=True)]
     if len(values) > MAX_ROWS:
         findings.append(Finding(Severity.ERROR, "rows", f"a path has {MAX_ROWS:,} rows at most", source))
     if len(values) < 2 and not findings:
@@ -87,8 +118,10 @@ def read_path(text: str, source: str = "", *, joints: Sequence[str] = (), betwee
     if findings:
         raise DictionaryError(sorted(findings, key=lambda each: (each.line, each.column)))
     rows = [[[row[place] for place in own] for row in values] for own in columns.places]
+    is_spline = len(rows) == 1 and between is Between.SPLINE
     try:
-        return PathFile(columns.joints, _path(times, rows, between))
+        roundings = _smooth(times, rows[0], [10.0 ** -decimals[place] for place in columns.places[0]], is_spline)
+        return PathFile(columns.joints, _path(times, rows, between), roundings)
     except PathError as error:  # numbers at the end of what floats can be
         raise DictionaryError([Finding(Severity.ERROR, "path", str(error), source)]) from error
 
@@ -200,6 +233,28 @@ def _number(cell: Cell, findings: list[Finding]) -> float:
     if not math.isfinite(number):
         findings.append(cell.error("number", f"{cell.shown} is no finite number; a decimal point is a point"))
     return number
+
+
+def _decimals(text: str) -> int:
+    """Return the place of the last decimal of a number; 0 for what is none."""
+    mantissa, _, exponent = text.lower().partition("e")
+    try:
+        return len(mantissa.partition(".")[2]) - int(exponent or 0)
+    except ValueError:
+        return 0
+
+
+def _smooth(times: list[float], rows: list[list[float]], units: list[float], is_spline: bool) -> tuple[Rounding, ...]:
+    """Put the smoothest positions into the rows of a spline, where rounding makes them rough."""
+    steps = [end - begin for begin, end in itertools.pairwise(times)]
+    found = []
+    for joint, unit in enumerate(units):
+        column = [row[joint] for row in rows]
+        smooth = smoothed(steps, column, unit) if is_spline and unit >= _FINEST else column
+        for row, position in zip(rows, smooth, strict=True):
+            row[joint] = position
+        found.append(Rounding(unit, min(steps), smooth != column))
+    return tuple(found)
 
 
 def _path(times: list[float], rows: list[list[list[float]]], between: Between) -> Path:

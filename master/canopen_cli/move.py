@@ -13,8 +13,9 @@ import trio
 from canopen_cli.chain_session import ChosenChains, Group, choose_chains, open_chains
 from canopen_cli.courses import courses_of_record
 from canopen_cli.demo_view import DemoView, JointView, Step
+from canopen_cli.failures import problem_of
 from canopen_cli.motion_plot import write_motion_plot
-from canopen_cli.move_plan import Legs, legs_of, targets_of, told_legs
+from canopen_cli.move_plan import Legs, check_before_power, legs_of, targets_of, told_legs
 from canopen_cli.move_rehearsal import rehearse_move
 from canopen_cli.new_files import check_new_file
 from canopen_cli.options import FiniteRange, Settings, commanding, common, enabling
@@ -25,7 +26,7 @@ from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted, escape
 from canopen_data import text_of
 from canopen_data.path_file import PathFile, read_path
-from canopen_master.errors import MasterError
+from canopen_master.errors import MasterError, PlanRefused, SetPointRefused
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.record_reader import read_record
 from canopen_master.motion.recording import Recorder
@@ -150,33 +151,42 @@ class _Move:
 
     async def run(self, file: FilePath | None) -> None:
         """Open the machine, move its chain, and take the power away."""
-        async with open_chains(self.settings, self.chosen) as (_, arm):
-            with DemoView(self.screen, f"{arm.name}: {counted(len(arm.devices), 'joint')}", range=180) as view:
-                view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
-                step = view.begin("enable", "NMT, PDOs, fault reset, enable")
-                await arm.initialise()
-                view.done(step, f"{counted(len(arm.devices), 'drive')} in operation enabled")
-                if self.home:
-                    self._told = "the joints were homing"
-                    step = view.begin("home", "the joints look for their reference")
-                    await arm.home()
-                    view.done(step, "all joints have their reference")
-                await arm.moving.follow()
-                try:
-                    legs = await legs_of(arm, self.targets, self.path)
-                except MasterError:
-                    await arm.shut_down()  # nothing is going to move
-                    raise
-                await told_legs(self.screen, arm, legs)
-                arm.moving.override = self.override
-                async with recorded(self.settings, self.screen, arm.chains[0], file, told=self.told) as self.recorder:
-                    await self._move(arm, legs, view)
-                self._told = "it had arrived"
-                self._result = [
-                    (device.name, position, device.largest_following_error)
-                    for device, position in zip(arm.devices, arm.positions, strict=True)
-                ]
-                await arm.shut_down()
+        async with open_chains(self.settings, self.chosen) as (master, arm):
+            await check_before_power(master, arm, self.targets, self.path)
+            try:
+                await self._run_with_power(arm, file)
+            except (SetPointRefused, PlanRefused) as error:
+                problem = problem_of(error)
+                problem.exit_code = ExitCode.DRIVE_FAULT  # not the one for "nothing was sent"
+                raise problem from error
+
+    async def _run_with_power(self, arm: Group, file: FilePath | None) -> None:
+        with DemoView(self.screen, f"{arm.name}: {counted(len(arm.devices), 'joint')}", range=180) as view:
+            view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
+            step = view.begin("enable", "NMT, PDOs, fault reset, enable")
+            await arm.initialise()
+            view.done(step, f"{counted(len(arm.devices), 'drive')} in operation enabled")
+            if self.home:
+                self._told = "the joints were homing"
+                step = view.begin("home", "the joints look for their reference")
+                await arm.home()
+                view.done(step, "all joints have their reference")
+            await arm.moving.follow()
+            try:
+                legs = await legs_of(arm, self.targets, self.path)
+            except MasterError:
+                await arm.shut_down()  # nothing is going to move
+                raise
+            await told_legs(self.screen, arm, legs)
+            arm.moving.override = self.override
+            async with recorded(self.settings, self.screen, arm.chains[0], file, told=self.told) as self.recorder:
+                await self._move(arm, legs, view)
+            self._told = "it had arrived"
+            self._result = [
+                (device.name, position, device.largest_following_error)
+                for device, position in zip(arm.devices, arm.positions, strict=True)
+            ]
+            await arm.shut_down()
 
     async def _move(self, arm: Group, legs: Legs, view: DemoView) -> None:
         for device in arm.devices:

@@ -11,11 +11,17 @@ import trio
 from canopen_cli.chain_session import Group
 from canopen_cli.problem import usage
 from canopen_cli.screen import Screen, counted, escape
-from canopen_data.path_file import PathFile
-from canopen_master.errors import PlanRefused
+from canopen_data.path_file import PathFile, Rounding
+from canopen_master.errors import PathRefused, PlanRefused
+from canopen_master.master import Master
+from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import awake
 from canopen_master.motion.path_check import check_path
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.trajectory import Path, PathPoint
+from canopen_proto.drive.identity import identify
+from canopen_proto.drive.limits import read_limits
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.trajectory import JointLimits, Path, PathPoint, Segment
 from canopen_proto.trajectory.limit_check import demands_of, reach_of
 
 Legs: TypeAlias = list[tuple[str, Path]]
@@ -50,6 +56,54 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
     return found
 
 
+async def check_before_power(master: Master, arm: Group, targets: dict[str, float] | None, path: PathFile | None) -> None:
+    """Check a path, or the targets, by the limits that the drives tell, before any joint has power. The drives are only read.
+
+    Raises PathRefused, PlanRefused, PackageMissing; what keeps the drives from being read.
+    """
+    for device in arm.devices:
+        await master.run(_learn_limits(device))
+    limits = arm.moving.path_limits
+    if path is not None:
+        await _check(arm, path, limits)
+    else:
+        assert targets is not None
+        for device, own in zip(arm.devices, limits, strict=True):
+            target = targets.get(device.name)
+            if target is not None:
+                there = Path([[Segment(arm.cycle_time, (target,))]])
+                await check_path([device], there, there.start, [own], arm.cycle_time)
+
+
+def _learn_limits(device: Device) -> Procedure[None]:
+    yield from awake(device.node)
+    yield from identify(device.axis)
+    device.limits = yield from read_limits(device.axis)
+
+
+async def _check(arm: Group, path: PathFile, limits: Sequence[JointLimits]) -> None:
+    """Check a path; an error tells what the rounding of the file has to do with it."""
+    try:
+        await check_path(arm.devices, path.path, path.path.start, limits, arm.cycle_time)
+    except PathRefused as refused:
+        if refused.kind in ("jerk", "acceleration"):
+            number = [device.name for device in arm.devices].index(refused.joint)
+            refused.add_note(_rounding_text(path.roundings[number], limits[number].jerk or math.inf))
+        raise
+
+
+def _rounding_text(rounding: Rounding, limit: float) -> str:
+    given = f"its file gives positions in steps of {rounding.unit:g} and {rounding.step:g} s"
+    if rounding.is_smoothed:
+        return f"{given}: this is the smoothest path within half a step of all of them, so it needs more time, not more decimals"
+    if rounding.jerk < 0.1 * limit:
+        return f"{given}: that is exact enough, so the path needs more time, or smoother positions"
+    return (
+        f"{given}: such rounding alone can be a jerk of {rounding.jerk:.3g}; for a limit of {limit:.4g} write "
+        f"{rounding.decimals_for(limit)} decimals, or fewer rows"
+    )
+
+
 async def legs_of(arm: Group, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
     """Return the way of a chain that stands and follows set-points: to the targets, or to the start of a path and along it.
 
@@ -60,7 +114,7 @@ async def legs_of(arm: Group, targets: dict[str, float] | None, path: PathFile |
         assert targets is not None
         there = [targets.get(device.name, position) for device, position in zip(arm.devices, here, strict=True)]
         return [("to the target", planned(arm, here, there))]
-    await check_path(arm.devices, path.path, path.path.start, arm.moving.path_limits, arm.cycle_time)
+    await _check(arm, path, arm.moving.path_limits)
     begin = path.path.start.positions
     along = ("along the path", path.path)
     if all(abs(a - b) <= device.axis.amount_from_counts(1) for device, a, b in zip(arm.devices, here, begin, strict=True)):

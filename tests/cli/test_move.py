@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import signal
 import sys
@@ -14,6 +15,7 @@ from canopen_cli.fleet import Fleet
 from canopen_cli.problem import ExitCode
 from canopen_cli.streams import put_lost_terminal_to_rest
 from canopen_master import read_record
+from canopen_master.errors import PlanRefused
 from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.cia402.states import State
 from tests.cli.cli_support import Alarm, Run, stands
@@ -105,13 +107,39 @@ def test_what_is_beyond_a_limit_is_refused_before_it_moves(
 ) -> None:
     path = tmp_path / "path.csv"
     path.write_text("time,shoulder,elbow\n0,0,0\n4,50,0\n")
-    outcome = run("move", cell, "-b", "demo", *[str(path) if each == "PATH" else each for each in arguments])
+    trace = tmp_path / "trace.log"
+    chosen = [str(path) if each == "PATH" else each for each in arguments]
+    outcome = run("move", cell, "-b", "demo", "--trace", str(trace), *chosen)
     assert outcome.status == ExitCode.USAGE, outcome.err
+    requests = [word for word in trace.read_text().split() if word.startswith(("603#", "60D#", "000#", "203#", "20D#"))]
+    assert requests
+    assert all(request.startswith(("603#4", "60D#4", "603#6", "60D#6", "603#7", "60D#7")) for request in requests), "reads only"
     assert "40" in outcome.err
     assert "shoulder" in outcome.err
     (drive, *_) = fleets[0].drives.values()
     assert drive.values[POSITION_ACTUAL_VALUE] == -14_000
     assert drive.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_what_is_refused_when_the_drives_have_power_has_another_status(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def refuse(*_: object) -> None:
+        raise PlanRefused("it cannot be planned", seen="nothing")
+
+    monkeypatch.setattr("canopen_cli.move.legs_of", refuse)
+    assert run(*DEMO, "--to", "1,1,1,1,1,1").status == ExitCode.DRIVE_FAULT
+
+
+def test_a_path_of_few_decimals_moves_and_a_refusal_tells_what_rounding_has_to_do_with_it(run: Run, tmp_path: Path) -> None:
+    names = [f"joint{number}" for number in range(1, 7)]
+    slow, fast, given = tmp_path / "slow.csv", tmp_path / "fast.csv", tmp_path / "given.csv"
+    for file, count, rest in ((slow, 400, ""), (fast, 40, ""), (given, 400, ",0" * 6)):
+        header = ",".join(["time", *names, *(f"{name}.velocity" for name in names if rest)])
+        positions = [10 * (1 - math.cos(2 * math.pi * number / count)) for number in range(count + 1)]
+        rows = [f"{number / 100},{position:.2f},0,0,0,0,0{rest}" for number, position in enumerate(positions)]
+        file.write_text("\n".join([header, *rows]))
+    assert run(*DEMO, str(slow), "--dry-run").status == 0
+    assert "the smoothest path within half a step of all of them, so it needs more time" in run(*DEMO, str(fast)).err
+    assert "write 5 decimals, or fewer rows" in run(*DEMO, str(given)).err
 
 
 @pytest.mark.parametrize("at", [0.5, 1.2, 1.9])

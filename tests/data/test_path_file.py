@@ -98,7 +98,7 @@ value = st.floats(-100, 100)
 def test_a_path_is_read_back_as_it_was_written(points: list[tuple[float, list[float]]], step: float) -> None:
     times = [sum(each for each, _ in points[:number]) for number in range(len(points))]
     path = quintic(times, *([row[order : order + 2] for _, row in points] for order in (0, 2, 4)))
-    names, read = read_path(write_path(path, ["left arm", "b.2"], step))
+    names, read, _ = read_path(write_path(path, ["left arm", "b.2"], step))
     assert names == ("left arm", "b.2")
     assert read.duration == path.duration
     for number in range(50):
