@@ -101,6 +101,9 @@ back to the first one. Other makers use the same numbers for something else."""
 
 HOMING_BY_PROBE: Final = 36
 
+NO_HOMING: Final = 0
+"""The value of 6098h, and of an empty place in 60E3h, that is no method."""
+
 _DIRECTIONS: Final = {-1: "negative", +1: "positive"}
 
 
@@ -112,7 +115,7 @@ def homing_method_name(number: int) -> str:
 def homing_name(number: int) -> str:
     """Return a homing method in a few words: "home switch, negative end in positive direction, with index pulse; begins in
     positive direction". Any integer has a name."""
-    if number == 0:
+    if number == NO_HOMING:
         return "no homing"
     if number < 0:
         return "the manufacturer's"

@@ -24,7 +24,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.cia402 import objects
-from canopen_proto.cia402.homing_methods import HOMING_METHODS, describe_homing, homing_method_name
+from canopen_proto.cia402.homing_methods import HOMING_METHODS, NO_HOMING, describe_homing, homing_method_name
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.axis_node import AxisNode
 from canopen_proto.drive.failures import HomingFailed, ModeUnsupported
@@ -40,14 +40,15 @@ _LIST: Final = "canopen home --list NODE shows those that it has"
 
 
 def read_homing_methods(node: AxisNode) -> Procedure[tuple[int, ...] | None]:
-    """Read the homing methods that a drive lists (0x60E3), by SDO, by number; None if it has no list."""
+    """Read the homing methods that a drive lists (0x60E3), by SDO, by number; None if it has no list. A 0 is no method, and a
+    list of zeros is no list."""
     count = yield from read_number(node, objects.SUPPORTED_HOMING_METHODS)
     if not count:
         return None
     found = []
     for number in range(1, count + 1):
         method = yield from read_number(node, Mux(objects.SUPPORTED_HOMING_METHODS + number), signed=True)
-        if method is not None:
+        if method:
             found.append(method)
     return tuple(found) or None
 
@@ -57,8 +58,10 @@ def check_homing_method(axis: Axis) -> Procedure[None]:
     method = axis.settings.homing_method
     if method is None or axis.settings.homing is HomingStyle.SCHUNK:
         return
-    listed = yield from read_homing_methods(axis.node)
-    if listed is not None and method not in listed:
+    listed = None if method == NO_HOMING else (yield from read_homing_methods(axis.node))
+    if method == NO_HOMING:
+        reason = "0 stands for a drive that needs no homing, or for which no method was selected"
+    elif listed is not None and method not in listed:
         reason = f"its list (0x60E3) has {', '.join(map(str, sorted(listed)))}"
     elif listed is None and method >= 0 and method not in HOMING_METHODS:
         reason = "it has no list of its methods (0x60E3), and the standard's table has no picture of this one"

@@ -128,10 +128,9 @@ def has_method(servo: Servo, method: int) -> bool:
     """Return whether a drive takes a value of 6098h: 0, or a method that the simulation has and its list (60E3h), if any, too."""
     store = servo.store
     count = store.get(objects.SUPPORTED_HOMING_METHODS)
-    listed = isinstance(count, int) and count > 0
     places = range(1, count + 1) if isinstance(count, int) else range(0)
-    is_listed = not listed or any(store.get(Mux(objects.SUPPORTED_HOMING_METHODS + place)) == method for place in places)
-    return method == 0 or (_seeks_by(servo, method) is not None and is_listed)
+    listed = {store.get(Mux(objects.SUPPORTED_HOMING_METHODS + place)) for place in places} - {0, None}  # zeros are no list
+    return method == 0 or (_seeks_by(servo, method) is not None and (not listed or method in listed))
 
 
 def _seeks_by(servo: Servo, number: int) -> tuple[Seek, ...] | None:

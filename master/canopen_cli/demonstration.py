@@ -256,8 +256,10 @@ class Demonstration:
             view.done(step, "the arm moves now; Ctrl-C stops it")
         self._stage, self._has_begun = "the joints were homing", True
         step, start = view.begin("home", "the joints look for their reference"), trio.current_time()
-        await arm.home()
-        view.done(step, f"{counted(len(arm.devices), 'joint')} homed after {trio.current_time() - start:.2f} s")
+        without = [] if self.plan.bus is not None else [each for each in arm.devices if each.axis.settings.keeps_reference]
+        await arm.home(if_needed=bool(without))
+        told = f"{counted(len(arm.devices) - len(without), 'joint')} homed after {trio.current_time() - start:.2f} s"
+        view.done(step, told + (f"; {counted(len(without), 'joint')} without homing" if without else ""))
 
     async def _move(self, arm: Chain, view: DemoView) -> None:
         """Send the path: one set-point for each joint in each cycle."""

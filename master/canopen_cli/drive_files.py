@@ -16,7 +16,8 @@ from canopen_data.description import DeviceDescription
 from canopen_data.drive_from_file import drive_obstacle
 from canopen_master.machine_file import MachineFile
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_proto.cia402.objects import HOMING_METHOD
+from canopen_proto.cia402.modes import Mode, supported
+from canopen_proto.cia402.objects import HOMING_METHOD, SUPPORTED_DRIVE_MODES
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drive.axis import SCHUNK_POWERBALL, AxisSettings
 from canopen_proto.multiplexer import split_mux
@@ -40,12 +41,24 @@ class DriveFile:
         return SCHUNK_POWERBALL if self.shape is Shape.SCHUNK_POWERBALL else AxisSettings()
 
     @property
+    def has_homing(self) -> bool:
+        """Whether such a drive homes: it has 0x6098, and its modes (0x6502), if it tells them, include homing. Schunk's do."""
+        if self.shape is Shape.SCHUNK_POWERBALL:
+            return True
+        modes = self.dictionary.get(*split_mux(SUPPORTED_DRIVE_MODES))
+        told = None if modes is None else modes.default if modes.configured is None else modes.configured
+        told = told if isinstance(told, int) else 0
+        return self.dictionary.get(*split_mux(HOMING_METHOD)) is not None and (not told or supported(told, Mode.HOMING))
+
+    @property
     def simulated_axis(self) -> AxisSettings:
         """The master's settings for a simulated drive behind this file.
 
         It moves in counts per second, whatever unit its file means. So a search for its home could take hours: a drive that homes
-        by 0x6098 takes the place where it stands (method 35), if the file allows that.
+        by 0x6098 takes the place where it stands (method 35), if the file allows that. One without homing is not homed.
         """
+        if not self.has_homing:
+            return replace(self.axis, velocity_unit=1.0, keeps_reference=True)
         method = self.dictionary.get(*split_mux(HOMING_METHOD))
         if self.shape is Shape.SCHUNK_POWERBALL or method is None or not method.access.writable:
             return replace(self.axis, velocity_unit=1.0)

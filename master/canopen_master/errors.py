@@ -11,7 +11,8 @@ a value that does not fit, `LocalProtocolError` for a node-ID of 200. A procedur
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
+from numbers import Real
 from typing import Final
 
 from canopen_master.silence import sdo_silence
@@ -162,6 +163,18 @@ class SetPointRefused(MasterError, ValueError):
     def __init__(self, failed: str, joint: str, seen: str, tries: Iterable[str] = ()) -> None:
         super().__init__(BAD_SET_POINT, failed, seen=seen, tries=tries)
         self.joint = joint
+
+
+def wrong_values(values: object, joints: int) -> str:
+    """Return why values are not one finite number for each joint; "" if they are. Any sequence will do, and arrays of numpy."""
+    if isinstance(values, str | bytes) or not isinstance(values, Sized) or not isinstance(values, Iterable):
+        return f"{values!r} is no list of numbers"
+    if len(values) != joints:
+        return f"{len(values)} for {joints} joints"
+    for each in values:
+        if type(each) is not float and (isinstance(each, bool) or not isinstance(each, Real)):
+            return f"{each!r} is no number"
+    return ""
 
 
 class PathRefused(SetPointRefused):

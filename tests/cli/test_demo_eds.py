@@ -11,6 +11,7 @@ from canopen_data.configured import with_configured
 from canopen_data.describing import describe
 from canopen_data.description import Commissioning, DeviceInfo, FileKind
 from canopen_data.eds.writer import write_eds
+from canopen_proto.cia402.homing_methods import HOMING_METHODS
 from canopen_proto.dictionary import Direction
 from canopen_proto.procedures.described_pdos import described_pdos
 from canopen_proto.simulated_drive.dictionary import drive_dictionary
@@ -129,3 +130,20 @@ def test_any_drives_file_moves(run: Run, fleets: list[Fleet], name: str) -> None
     assert outcome.status == 0, outcome.err
     assert all("yes" in line for line in joints(outcome.out))
     assert f"✔ mode   {DRIVE_FILES[name]}: the first of csp, ip and pp that" in outcome.err
+
+
+def test_zeros_in_0x60E3_are_no_list(run: Run, tmp_path: Path) -> None:
+    """As in the files of maxon's EPOS4 and Elmo's Gold: the list is there, without values."""
+    count = len(HOMING_METHODS)
+    zeros = {0x60E3_00 + number: 0 for number in range(1, count + 1)}
+    outcome = run("demo", *SHORT, "--eds", written(tmp_path / "drive.dcf", Shape.STANDARD, zeros))
+    assert outcome.status == 0, outcome.err
+    assert all("yes" in line for line in joints(outcome.out))
+
+
+def test_drives_without_homing_are_not_homed(run: Run, tmp_path: Path) -> None:
+    modes = 1 << 6 | 1 << 7  # ip, csp
+    outcome = run("demo", *SHORT, "--eds", written(tmp_path / "drive.dcf", Shape.STANDARD, {0x6502_00: modes}))
+    assert outcome.status == 0, outcome.err
+    assert all("no" in line for line in joints(outcome.out))
+    assert "6 joints without homing" in outcome.out + outcome.err

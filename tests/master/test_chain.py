@@ -244,6 +244,9 @@ async def test_a_straight_line_over_several_cycles_only_where_asked() -> None:
         assert arm.missed_cycles == 0
         with pytest.raises(LocalProtocolError, match="1 cycle or more"):
             arm.set_positions([start], cycles=0)
+        for cycles in (None, 1.5, "2", True):
+            with pytest.raises(LocalProtocolError, match="a whole number"):
+                arm.set_positions([start], cycles=cycles)  # type: ignore[arg-type]
 
 
 @virtual_time
@@ -252,14 +255,21 @@ async def test_set_points_that_are_refused_change_nothing() -> None:
         start = arm.positions
         before = arm.desired_positions
         for wrong, message in (
-            ([0.0], "1 set-points were given, not 2"),
+            ([0.0], "1 for 2 joints"),
+            (None, "None is no list of numbers; the joints are joint1, joint2"),
+            ("0.1", "'0.1' is no list of numbers"),
+            (0.1, "0.1 is no list of numbers"),
+            ([None, 0.0], "None is no number"),
+            (["0.1", 0.0], "'0.1' is no number"),
+            ([True, 0.0], "True is no number"),
+            ({"joint1": 0.1, "joint2": 0.1}, "'joint1' is no number"),
             ([*start, 0.0], "the joints are joint1, joint2"),
             ([start[0], math.nan], "joint2 was refused"),
             ([start[0], math.inf], "not a finite number"),
             ([start[0] + 0.001, start[1] + 0.011], "max_step = 0.01"),
         ):
             with pytest.raises(SetPointRefused, match=message) as caught:
-                arm.set_positions(wrong)
+                arm.set_positions(wrong)  # type: ignore[arg-type]
             assert isinstance(caught.value, ValueError)
             assert caught.value.code == "CO321"
             assert arm.desired_positions == before

@@ -233,6 +233,8 @@ def test_no_blend_leaves_the_position_limits_unseen(seed: int) -> None:
     ("start", "targets", "options", "text"),
     [
         (at_rest(0.0, 0.0), [1.0], {}, "one target for each joint\n.*1 for 2 joints"),
+        (at_rest(0.0, 0.0), None, {}, "one target for each joint\n.*None is no list of numbers"),
+        (at_rest(0.0, 0.0), [1.0, "2"], {}, "one target for each joint\n.*'2' is no number"),
         (at_rest(0.0), [1.0, 2.0], {}, "one position at the start for each joint"),
         (PathPoint([0.0, 0.0], [0.0], [0.0, 0.0]), [1.0, 2.0], {}, "one velocity at the start for each joint"),
         (at_rest(0.0, 0.0), [1.0, math.nan], {}, "the target of joint 1 is no finite number"),

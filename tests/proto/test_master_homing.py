@@ -24,6 +24,7 @@ from canopen_proto.drive import (
 )
 from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.homing import METHODS
 from canopen_proto.simulated_drive.plant import Mechanics
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
@@ -56,7 +57,7 @@ def test_a_drive_is_homed_by_any_method(method: int, place: int, reaction: int) 
 def test_a_drives_list_decides() -> None:
     rig = rig_with()
     assert rig.run(read_homing_methods(rig.remote)) == tuple(METHODS)
-    for method, name in ((36, "touch probe"), (-3, "the manufacturer's"), (15, "reserved"), (0, "no homing")):
+    for method, name in ((36, "touch probe"), (-3, "the manufacturer's"), (15, "reserved")):
         rig.axis.settings = replace(DEGREES, homing_method=method)
         with pytest.raises(
             ModeUnsupported, match=rf"drive 5 does not home by method {method}: {name}: its list \(0x60E3\) has 1, 2,"
@@ -69,7 +70,7 @@ def test_without_a_list_the_table_decides_and_manufacturers_methods_pass() -> No
     rig = rig_with()
     rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0
     assert rig.run(read_homing_methods(rig.remote)) is None
-    for method in (0, 16, 36, 99):
+    for method in (16, 36, 99):
         rig.axis.settings = replace(DEGREES, homing_method=method)
         with pytest.raises(ModeUnsupported, match=r"it has no list of its methods .*; nothing was sent.*canopen home --list"):
             rig.run(home(rig.axis))
@@ -208,3 +209,18 @@ def test_a_drive_that_has_its_reference_need_not_home() -> None:
     assert joint.run(home_if_needed(joint.axis))
     joint.axis.is_homed = False  # a new master, which reads bit 15
     assert not joint.run(home_if_needed(joint.axis))
+
+
+def test_method_0_is_said_as_such_and_zeros_in_the_list_are_none() -> None:
+    rig = Rig(Shape.STANDARD)
+    rig.axis.settings = replace(rig.axis.settings, homing_method=0)
+    with pytest.raises(ModeUnsupported, match="method 0: no homing: 0 stands for a drive that needs no homing, or for which"):
+        rig.run(home(rig.axis))
+    places = range(1, int(rig.node.values.store[objects.SUPPORTED_HOMING_METHODS]) + 1)  # type: ignore[arg-type]
+    for number in places:
+        rig.node.values.store[Mux(objects.SUPPORTED_HOMING_METHODS + number)] = 35 if number == places[-1] else 0
+    assert rig.run(read_homing_methods(rig.axis.node)) == (35,)
+    rig.node.values.store[Mux(objects.SUPPORTED_HOMING_METHODS + places[-1])] = 0
+    assert rig.run(read_homing_methods(rig.axis.node)) is None
+    rig.axis.settings = replace(rig.axis.settings, homing_method=35)
+    rig.run(home(rig.axis))

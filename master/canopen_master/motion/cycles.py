@@ -20,7 +20,7 @@ from typing import NamedTuple, Protocol
 
 import trio
 
-from canopen_master.errors import SetPointRefused
+from canopen_master.errors import SetPointRefused, wrong_values
 from canopen_master.motion.device import Device
 from canopen_master.motion.feed_forward import FeedForward
 from canopen_master.motion.late_sync import WithinReach
@@ -288,12 +288,12 @@ class SetPoints:
 
     def _check(self, positions: Sequence[float], cycles: int) -> None:
         """Raise as `Chain.set_positions` does."""
-        if cycles < 1:
-            raise LocalProtocolError(f"set-points are reached in 1 cycle or more, not {cycles}")
-        if len(positions) != len(self.devices):
+        if isinstance(cycles, bool) or not isinstance(cycles, int) or cycles < 1:
+            raise LocalProtocolError(f"set-points are reached in 1 cycle or more, a whole number, not {cycles!r}")
+        if wrong := wrong_values(positions, len(self.devices)):
             names = ", ".join(device.name for device in self.devices)
-            counts = f"{len(positions)} set-points were given, not {len(self.devices)}"
-            raise SetPointRefused(counts, "", f"the joints are {names}")
+            failed = "the set-points are not one number for each joint"
+            raise SetPointRefused(failed, "", f"{wrong}; the joints are {names}", ("[0.1, 0.2, ...]",))
         time, max_step = cycles * self._period, self.max_step
         for device, target, start in zip(self.devices, positions, self.sent, strict=True):
             check_set_point(device, start, target, time)

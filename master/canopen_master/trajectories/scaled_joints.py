@@ -14,7 +14,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from canopen_master.errors import PackageMissing, PlanRefused
+from canopen_master.errors import PackageMissing, PlanRefused, wrong_values
 from canopen_proto.trajectory import JointLimits, PathPoint, Segment
 from canopen_proto.trajectory.polynomial import extremes_of
 
@@ -83,10 +83,8 @@ def scaled_joints(
 
 def check_values(values: Sequence[float], joints: int, kind: str) -> None:
     """Raise PlanRefused unless there is one finite value for each joint. kind: in the singular, such as "target"."""
-    if len(values) != joints:
-        raise PlanRefused(
-            f"there must be one {kind} for each joint", seen=f"{len(values)} for {joints} joints", tries=(f"{joints} values",)
-        )
+    if wrong := wrong_values(values, joints):
+        raise PlanRefused(f"there must be one {kind} for each joint", seen=wrong, tries=(f"{joints} values",))
     for joint, value in enumerate(values):
         if not math.isfinite(value):
             raise PlanRefused(f"the {kind} of joint {joint} is no finite number", joint=joint, value=value, seen=repr(value))
