@@ -19,10 +19,118 @@ HOST: Final = ("tests/proto/test_sdo_server_host.py",)
 _PRODUCER: Final = "pdo/producer.py"
 _CONSUMER: Final = "pdo/consumer.py"
 _SLAVE: Final = "lss/slave.py"
+_SDO_CLIENT: Final = "sdo/client.py"
+_CONTENTION: Final = "sdo/contention.py"
+CONTENTION: Final = ("tests/proto/test_sdo_contention.py",)
 
 SERVICE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        # ---- SDO: other clients on the channel ----
+        (
+            "deaf_to_other_clients",
+            _SDO_CLIENT,
+            "return (self._hears, RoutingKey(self.can_id | self.flags << 29))",
+            "return (self._hears,)",
+            "another client's segments are taken for our own answers",
+            CONTENTION,
+        ),
+        (
+            "segments_beside_another_client",
+            _CONTENTION,
+            "if not self.believes or (command & SPECIFIER == INITIATE_UPLOAD_RESPONSE and not command & EXPEDITED_BIT):",
+            "if not self.believes:",
+            "a read goes on in segments though another client has begun a transfer",
+            CONTENTION,
+        ),
+        (
+            "same_object_believed",
+            _CONTENTION,
+            "transfer.first[1:4] not in self._names and ",
+            "",
+            "a write is confirmed by the answer to another client's write of the same object",
+            CONTENTION,
+        ),
+        (
+            "breaks_in",
+            _SDO_CLIENT,
+            "        elif not queue.urgent:\n            if queue.others:",
+            "        elif False:\n            if queue.others:",
+            "a request does not wait for the end of another client's exchange",
+            CONTENTION,
+        ),
+        (
+            "urgent_waits",
+            _SDO_CLIENT,
+            "        elif not queue.urgent:\n            if queue.others:",
+            "        else:\n            if queue.others:",
+            "a halt waits for another client",
+            CONTENTION,
+        ),
+        (
+            "contested_write_is_harmless",
+            _SDO_CLIENT,
+            "AbortOrigin.CONTESTED, transfer.is_download)",
+            "AbortOrigin.CONTESTED, False)",
+            "a write that another client disturbed is said not to have been executed",
+            CONTENTION,
+        ),
+        (
+            "both_writes_mix",
+            _SDO_CLIENT,
+            "elif transfer.in_blocks or not transfer.first[0] & EXPEDITED_BIT:  # before",
+            "elif False:  # before",
+            "a write that another client's segments meet is not broken off",
+            CONTENTION,
+        ),
+        (
+            "left_transfer_stays_open",
+            _SDO_CLIENT,
+            "        if not transfer.is_download:\n            self._abandoned = transfer\n",
+            "        if not transfer.is_download:\n            pass\n",
+            "a server that is deaf in a transfer is left in it",
+            CONTENTION,
+        ),
+        (
+            "strangers_abort_is_a_refusal",
+            _SDO_CLIENT,
+            "return (transfer.is_contested and not names_another) or (is_of_protocol and is_ours)",
+            "return False",
+            "an abort because of another client is told as the server's refusal",
+            CONTENTION,
+        ),
+        (
+            "contested_for_ever",
+            _SDO_CLIENT,
+            "            if now >= limit:\n                while",
+            "            if False:\n                while",
+            "a request waits for another client without a bound",
+            CONTENTION,
+        ),
+        (
+            "acknowledgement_of_another_segment",
+            _CONTENTION,
+            "is_alike = (request ^ command) & TOGGLE == 0",
+            "is_alike = True",
+            "another client's exchange counts as over one segment too early",
+            CONTENTION,
+        ),
+        (
+            "own_late_answer_confirms",
+            _SDO_CLIENT,
+            "return name in self._queue.overdue or (is_near and name in self.other.unfinished)",
+            "return False",
+            "an urgent write is confirmed by the late answer to the write before",
+            CONTENTION,
+        ),
+        (
+            "disturbed_backup_is_complete",
+            "procedures/backup.py",
+            "return not self.others_doing and not any(",
+            "return not any(",
+            "a backup that met another client counts as complete",
+            ("tests/proto/test_backup.py",),
+        ),
         # ---- PDO ----
         (
             "trigger_forgets_the_timer",

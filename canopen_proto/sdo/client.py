@@ -397,6 +397,8 @@ class SdoClient(ChannelEnd):
                 return False
             names_another = not is_named and data[1:4] != NO_MULTIPLEXER
             is_of_protocol = data[7] == SERVICE_ERROR
+            if is_named and data[1:4] in self.other.unfinished:
+                return True
             is_ours = is_named or transfer.has_begun
             return (transfer.is_contested and not names_another) or (is_of_protocol and is_ours)
         if specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE) and not is_named and not transfer.in_blocks:
@@ -501,7 +503,7 @@ class SdoClient(ChannelEnd):
         """Return whether requests wait for a stranger now; then the deadline is set. Requests that waited too long end here."""
         queue, until = self._queue, self.other.until
         if now >= until:
-            self.other.close()
+            self.other.expire()
         elif not queue.urgent:
             if queue.others:
                 self._contested_since = min(self._contested_since, now)
@@ -585,8 +587,13 @@ class SdoClient(ChannelEnd):
         # It is urgent, or it would have waited
         if self.other.may_answer(transfer):
             self._transfer = Contested(transfer, self.other.leaves_sure(transfer))
-        elif self.other.count and transfer.is_download and transfer.first[1:4] in self._queue.overdue:
+        elif self.other.count and transfer.is_download and self._awaits_other(transfer.first[1:4], now):
             self._transfer = Contested(transfer, False)
+
+    def _awaits_other(self, name: bytes, now: Time) -> bool:
+        """Return whether an answer to another write of the object may still come, of ours or of a stranger."""
+        is_near = now < self.other.heard_at + self.contest_limit
+        return name in self._queue.overdue or (is_near and name in self.other.unfinished)
 
     def _follow(self, transfer: Transfer, now: Time) -> None:
         """Do what the transfer under way wants now: wait for its deadline, or go on without it."""

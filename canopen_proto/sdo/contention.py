@@ -62,15 +62,22 @@ class OtherClient:
 
     last: the request that is to be answered, or was the last one in a transfer under way; empty if none is. in_blocks: it may be
     a block transfer. until: when it counts as over if nothing else comes. heard: the last request that came, for errors, and
-    heard_at its time. count: of all requests that came.
+    heard_at its time. count: of all requests that came. unfinished: the names of objects whose exchange fell silent: the server
+    may still say something about them.
     """
 
-    __slots__ = ("_is_ambiguous", "_names", "count", "heard", "heard_at", "in_blocks", "last", "until")
+    __slots__ = ("_is_ambiguous", "_names", "count", "heard", "heard_at", "in_blocks", "last", "unfinished", "until")
 
     def __init__(self) -> None:
         self.count = 0
         self.heard = b""
         self.heard_at: Time = -NEVER
+        self.unfinished: set[bytes] = set()
+        self.close()
+
+    def expire(self) -> None:
+        """Nothing was heard of the exchange for as long as it is waited for."""
+        self.unfinished = self._names
         self.close()
 
     def close(self) -> None:

@@ -397,3 +397,38 @@ def test_a_write_in_segments_is_broken_off_at_once_before_both_mix() -> None:
 )
 def test_what_the_stranger_did_is_said_in_words(request_data: str, words: str) -> None:
     assert what_was_asked(bytes.fromhex(request_data)) == words
+
+
+def test_an_urgent_write_is_not_confirmed_by_the_late_answer_to_the_write_before() -> None:
+    bench = Shared()
+    bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.other("A4 01 10 00 02 00 00 00")
+    bench.hear("C6 01 10 00 04 00 00 00")
+    bench.other("80 01 10 00 00 00 04 05")
+    bench.wait(SPREAD)
+    bench.outcomes()
+    bench.client.download(0x6040, 0, b"\x07\0", bench.now, urgent=True)
+    bench.hear("60 40 60 00 00 00 00 00")
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
+
+
+def test_an_acknowledgement_of_the_segment_before_is_not_the_last_one() -> None:
+    bench = Shared()
+    bench.other("21 00 20 00 08 00 00 00", "00 01 02 03 04 05 06 07", "1D 08 00 00 00 00 00 00")
+    bench.hear("60 00 20 00 00 00 00 00", "20 00 00 00 00 00 00 00")
+    bench.client.upload(0x1008, 0, bench.now)
+    assert bench.frames() == []
+    bench.hear("30 00 00 00 00 00 00 00")
+    assert bench.frames() == [READ]
+
+
+def test_a_read_does_not_go_on_in_segments_that_may_be_another_clients() -> None:
+    bench = Shared()
+    bench.client.upload(0x1008, 0, bench.now)
+    bench.other("40 09 10 00 00 00 00 00")
+    bench.hear("41 08 10 00 08 00 00 00", "41 09 10 00 08 00 00 00")
+    assert bench.frames() == [READ]
+    bench.wait(TIMEOUT + SPREAD)
+    assert bench.frames() == ["60C#8008100000000008", READ]
