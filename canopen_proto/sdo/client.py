@@ -584,10 +584,14 @@ class SdoClient(ChannelEnd):
         transfer.deadline = self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
-        # It is urgent, or it would have waited
-        if self.other.may_answer(transfer):
+        if self.other.count:
+            self._begin_beside(transfer, now)
+
+    def _begin_beside(self, transfer: Transfer, now: Time) -> None:
+        """A stranger was heard before this transfer began: believe no answer that may be another's."""
+        if self.other.may_answer(transfer):  # it is urgent, or it would have waited
             self._transfer = Contested(transfer, self.other.leaves_sure(transfer))
-        elif self.other.count and transfer.is_download and self._awaits_other(transfer.first[1:4], now):
+        elif transfer.is_download and self._awaits_other(transfer.first[1:4], now):
             self._transfer = Contested(transfer, False)
 
     def _awaits_other(self, name: bytes, now: Time) -> bool:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from canopen_master.errors import PackageMissing as PackageMissing
     from canopen_master.errors import PathRefused as PathRefused
     from canopen_master.errors import PlanRefused as PlanRefused
+    from canopen_master.errors import SdoContested as SdoContested
     from canopen_master.errors import SdoError as SdoError
     from canopen_master.errors import SdoGivenUp as SdoGivenUp
     from canopen_master.errors import SdoNotConfirmed as SdoNotConfirmed
@@ -81,7 +82,7 @@ else:
             "canopen_master.bus": "BusChanged FramesLost FramesNotSent",
             "canopen_master.errors": (
                 "BusError ChainError ChainFault ChainFileError ChainHalted HaltNotConfirmed MasterClosed MasterError "
-                "MotionReplaced NodeError NodeSilent PackageMissing PathRefused PlanRefused SdoError SdoGivenUp "
+                "MotionReplaced NodeError NodeSilent PackageMissing PathRefused PlanRefused SdoContested SdoError SdoGivenUp "
                 "SdoNotConfirmed SdoRefused SdoTimeout "
                 "SetPointRefused UnexpectedAnswer UnknownChain"
             ),

@@ -4,6 +4,12 @@ import pytest
 import trio
 
 from canopen_master import SdoGivenUp, SdoNotConfirmed, SdoRefused, SdoTimeout, open_master
+from canopen_master.errors import SdoContested, sdo_error
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.network import Network
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.client import SdoAborted
 from canopen_transports import Transport, open_transport
 from tests.master.world import BUS, simulated, virtual_time
 
@@ -99,3 +105,17 @@ async def test_a_slow_nodes_late_answer_is_not_taken_for_the_next_one() -> None:
             await node.read("statusword")
         assert await node.read("statusword") == 2
         nursery.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize(("not_confirmed", "kind"), [(True, SdoNotConfirmed), (False, SdoContested)])
+def test_an_error_names_what_another_client_did_and_never_a_refusal(not_confirmed: bool, kind: type[SdoGivenUp]) -> None:
+    network = Network()
+    node = RemoteNode(network.out, 5, ObjectDictionary([]))
+    request = bytes.fromhex("2B40600006000000")
+    aborted = SdoAborted(5, 1, 0x6040, 0, AbortCode.GENERAL_ERROR, AbortOrigin.CONTESTED, not_confirmed, 0, request)
+    error = sdo_error(network, node, "can0", aborted, "writing 15 to", 0)
+    assert type(error) is kind
+    assert error.code == "CO206"
+    assert error.seen == "another SDO client wrote 0x6040:00"
+    assert "refused" not in str(error)
+    assert ("not confirmed" in str(error)) is not_confirmed

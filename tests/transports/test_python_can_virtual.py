@@ -135,3 +135,14 @@ def test_a_forgotten_transport_does_not_outlive_its_run() -> None:
 async def test_an_open_transport_names_the_bus_it_wraps() -> None:
     async with PythonCanTransport(_bus()) as transport:
         assert transport.locator == f"virtual (Virtual bus channel {CHANNEL})"
+
+
+@trio_test(real_time=True)
+async def test_a_bus_that_echoes_our_frames_does_not_make_us_a_stranger_to_ourselves() -> None:
+    """As gs_usb does always: an SDO client would take its own request for another client's."""
+    echoing = can.Bus(CHANNEL, interface="virtual", ignore_config=True, receive_own_messages=True)
+    with _bus() as other:
+        async with PythonCanTransport(echoing) as transport:
+            await transport.send(Frame.parse("605#4000100000000000"))
+            other.send(can.Message(arbitration_id=0x585, data=bytes(8), is_extended_id=False))
+            assert (await transport.receive())[0] == Frame.parse("585#0000000000000000")

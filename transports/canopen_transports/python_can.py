@@ -70,6 +70,9 @@ MAX_NONSENSE: Final = 100
 
 # Backends whose send only puts the frame into a queue.
 _SEND_DOES_NOT_BLOCK: Final = ("can.interfaces.virtual", "can.interfaces.pcan")
+# Backends whose `is_rx` is False for this bus's own frames alone. gs_usb always returns them; some others say the same of frames
+# of other programs on this computer (socketcan, kvaser), which have to be heard.
+_MARKS_OWN_FRAMES: Final = ("can.interfaces.gs_usb", "can.interfaces.pcan", "can.interfaces.virtual")
 _NONSENSE: Final = (ValueError, LookupError, TypeError, struct.error)
 """The exceptions of python-can's parsers of serial lines for an invalid frame."""
 _GARBLED: Final = "the serial line's speed (tty_baudrate) is wrong, or this is another kind of adapter"
@@ -79,9 +82,10 @@ _AWAY: Final = (BusState.DOWN, BusState.BUS_OFF)
 class PythonCanTransport(trio.abc.AsyncResource):
     """A python-can bus, opened by `open_transport` or by you. Must be made inside a `trio.run`.
 
-    owned: whether `aclose` shuts the bus down. A bus that you hand over must not echo its own frames (receive_own_messages), and
-    nobody else may receive from it. queue_size: how many frames a reader thread keeps at most. reopen: opens the bus again after
-    it went away; raises TransportError.
+    owned: whether `aclose` shuts the bus down. Nobody else may receive from a bus that you hand over. It must not echo its own
+    frames (receive_own_messages): python-can marks them for gs_usb, pcan and virtual, and they are dropped; those of other
+    backends are taken for another participant's. queue_size: how many frames a reader thread keeps at most. reopen: opens the bus
+    again after it went away; raises TransportError.
 
     state: the controller's as far as it is known, or DOWN. bitrate: that of the locator. received: how many frames came. refused,
     last_refusal: how many messages were not valid frames of classical CAN, and why the last was not. errors, last_error: how many
@@ -125,6 +129,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         self._is_open = True
         self._lost: Exception | None = None  # why it can no longer be used
         self._is_over = False  # reported; nothing more will come
+        self._marks_own = comes_from(bus, _MARKS_OWN_FRAMES)
         self._peak = peak.PeakStatus(bus) if comes_from(bus, ("can.interfaces.pcan",)) else None
         self._status = 0
         self._next_look = 0.0
@@ -282,6 +287,8 @@ class PythonCanTransport(trio.abc.AsyncResource):
         """Queue the frame or the report in a message; drop our own and invalid frames."""
         if message.is_error_frame:
             self._on_error_frame(message)
+        elif not message.is_rx and self._marks_own:
+            return
         elif self._mark is None or message.channel != self._mark:
             try:
                 frame = frame_of(message)
