@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Final
 
 from fuzz.boot_mutants import BOOT_MUTANTS
+from fuzz.data_mutants import DATA_MUTANTS
 from fuzz.drive_mutants import DRIVE_MUTANTS
 from fuzz.flash_mutants import FLASH_MUTANTS
 from fuzz.lss_mutants import LSS_MUTANTS
@@ -411,6 +412,7 @@ WINGS: Final = {
     "services": SERVICE_MUTANTS,
     "transports": TRANSPORT_MUTANTS,
     "master": MASTER_MUTANTS,
+    "data": DATA_MUTANTS,
 }
 MUTANTS: Final = tuple(mutant for wing in WINGS.values() for mutant in wing)
 

@@ -42,6 +42,7 @@ from canopen_proto.frame import (
 )
 from canopen_proto.indices import COB_ID_EMERGENCY, COB_ID_SYNC, COMMUNICATION_CYCLE_PERIOD, GUARD_TIME, PRODUCER_HEARTBEAT_TIME
 from canopen_proto.machine import MILLISECOND, SECOND, Time, check_node_id
+from canopen_proto.multiplexer import Mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtMaster, NmtState
 from canopen_proto.procedures.steps import (
@@ -81,7 +82,8 @@ class Bench:
     """One device under test; see this module's text.
 
     node_id, dictionary, description: of the device. probe, sdo, nmt: the machines that talk to it. notes: the findings of the
-    present case. lateness: the most, in ns, that our own process was late since the case began.
+    present case. lateness: the most, in ns, that our own process was late since the case began. wrong_defaults: what the cases so
+    far have read instead of an object's default, and named, by mux.
     """
 
     def __init__(
@@ -105,6 +107,7 @@ class Bench:
         self.stimulus = stimulus
         self.notes = Notes(strict=strict)
         self.lateness: Time = 0
+        self.wrong_defaults: dict[Mux, bytes] = {}
         self.probe = RawProbe(network.out)
         self.sdo = SdoClient(network.out, node_id, timeout=ANSWER_TIME)
         self.nmt = NmtMaster(network.out)

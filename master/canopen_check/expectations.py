@@ -65,8 +65,10 @@ class Notes:
         self.remarks: list[str] = []
 
     def fail(self, failure: ProcedureError) -> None:
-        """Note a failure and go on."""
-        self.failures.append((str(failure), failure.excuse if isinstance(failure, LateOrEarly | NotInTime) else NEVER))
+        """Note a failure and go on. The same one is noted once."""
+        noted = str(failure), failure.excuse if isinstance(failure, LateOrEarly | NotInTime) else NEVER
+        if noted not in self.failures:
+            self.failures.append(noted)
 
     def remark(self, text: str) -> None:
         """Note a behaviour that the standard leaves open."""

@@ -6,6 +6,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
+from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState, NmtStateChanged
 from canopen_proto.sdo.events import ObjectWritten
 from canopen_proto.sdo.server import Pending
@@ -35,6 +36,17 @@ class KeepsChannels(LocalNode):
         self.nmt.boot(now)
         self.pdos.reload(now)
         self.communication.reload(now)
+
+
+class CountsStarts(LocalNode):
+    """Counts its starts in 0x2003, which a reset does not put back."""
+
+    starts = 0
+
+    def _start(self, now: Time) -> None:
+        super()._start(now)
+        self.starts += 1
+        self.values.store[mux(0x2003)] = self.starts
 
 
 class BusyWhenOperational(LocalNode):

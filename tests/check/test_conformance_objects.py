@@ -10,13 +10,14 @@ import pytest
 
 from canopen_check import dictionary_cases, emergency_cases
 from canopen_check.catalogue import BY_NUMBER
+from canopen_check.expectations import Notes, Violation
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, Object, ObjectType, Variable
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, Site, check_caught, refused, verdict_of
-from tests.check.faulty_nodes import BusyWhenOperational, Inverting, KeepsCommunication
+from tests.check.faulty_nodes import BusyWhenOperational, CountsStarts, Inverting, KeepsCommunication
 from tests.proto.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
@@ -130,3 +131,33 @@ def test_an_error_history_that_survives_a_reset() -> None:
     assert verdict_of("5.3", kept).reason == "1 errors"
     vague = Fault("vague", sent=[("(585#80031001).{8}", refused(AbortCode.GENERAL_ERROR))])
     assert verdict_of("5.3", vague).result is Result.PASSED
+
+
+def private(default: int) -> ObjectDictionary:
+    return full_device(own(PRIVATE, "private", U16, Access.RO, default=default, pdo_mappable=False))
+
+
+def test_a_value_of_the_maker_that_resets_change_is_a_remark() -> None:
+    verdict = verdict_of("4.2", Fault("counts", node=CountsStarts), truth=private(0))
+    assert verdict.result is Result.REMARK
+    assert not verdict.failures
+    assert re.fullmatch(r"private .* changes with a reset \(.. 00, then .. 00\): .*", verdict.remarks[0])
+
+
+def test_a_wrong_value_is_named_once() -> None:
+    """A read-only value that stays the same is wrong; the next case that compares it does not name it again."""
+    site = Site(Fault("another default", dictionary=private(5)), truth=private(7), strict=True)
+    verdict = site.run(BY_NUMBER["4.2"])
+    assert verdict.result is Result.FAILED
+    assert [text for text in verdict.failures if "private" in text] == ["private (0x2003:00) is 05 00, not 07 00"]
+    again = site.run(BY_NUMBER["4.2"])
+    assert again.result is Result.PASSED
+    assert "1 of them with another value, as named before" in again.reason
+
+
+def test_one_failure_is_noted_once() -> None:
+    notes = Notes()
+    for _ in range(3):
+        notes.fail(Violation("the same"))
+    notes.fail(Violation("another"))
+    assert notes.verdict(0).failures == ("the same", "another")

@@ -21,7 +21,7 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Time
-from canopen_proto.procedures.backup import back_up, same_value
+from canopen_proto.procedures.backup import Backup, Reading, ReadResult, back_up, same_value
 from canopen_proto.procedures.restore import plan_restore, restore
 from tests.examples import examples
 from tests.proto.restore_bench import Bench
@@ -161,3 +161,16 @@ def test_a_value_that_somebody_has_changed_counts(octets: str, text: str, value:
     read = read_eds(changed.replace("ParameterValue=a\n", f"ParameterValue={text}\n" if text else ""))
     assert read.dictionary.variable(0x2000).configured == value
     assert [finding in each.message for each in read.findings] == [True]
+
+
+def test_an_object_that_the_device_refused_stands_in_the_file_with_the_reason() -> None:
+    """Without a description, the file has what the device has shown to exist: a refusal shows that, an absent object does not."""
+    variables = [DESCRIBED.variable(index) for index in list(TYPES)[:3]]
+    readings = [
+        Reading(variables[0], ReadResult.READ, variables[0].encode(True), True),
+        Reading(variables[1], ReadResult.REFUSED),
+        Reading(variables[2], ReadResult.ABSENT),
+    ]
+    written = read_eds(backup_file(Backup(5, DESCRIBED, readings), None).data).dictionary
+    assert [index in written.objects for index in list(TYPES)[:3]] == [True, True, False]
+    assert written.variable(variables[1].index).not_read == "refused"

@@ -75,3 +75,14 @@ def test_names_of_encodings() -> None:
     assert [each for each in ("gbk", "cp932", "latin-1", "UTF-8", "rot13", "base64", "nonsense", "") if is_encoding(each)] == [
         "gbk", "cp932", "latin-1", "UTF-8"
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "ascii", "gbk"])
+def test_a_text_that_the_old_encoding_lacks_makes_the_file_utf_8(encoding: str) -> None:
+    for text in ("ParameterName=plain", "ParameterName=20 €", "ParameterName=größer ≥"):
+        data = encode_eds(text, encoding)
+        try:
+            expected = text.encode(encoding)
+        except UnicodeEncodeError:
+            expected = text.encode()
+        assert data == expected

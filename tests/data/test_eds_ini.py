@@ -136,7 +136,7 @@ def test_the_places_of_many_findings_take_one_look_at_the_section() -> None:
             Text.looks += 1
             return super().split(*args, **named)
 
-    text = Text("ManufacturerObjects]\n" + "\n".join(f"{number} = x" for number in range(1000)))
+    text = Text("ManufacturerObjects]\n" + "\n".join(f"{number} = x" for number in range(1000)) + "\n5 = twice")
     section = Section("ManufacturerObjects", 7, text, Body({}), None)
     for number in range(1000):
         assert section.place_of(str(number)) == (8 + number, len(f"{number} = x"))

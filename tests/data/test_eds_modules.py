@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from canopen_data.checks import check
 from canopen_data.configured import with_configured
-from canopen_data.description import Commissioning, DeviceDescription
+from canopen_data.description import Commissioning, DeviceDescription, FileKind
 from canopen_data.eds.reader import read_eds
 from canopen_data.eds.writer import write_eds
 from canopen_data.findings import Severity
@@ -208,3 +208,12 @@ def test_a_small_file_does_not_make_a_million_entries() -> None:
     found = read_eds(f"{module(1, 0x2000, 'Count=254', 'ObjExtend=254')}[ConnectedModules]\nNrOfEntries=599\n{text}\n")
     assert sum(len(each.variables) for each in found.dictionary.objects.values()) < 110_000
     assert any("compact forms stand for more" in each for each in told(found))
+
+
+def test_an_eds_of_a_dcf_with_modules_has_their_objects_as_its_own() -> None:
+    """Without [ConnectedModules] nothing else would make them: the writer reads what it has written, and sees that."""
+    connected = device(module(1, 0x6000, "Count=2"), slots=(1, 1))
+    dcf = read_eds(write_eds(with_configured(connected, {}, Commissioning(5))))
+    again = read_eds(write_eds(dcf, FileKind.EDS))
+    assert again.connected_modules == ()
+    assert entries(again, 0x6000) == [1, 2, 3, 4]

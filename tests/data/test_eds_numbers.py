@@ -213,3 +213,14 @@ def test_a_value_before_a_comment_is_the_value(case: tuple[str, DataType], mark:
 
 def test_a_text_may_have_a_semicolon() -> None:
     assert read_value("a ; b # c", DataType.VISIBLE_STRING) == ("a ; b # c", False, "", False)
+
+
+@pytest.mark.parametrize("data_type", [each for each in DataType if range_of(each) and each is not DataType.BOOLEAN])
+def test_the_first_number_beyond_the_bits_of_a_type_is_lost(data_type: DataType) -> None:
+    """256 is no two's complement of eight bits, and would be 0; a COB-ID of 0 is that of NMT."""
+    limits = range_of(data_type)
+    assert limits is not None
+    size = limits[1] - limits[0] + 1
+    for text in (str(size), f"0x{size:X}", str(-size)):
+        assert read_value(text, data_type)[0] is None
+        assert read_value(text, data_type)[3]
