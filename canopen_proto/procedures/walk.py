@@ -135,7 +135,7 @@ class _Walk:
 
 
 def _reading(index: int, subindex: int, known: Variable | None, answer: bytes | SdoFailed) -> Reading:
-    if known is not None and known.access.readable:
+    if known is not None and (known.access.readable or isinstance(answer, SdoFailed)):  # what cannot be read is as it is named
         reading = reading_of(known, answer)
         if reading.result is not ReadResult.WRONG_LENGTH:
             return reading

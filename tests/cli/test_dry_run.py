@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 
 from canopen_cli.fleet import Fleet
 from canopen_cli.problem import ExitCode
+from canopen_data.descriptions import load_description
+from canopen_data.drive_from_file import drive_dictionary_of
+from canopen_data.eds.writer import write_eds
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import State
+from canopen_proto.dictionary import Access
 from canopen_proto.frame import ERROR_CONTROL, Frame
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_transports.log_files import LogReader
-from tests.cli.cli_support import Run
+from tests.cli.cli_support import Alarm, Run, only_drive
 from tests.cli.test_drive import DEMO, powered, prepare
 
 
@@ -129,3 +136,19 @@ def test_a_controlword_of_0_is_no_half_of_a_fault_reset(run: Run, monkeypatch: p
     outcome = run("drive", "3", "fault-reset", "--dry-run", *DEMO)
     assert "controlword = 0 (disable voltage)" in " ".join(outcome.out.split())
     assert "reset_fault_0" not in outcome.out
+
+
+def test_a_drive_whose_file_says_that_a_command_cannot_be_read_is_rehearsed(
+    run: Run, alarm: Alarm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in the EDS of a profile: 0x6060 is write-only. The likeness has its type from the file, not from a refused read."""
+    sample = load_description("sample_drive.eds")
+    mode = sample.dictionary.objects[0x6060]
+    write_only = replace(mode, variables=MappingProxyType({0: replace(mode.variables[0], access=Access.WO)}))
+    file = tmp_path / "drive.eds"
+    file.write_text(write_eds(replace(sample, dictionary=sample.dictionary.with_objects([write_only]))))
+    dictionary, _ = drive_dictionary_of(load_description(file).dictionary, Shape.STANDARD)
+    only_drive(monkeypatch, alarm, lambda out, node_id: DriveNode(out, node_id, DriveSettings(), dictionary))
+    outcome = run("drive", "5", "move", "12000", "-e", str(file), "--dry-run", *DEMO)
+    assert outcome.status == 0, outcome.err
+    assert "target_position = 12000" in " ".join(outcome.out.split())
