@@ -96,7 +96,7 @@ def status_of(heard: Heard) -> ExitCode:
     """Return the exit status for what was heard."""
     if heard.is_bad:
         return ExitCode.BUS_FAULT
-    return ExitCode.OK if heard.frames else ExitCode.DIFFERENT
+    return ExitCode.OK if heard.frames else ExitCode.NO_ANSWER
 
 
 async def hear(bus: str, seconds: float, each: Each = lambda frame, stamp: None) -> Heard:

@@ -16,8 +16,8 @@ from rich.progress import DownloadColumn, TimeRemainingColumn, TransferSpeedColu
 from canopen_cli.backup_reading import shown
 from canopen_cli.failures import problem_of
 from canopen_cli.options import Duration, Kind, NodeId, Settings, common
-from canopen_cli.problem import ExitCode, Problem, usage
-from canopen_cli.questions import Questions, is_asked
+from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.questions import Questions, require_somebody
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, escape, node_text
 from canopen_cli.session import Session, open_session
@@ -143,9 +143,7 @@ def flash(
     expected = crc32(image) if expect == CRC32 else expect
     assert not isinstance(expected, str)
     wanted = Wanted(node_id, program, path, image, expected, confirm, limits)
-    if not (yes or dry_run or is_asked(screen)):
-        question = f"write a program into {node_text(node_id)}: its old one is erased. This must be confirmed"
-        raise usage("CO122", question, seen="nothing was sent", tries=("the same with --yes",))
+    require_somebody(screen, f"write a program into {node_text(node_id)}: its old one is erased", yes or dry_run)
     so_far = ProgramDownload(len(image))
     questions = Questions(screen, agrees=yes)
     try:

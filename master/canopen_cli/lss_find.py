@@ -46,8 +46,8 @@ def scan(
     serial: int | None,
     window: Time,
     limit: Time,
-) -> None:
-    """Find the devices without a node-ID, and show their addresses. Nothing is written.
+) -> int:
+    """Find the devices without a node-ID, and show their addresses. Nothing is written. Exit status 5: none was found.
 
     \b
     canopen lss scan --vendor 0x360 -b can0
@@ -69,6 +69,7 @@ def scan(
             f"[yellow]{escape(address_text(result.again))} takes part in the scan though it was found already: devices with "
             "higher addresses may be hidden behind it. canopen lss identify finds them.[/]"
         )
+    return ExitCode.OK if result.found else ExitCode.NO_ANSWER
 
 
 def _matching(chosen: bool) -> str:

@@ -19,6 +19,7 @@ from canopen_cli.lss_support import Lss, address_text, open_lss, windowed
 from canopen_cli.nmt import confirm
 from canopen_cli.options import DEMO, Duration, Settings, common
 from canopen_cli.problem import ExitCode, Problem, usage
+from canopen_cli.questions import require_somebody
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted, escape
 from canopen_proto.lss.messages import BIT_RATES, LssAddress
@@ -100,6 +101,7 @@ def set_bitrate(
     """
     screen = settings.screen()
     change = _change(settings, rate, present, delay, command, not no_store)
+    require_somebody(screen, "change the bit rate of all devices", yes or dry_run)
 
     async def prepare_all() -> list[LssAddress]:
         async with open_lss(settings, screen, window) as lss:

@@ -29,7 +29,7 @@ from canopen_cli.nmt import confirm
 from canopen_cli.options import NodeId, NodeIds, Settings, common, node_id_of
 from canopen_cli.overlays import read_text
 from canopen_cli.problem import ExitCode, Problem, usage
-from canopen_cli.questions import Questions
+from canopen_cli.questions import Questions, require_somebody
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted, escape
 from canopen_proto.machine import Time
@@ -152,6 +152,7 @@ def assign(
     rows = read_table(table) if table is not None else ()
     choose = by_table(rows) if node_ids is None else in_order(node_ids)
     known = (vendor, product, revision, serial)
+    require_somebody(screen, "write node-IDs into devices", yes)
     questions = Questions(screen, agrees=yes)
 
     async def give_all() -> tuple[Assignment, list[int]]:

@@ -14,6 +14,7 @@ from canopen_cli.live_source import FILE_OR_INPUT, Heard, LiveSource, open_live_
 from canopen_cli.node_files import NodeFiles
 from canopen_cli.options import FiniteRange, Settings, common
 from canopen_cli.outlet import Outlet, open_outlet
+from canopen_cli.problem import ExitCode
 from canopen_cli.running import first_of, run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape
 from canopen_cli.session import read_dictionary
@@ -40,7 +41,7 @@ def monitor(
     objects: tuple[str, ...],
     changes: bool,
     seconds: float | None,
-) -> None:
+) -> int:
     """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
 
     With a FILE it shows a recording in place of a bus; - is standard input. PDOs are shown by the mapping that was heard, else by
@@ -66,6 +67,7 @@ def monitor(
             watch.tell_counts()
 
     run_until_interrupted(settings, screen, show, reads=source)
+    return ExitCode.NO_ANSWER if watch.has_heard_nothing else ExitCode.OK
 
 
 class Watch:
@@ -152,6 +154,11 @@ class Watch:
         if self._live.lost:
             self._screen.say(f"[yellow]{counted(self._live.lost, 'frame')} lost before they came here[/]")
         self.tell_skipped()
+
+    @property
+    def has_heard_nothing(self) -> bool:
+        """Whether no frame came from a bus."""
+        return self._live is not None and self._live.is_live and not self._frames
 
     def require_frames(self) -> None:
         """Raise a Problem if nothing in the recording was a frame."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Final
 
 import click
@@ -10,6 +9,7 @@ import trio
 
 from canopen_cli.options import NodeId, Settings, common
 from canopen_cli.problem import ExitCode, Problem, usage
+from canopen_cli.questions import require_somebody
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, node_text
 from canopen_cli.session import open_session
@@ -78,8 +78,7 @@ def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
     """Ask the user to confirm a dangerous command, unless --yes did. Raises a Problem if it is not confirmed."""
     if yes or not needed:
         return
-    if not (screen.err.is_terminal and sys.stdin.isatty()):
-        raise usage("CO122", f"{question}. This must be confirmed", seen="nothing was sent", tries=("the same with --yes",))
+    require_somebody(screen, question, yes)
     if not click.confirm(f"{clean(question)}. Go on?", err=True):
         raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import trio
 
-from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import Screen, escape
 
 
@@ -80,6 +80,12 @@ class Questions:
 def is_asked(screen: Screen) -> bool:
     """Return whether there is a person to ask."""
     return screen.err.is_terminal and sys.stdin.isatty()
+
+
+def require_somebody(screen: Screen, question: str, yes: bool) -> None:
+    """Raise a Problem if a question has to be answered, now or after minutes of looking, and there is nobody to ask."""
+    if not (yes or is_asked(screen)):
+        raise usage("CO122", f"{question}. This must be confirmed", seen="nothing was sent", tries=("the same with --yes",))
 
 
 async def read_input() -> bytes:

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from canopen_cli.device_types import device_type_text
 from canopen_cli.options import Duration, NodeIds, Settings, common
+from canopen_cli.problem import ExitCode
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, counted, escape, node_text
 from canopen_cli.session import open_session
@@ -32,8 +33,8 @@ DETAILS: Final = ("revision", "serial number")
 @click.option("--listen", type=Duration(0), default=LISTEN, help="How long to listen before asking.  [default: 1.5s]")
 @common
 @click.pass_obj
-def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, listen: Time) -> None:
-    """Find the nodes of a bus.
+def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, listen: Time) -> int:
+    """Find the nodes of a bus. Exit status 5: none was found.
 
     Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time. With a machine file
     it shows the names there, and which of its nodes were not found.
@@ -41,6 +42,10 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
     screen = settings.screen()
     asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
     found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, listen))
+    if asked and node_ids is not None:
+        others = [str(node.node_id) for node in found if node.node_id not in asked]
+        found = [node for node in found if node.node_id in asked]
+        remark += f"; heard too, and not asked: {', '.join(others)}" if others else ""
     machine, bus = settings.machine_on_bus()
     names = {} if machine is None else {each.node_id: each.name for each in machine.nodes.values() if each.bus == bus}
     if settings.json:
@@ -57,6 +62,7 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
     if machine is not None and missing:
         listed = ", ".join(f"{escape(names[node_id])} ({node_id})" for node_id in sorted(missing))
         screen.say(f"[yellow]of {escape(machine.source)} not {how}: {listed}[/]")
+    return ExitCode.OK if found else ExitCode.NO_ANSWER
 
 
 def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:

@@ -234,9 +234,39 @@ def test_passive_scan(run: Run) -> None:
 
 def test_nobody_is_there(run: Run) -> None:
     outcome = run("scan", "-b", "virtual:empty")
-    assert outcome.status == 0
+    assert outcome.status == ExitCode.NO_ANSWER
     assert "0 nodes found" in outcome.err
     assert outcome.out == ""
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["scan", "scan --passive", "lss scan", "listen --seconds 1", "monitor --seconds 1", "top --once --seconds 1",
+     "net init -o x.toml", "info 5", "drive 5 stop", "doctor --listen 1s"],
+)  # fmt: skip
+def test_nobody_there_has_one_exit_status(run: Run, command: str) -> None:
+    assert run(*command.split(), "-b", "virtual:empty").status == ExitCode.NO_ANSWER
+
+
+def test_a_scan_of_some_tells_of_these(run: Run) -> None:
+    outcome = run("scan", "--ids", "3,99", *DEMO, "--json")
+    assert [node["node"] for node in outcome.json] == [3]
+    assert "1 node found; heard too, and not asked: 4, 5, 6, 7, 8" in outcome.err
+
+
+@pytest.mark.parametrize(
+    "command", ["lss assign --ids 5-9", "lss set-bitrate 250k --from 500k", "flash 3 pyproject.toml", "nmt reset 3"]
+)
+def test_a_question_that_nobody_can_answer_is_refused_before_anything_is_done(
+    run: Run, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    def opened(*arguments: object, **options: object) -> None:
+        raise AssertionError("the bus was opened")
+
+    monkeypatch.setattr(session, "open_master", opened)
+    outcome = run(*command.split(), "-b", "virtual:empty")
+    assert outcome.status == ExitCode.USAGE, outcome.err
+    assert "CO122" in outcome.err
 
 
 def test_scan_on_a_terminal_draws_a_bar(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

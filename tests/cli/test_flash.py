@@ -100,7 +100,7 @@ def test_no_is_no(run: Run, world: World, monkeypatch: pytest.MonkeyPatch) -> No
         return b"n\n"
 
     monkeypatch.setattr(questions, "read_input", answer)
-    monkeypatch.setattr("canopen_cli.flash.is_asked", lambda screen: True)
+    monkeypatch.setattr("canopen_cli.questions.is_asked", lambda screen: True)
     outcome = run("flash", "5", "firmware.bin", *DEMO)
     assert "Write it? The old program is erased." in outcome.err
     assert (outcome.status, "by you: nothing was written" in outcome.err) == (ExitCode.INTERRUPTED, True)
@@ -131,7 +131,7 @@ def test_what_nothing_verifies_is_told_before_and_after(run: Run, world: World, 
         return b"n\n"
 
     monkeypatch.setattr(questions, "read_input", answer)
-    monkeypatch.setattr("canopen_cli.flash.is_asked", lambda screen: True)
+    monkeypatch.setattr("canopen_cli.questions.is_asked", lambda screen: True)
     assert "Nothing will verify it. Write it?" in run("flash", "5", "firmware.bin", *DEMO).err
 
 

@@ -96,6 +96,7 @@ def test_assign_writes_nothing_without_a_yes(run: Run, monkeypatch: pytest.Monke
         return b"n\n"
 
     monkeypatch.setattr(questions, "read_input", answer)
+    monkeypatch.setattr(questions, "is_asked", lambda screen: True)
     outcome = run("lss", "assign", "--ids", "10-20", *DRIVE, *QUICK)
     assert outcome.err.count("Write 1 node-ID?") == 2
     assert outcome.err.count("is left alone: nobody agreed") == 2
