@@ -18,6 +18,7 @@ _COLOURS: Final = (
 _DASHES: Final = ("-", "--", ":")
 """Joints beyond the colours have them again, with other lines."""
 _LATE: Final = "#ba2525"
+_LATE_LABEL: Final = "late or skipped cycle: it makes the steps there"
 _ROWS: Final = (
     ("position", "", "wanted", "actual"),
     ("velocity", "/s", "velocities", "actual_velocities"),
@@ -46,13 +47,14 @@ def write_motion_plot(path: Path, courses: Courses) -> None:
             _draw(axes, row, courses, [joint for joint in courses.joints if joint.unit == unit], styles)
     for axes in grid[-1]:
         axes.set_xlabel("time in s", color=INK, fontsize=9)
-        if courses.late:
-            marks, place = [0.02] * len(courses.late), axes.get_xaxis_transform()
-            axes.plot(courses.late, marks, "|", color=_LATE, markersize=9, transform=place, label="late cycle")
+    for axes in grid.flat if courses.late else ():  # in each row: a step of a velocity there is the cycle's, not the motion's
+        marks, place = [0.02] * len(courses.late), axes.get_xaxis_transform()
+        axes.plot(courses.late, marks, "|", color=_LATE, markersize=9, transform=place, label=_LATE_LABEL)
     handles = [*grid[0][0].get_legend_handles_labels()[0]]
     if len(units) > 1:
         handles = [handle for axes in grid[0] for handle in axes.get_legend_handles_labels()[0]]
-    handles += [handle for handle in grid[-1][0].get_legend_handles_labels()[0] if handle.get_label() == "late cycle"]
+    late = [handle for handle in handles if handle.get_label() == _LATE_LABEL]
+    handles = [handle for handle in handles if handle not in late] + late[:1]
     write_titles(figure, courses.title, courses.subtitle)
     figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=9.5)
     save(figure, path)

@@ -140,6 +140,18 @@ def test_a_skipped_period_is_a_longer_step_and_not_a_faster_one(tmp_path: Path) 
     assert list(courses.late) == [0.4]
 
 
+def test_what_a_skipped_cycle_made_is_marked_in_each_row(tmp_path: Path) -> None:
+    times = [0.0, 0.5, 1.0]
+    sizes = []
+    for late in ([], [0.5]):
+        file = tmp_path / "run.svg"
+        write_motion_plot(file, Courses("a", "", times, [Course("j", "turn", times, times, times)], late))
+        text = file.read_text(encoding="utf-8")
+        assert text.count("late or skipped cycle") == len(late)
+        sizes.append(text.count("#ba2525"))
+    assert sizes[1] - sizes[0] >= 4  # position, velocity, acceleration, and the legend
+
+
 def test_many_joints_of_several_units_fit_on_a_picture(tmp_path: Path) -> None:
     times = [0.0, 0.5, 1.0]
     joints = [Course(f"joint{number}", ("degree", "millimetre", "")[number % 3], times, times, times) for number in range(24)]
