@@ -9,11 +9,14 @@ from fuzz.mutant import Mutant
 ONE: Final = ("tests/proto/test_boot_node.py",)
 SUPERVISED: Final = ("tests/proto/test_supervised.py",)
 ALL: Final = ("tests/proto/test_boot_network.py", "tests/proto/test_boot_moments.py")
+WORDS: Final = ("tests/cli/test_boot_summary.py",)
+NET: Final = ("tests/cli/test_net.py",)
 ANY_FAULT: Final = ("tests/proto/test_boot_twenty.py",)
 
 _NODE: Final = "boot/node_boot.py"
 _NETWORK: Final = "boot/network_boot.py"
 _MEMBER: Final = "boot/member.py"
+_SUMMARY: Final = "canopen_cli/boot_summary.py"
 _COMMANDS: Final = "boot/commands.py"
 
 BOOT_MUTANTS: Final = tuple(
@@ -213,6 +216,47 @@ BOOT_MUTANTS: Final = tuple(
             "if left := (yield",
             "commands that wait for the same pause are sent together",
             ALL,
+        ),
+        # ---- what is said of it ----
+        (
+            "headline_counts_ready_as_running",
+            _SUMMARY,
+            "        return self.state in (NodeState.RUNNING, NodeState.UNWATCHED)\n",
+            "        return self.state.is_good\n",
+            "nodes that were not started are said to run",
+            WORDS,
+        ),
+        (
+            "headline_of_missing_only",
+            _SUMMARY,
+            "    running = sum(row.is_running for row in rows)\n",
+            "    running = 0 if any(not row.state.is_good for row in rows) else sum(row.is_running for row in rows)\n",
+            "no node is said to run, since one failed, while the others run",
+            WORDS,
+        ),
+        (
+            "one_silent_of_several",
+            _SUMMARY,
+            "any(row.is_silent for row in missing)",
+            "missing[0].is_silent",
+            "the exit status is that of the first mandatory node only",
+            WORDS,
+        ),
+        (
+            "optional_is_mandatory",
+            _SUMMARY,
+            "    missing = [row for row in bad if row.is_mandatory]\n",
+            "    missing = bad\n",
+            "an optional node that failed is called mandatory",
+            WORDS,
+        ),
+        (
+            "stopped_is_unfinished",
+            _SUMMARY,
+            "    if stopped:\n        return NodeState.STOPPED\n",
+            "",
+            "nodes that were stopped are said to be configured in part",
+            NET,
         ),
     )
 )

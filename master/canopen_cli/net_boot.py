@@ -11,41 +11,34 @@ from typing import Any, Final
 import click
 import trio
 
+from canopen_cli.boot_summary import NodeRow, by_state, problem_of, rows_of, success, tally
 from canopen_cli.net_support import ChosenNetwork, OpenNetwork, choose_network, machine_argument, open_network
 from canopen_cli.nmt import confirm
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.running import first_of, run, run_until_interrupted
-from canopen_cli.screen import Screen, counted, escape
+from canopen_cli.screen import Screen, escape
 from canopen_master.machine_file.boot_entries import BusNetwork
 from canopen_master.network_booting import network_boot
 from canopen_master.plain_text import json_text
 from canopen_master.subscription import Subscription
 from canopen_proto.boot.network_boot import BootReport, NetworkBoot, NetworkStarted, NodeLost, NodeSupervised
-from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
+from canopen_proto.boot.outcome import BootEnded, BootOutcome
 from canopen_proto.machine import SECOND, Event
 from canopen_proto.network import OutageChanged
 from canopen_proto.procedures.steps import Procedure, all_of
 
 COLUMNS: Final = ("bus", "node", "name", "result", "meaning", "seconds", "state")
 _TOLD: Final = (BootEnded, NetworkStarted, NodeLost, NodeSupervised, OutageChanged)
-SILENT: Final = (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING, BootLetter.NO_ERROR_CONTROL)
-"""Results of nodes that do not answer, or fall silent."""
-_NEXT: Final = {
-    BootLetter.SILENT: "canopen scan    (which nodes are there?)",
-    BootLetter.OTHER_PROGRAM: 'program = "FILE" in the machine file, or canopen flash',
-    BootLetter.NOT_CONFIGURED: "canopen net check -v    (each setting beside that of the node)",
-    BootLetter.NO_ERROR_CONTROL: 'heartbeat = "200ms" in the machine file',
-}
-"""Advice by result; for the others `canopen net check`."""
 
 
 @dataclass
 class Booted:
-    """The boots of a command, by bus."""
+    """The boots of a command, by bus. stopped: the buses whose nodes were all stopped, each with the loss that did it."""
 
     chosen: ChosenNetwork
     boots: dict[str, NetworkBoot] = field(default_factory=dict)
+    stopped: dict[str, NodeLost] = field(default_factory=dict)
 
     def report(self, network: BusNetwork) -> BootReport:
         """Return how the boot of a bus went so far."""
@@ -55,33 +48,21 @@ class Booted:
         """Tell the state of each node, for an interruption."""
         if not self.boots:
             return ["nothing was sent"]
-        states: dict[str, list[str]] = {
-            "running": [], UNWATCHED: [], "ready, not started": [], "failed": [], GONE: [], UNFINISHED: [],
-        }  # fmt: skip
-        away = []
-        for network in self.chosen.networks:
-            report, outage = self.report(network), self.boots[network.bus].network.outage
-            if outage:
-                away.append(f"{outage}: what its nodes do is not known; before that:")
-            for node_id in network.names:
-                states[_state(report, node_id)].append(self.chosen.place(network, node_id))
-        return [*away, *(f"{state}: {', '.join(names)}" for state, names in states.items() if names)]
+        outages = filter(None, (each.network.outage for each in self.boots.values()))
+        return [*(f"{outage}: what its nodes do is not known; before that:" for outage in outages), *by_state(self.rows())]
 
+    def rows(self) -> list[NodeRow]:
+        """Return the table of all nodes, as they are now."""
+        return [row for network in self.chosen.networks for row in self.rows_of(network)]
 
-UNWATCHED: Final = "was started, and is not supervised, so whether it still runs is not known"
-GONE: Final = "was ready, and is lost or has booted again"
-UNFINISHED: Final = "not finished: reset, perhaps configured, or its program written, in part; not started"
+    def rows_of(self, network: BusNetwork) -> list[NodeRow]:
+        """Return the table of a bus."""
+        places = {node_id: self.chosen.place(network, node_id) for node_id in network.names}
+        return rows_of(network.bus, network.entry, self.report(network), places, stopped=network.bus in self.stopped)
 
-
-def _state(report: BootReport, node_id: int) -> str:
-    outcome = report.outcomes.get(node_id)
-    if node_id in report.running:
-        return UNWATCHED if node_id in report.unsupervised else "running"
-    if node_id in report.gone:
-        return GONE
-    if outcome is None:
-        return UNFINISHED
-    return "failed" if outcome.is_failure else "ready, not started"
+    def problem(self) -> Problem | None:
+        """Return the Problem of nodes that are not ready; None if all are."""
+        return problem_of(self.rows(), self.chosen.networks[0].entry.startup)
 
 
 @click.command()
@@ -92,7 +73,8 @@ def _state(report: BootReport, node_id: int) -> str:
 def boot(settings: Settings, file: Path | None, yes: bool) -> int:
     """Reset, check, configure and start the nodes of a machine file.
 
-    No node that failed is started. Exit status: 0 all nodes are ready, 7 some are not, 5 a mandatory one does not answer.
+    No node that failed is started. The others run, also if a mandatory one failed, unless [network] has start = "all". Exit
+    status: 0 all nodes are ready, 7 some are not, 5 a mandatory one does not answer.
 
     \b
     canopen net boot cell.toml -b demo --yes     simulated
@@ -104,10 +86,10 @@ def boot(settings: Settings, file: Path | None, yes: bool) -> int:
     run(settings, screen, lambda: _boot(settings, screen, booted), story=lambda confirmed: booted.story())
     _show(settings, screen, booted)
     _warn_of_guarding(screen, booted.chosen)
-    problem = _problem_of(booted)
+    problem = booted.problem()
     if problem is not None:
         raise problem
-    screen.say(f"[green]{counted(booted.chosen.size, 'node')} ready[/]")
+    screen.say(f"[green]{success(booted.rows())}[/]")
     return ExitCode.OK
 
 
@@ -127,23 +109,28 @@ def watch(settings: Settings, file: Path | None, yes: bool) -> None:
     screen = settings.screen()
     booted = Booted(choose_network(settings, screen, file))
     _confirm(screen, booted.chosen, yes)
-    lost: list[NodeLost] = []
-    run_until_interrupted(settings, screen, lambda: _watch(settings, screen, booted, lost))
+    run_until_interrupted(settings, screen, lambda: _watch(settings, screen, booted))
     for line in booted.story():
         screen.say(escape(line))
     screen.say("the nodes are left as they are, and nobody watches them now")
-    if lost:
+    if booted.stopped:
+        places = [
+            booted.chosen.place(network, lost.node_id)
+            for network in booted.chosen.networks
+            if (lost := booted.stopped.get(network.bus))
+        ]
+        first = next(iter(booted.stopped.values()))
         raise Problem(
             ExitCode.NO_ANSWER,
             "CO217",
-            f"node {lost[0].node_id} is mandatory and was lost; all nodes of its bus were stopped",
+            f"node {first.node_id} is mandatory and was lost; all nodes of its bus were stopped: {tally(booted.rows())}",
+            seen=f"lost: {', '.join(places)}",
             cause="no power, or a cable",
             tries=("canopen net watch, once it is back",),
-            node=lost[0].node_id,
+            node=first.node_id,
         )
-    if any(booted.report(network).missing for network in booted.chosen.networks if network.bus in booted.boots):
-        problem = _problem_of(booted)
-        assert problem is not None  # a mandatory node is missing
+    problem = booted.problem() if booted.boots else None
+    if problem is not None and problem.code == "CO215":
         raise problem
 
 
@@ -193,7 +180,7 @@ async def _boot(settings: Settings, screen: Screen, booted: Booted) -> None:
         await opened.master.run(all_of(*(each.start() for each in booted.boots.values())))
 
 
-async def _watch(settings: Settings, screen: Screen, booted: Booted, lost: list[NodeLost]) -> None:
+async def _watch(settings: Settings, screen: Screen, booted: Booted) -> None:
     begun = trio.current_time()
 
     def tell(network: BusNetwork, event: Event) -> None:
@@ -206,15 +193,15 @@ async def _watch(settings: Settings, screen: Screen, booted: Booted, lost: list[
 
     async with _opened(settings, screen, booted, tell) as opened:
         await opened.master.run(all_of(*(each.start() for each in booted.boots.values())))
-        problem = _problem_of(booted)
+        problem = booted.problem()
         if problem is not None:
             screen.say(f"[yellow]{escape(problem.failed)}; going on: they are booted when they come[/]")
         _tell_unsupervised(settings, screen, booted)
 
-        def supervised(each: NetworkBoot) -> Procedure[None]:
-            lost.append((yield from each.supervise()))  # at once: other buses go on
+        def supervised(bus: str, each: NetworkBoot) -> Procedure[None]:
+            booted.stopped[bus] = yield from each.supervise()  # at once: other buses go on
 
-        await opened.master.run(all_of(*(supervised(each) for each in booted.boots.values())))
+        await opened.master.run(all_of(*(supervised(bus, each) for bus, each in booted.boots.items())))
 
 
 def _tell_unsupervised(settings: Settings, screen: Screen, booted: Booted) -> None:
@@ -249,7 +236,9 @@ def _event_text(chosen: ChosenNetwork, network: BusNetwork, event: Event) -> str
                 return f"{outage}. No node is taken for lost meanwhile"
             return f"{network.bus}: the bus is back; each node has its full time again"
         case NetworkStarted(running=running):
-            return f"{network.bus}: all mandatory nodes are ready; running: {', '.join(map(str, running)) or 'none'}"
+            mandatory = any(node.assignment.is_mandatory for node in network.entry.nodes.values())
+            why = "all mandatory nodes are ready" if mandatory else "all nodes have booted or failed, and none is mandatory"
+            return f"{network.bus}: {why}; running: {', '.join(map(str, running)) or 'none'}"
     return repr(event)
 
 
@@ -286,24 +275,29 @@ def _as_json(outcome: BootOutcome) -> dict[str, Any]:
 
 
 def _show(settings: Settings, screen: Screen, booted: Booted) -> None:
-    rows: list[dict[str, str]] = []
+    """Show the table of all nodes, also of those without a result."""
+    shown: list[dict[str, str]] = []
     documents: list[dict[str, Any]] = []
     for network in booted.chosen.networks:
-        report = booted.report(network)
-        for node_id, outcome in report.outcomes.items():
-            name, running = network.names[node_id], node_id in report.running
-            documents.append({"bus": network.bus, "name": name, **_as_json(outcome), "running": running})
-            style = "[red]" if outcome.is_failure else ""
-            cells = (
-                escape(network.bus), str(node_id), escape(name), f"{style}{outcome.letter}{'[/]' if style else ''}",
-                escape(outcome.letter.meaning), f"{outcome.elapsed / SECOND:.3f}", _state(report, node_id),
+        for row in booted.rows_of(network):
+            name, outcome = network.names[row.node_id], row.outcome
+            told = _as_json(outcome) if outcome is not None else {"node": row.node_id, "letter": None, "failed": True}
+            documents.append(
+                {
+                    "bus": row.bus, "name": name, **told, "mandatory": row.is_mandatory, "running": row.is_running,
+                    "ready": row.state.is_good, "state": row.state.value,
+                }
             )  # fmt: skip
-            rows.append(dict(zip(COLUMNS, cells, strict=True)))
+            style = "" if row.state.is_good else "[red]"
+            result = "" if outcome is None else f"{style}{outcome.letter}{'[/]' if style else ''}"
+            meaning, seconds = ("", "") if outcome is None else (outcome.letter.meaning, f"{outcome.elapsed / SECOND:.3f}")
+            cells = (escape(row.bus), str(row.node_id), escape(name), result, escape(meaning), seconds, escape(row.state))
+            shown.append(dict(zip(COLUMNS, cells, strict=True)))
     if settings.json:
         screen.json(documents)
         return
     columns = [name for name in COLUMNS if name != "bus" or len(booted.chosen.networks) > 1]
-    screen.table(columns, [[row[name] for name in columns] for row in rows], right=("node", "seconds"))
+    screen.table(columns, [[row[name] for name in columns] for row in shown], right=("node", "seconds"))
 
 
 def _warn_of_guarding(screen: Screen, chosen: ChosenNetwork) -> None:
@@ -315,30 +309,3 @@ def _warn_of_guarding(screen: Screen, chosen: ChosenNetwork) -> None:
     )
     if guarded:
         screen.say(f"[yellow]nobody guards {escape(guarded)} any more: `canopen net watch` does, as long as it runs[/]")
-
-
-def _problem_of(booted: Booted) -> Problem | None:
-    """Return the Problem of nodes that are not ready; None if all are."""
-    chosen = booted.chosen
-    reports = [(network, booted.report(network)) for network in chosen.networks]
-    failed = [(network, each) for network, report in reports for each in report.outcomes.values() if each.is_failure]
-    missing = {(network.bus, node_id) for network, report in reports for node_id in report.missing}
-    gone = [chosen.place(network, node_id) for network, report in reports for node_id in report.gone]
-    if not failed and not missing and not gone:
-        return None
-    failed.sort(key=lambda each: (each[0].bus, each[1].node_id) not in missing)
-    first = next(iter(failed), None)
-    seen = _line(chosen, *first) if first is not None else f"{', '.join(gone)}: {GONE}" if gone else ""
-    tries = ("canopen net check",) if first is None else (_NEXT.get(first[1].letter, "canopen net check"),)
-    node = None if first is None else first[1].node_id
-    if not missing:
-        what = f"{counted(len(failed), 'node')} of {chosen.size} failed and {'was' if len(failed) == 1 else 'were'} not started"
-        if not failed:
-            what = f"{counted(len(gone), 'node')} of {chosen.size} did not stay ready"
-        return Problem(ExitCode.PARTIAL, "CO216", what, seen=seen, tries=tries, node=node)
-    running = sum(len(report.running) for _, report in reports)
-    rest = f"{counted(running, 'other')} {'runs' if running == 1 else 'run'}" if running else "no node runs"
-    what = f"{counted(len(missing), 'mandatory node')} not ready: the network is not started as a whole; {rest}"
-    if first is not None and first[1].letter in SILENT:
-        return Problem(ExitCode.NO_ANSWER, "CO215", what, seen=seen, tries=tries, node=node)
-    return Problem(ExitCode.PARTIAL, "CO215", what, seen=seen, tries=tries, node=node)

@@ -34,6 +34,11 @@ class Checked:
         self.state = state
 
     @property
+    def is_another(self) -> bool:
+        """Whether it answers, and is not the device of the file."""
+        return self.result.answers and any(not each.is_setting for each in self.result.wrong)
+
+    @property
     def name(self) -> str:
         """The node's name in the machine file."""
         return self.network.names[self.result.node_id]
@@ -76,8 +81,17 @@ def check(settings: Settings, file: Path | None, identity: bool) -> int:
             cause="no power, another bit rate, or another bus",
             tries=("canopen scan", "canopen doctor"),
         )
-    screen.say(f"{len(right)} of {counted(len(nodes), 'node')} as in the file")
+    screen.say(f"{len(right)} of {counted(len(nodes), 'node')} as in the file{_others(nodes)}")
     return ExitCode.OK if len(right) == len(nodes) else ExitCode.DIFFERENT
+
+
+def _others(nodes: list[Checked]) -> str:
+    """Say what the nodes are that are not as in the file."""
+    silent = sum(not each.result.answers for each in nodes)
+    another = sum(each.is_another for each in nodes)
+    settings = sum(each.result.answers and not each.is_another and not each.result.is_right for each in nodes)
+    kinds = ((silent, "silent"), (another, "another device"), (settings, "with other settings"))
+    return "".join(f", {count} {kind}" for count, kind in kinds if count)
 
 
 async def _compare(
@@ -123,7 +137,7 @@ def _row(node: Checked) -> tuple[str, ...]:
     right = sum(each.is_right for each in settings)
     who = "[yellow]silent[/]"
     if result.answers:
-        who = "[yellow]another[/]" if any(not each.is_setting for each in result.wrong) else "right"
+        who = "[yellow]another[/]" if node.is_another else "right"
     state = "" if node.state is None else node.state.name.lower().replace("_", "-")
     shown = f"{right} of {len(settings)} right" if settings else ""
     if right < len(settings):

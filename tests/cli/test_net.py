@@ -124,7 +124,7 @@ def test_check_writes_nothing_and_tells_what_differs(run: Run) -> None:
     assert outcome.status == ExitCode.DIFFERENT
     assert "   4  right  0x1018:04 identity_object:serial_number  0x00000063  0x00000002" in outcome.out
     assert "   3  left   0x1017:00 producer_heartbeat_time        0x0064      0x01F4" in outcome.out
-    assert "0 of 3 nodes as in the file" in outcome.err
+    assert "0 of 3 nodes as in the file, 1 another device, 2 with other settings" in outcome.err
     master = [frame for frame in sent().frames if frame.can_id < 0x80 or 0x600 < frame.can_id < 0x680]
     assert len(master) > 10
     assert {frame.data[0] & 0xE0 for frame in master if frame.can_id > 0x600} <= {0x40, 0x60}  # initiate upload, its segments
@@ -145,6 +145,7 @@ def test_check_of_nodes_that_are_away(run: Run, monkeypatch: pytest.MonkeyPatch)
     outcome = run("net", "check", cell(), "--identity", *DEMO)
     assert outcome.status == ExitCode.DIFFERENT
     assert outcome.out.splitlines()[2].split() == ["3", "left", "silent"]
+    assert "2 of 3 nodes as in the file, 1 silent" in outcome.err
     without(monkeypatch, 4, 9)
     outcome = run("net", "check", cell(), *DEMO)
     assert (outcome.status, "CO201: no node of cell.toml answers" in outcome.err) == (ExitCode.NO_ANSWER, True)
@@ -179,7 +180,9 @@ def test_boot_must_be_confirmed(run: Run, monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_mandatory_node_that_fails_is_not_started(run: Run) -> None:
     outcome = run("net", "boot", cell("left = { id = 3 }", SERIAL_OF_LEFT), "--yes", *DEMO, *TRACE)
     assert outcome.status == ExitCode.PARTIAL
-    assert "CO215: 1 mandatory node not ready: the network is not started as a whole; 2 others run" in outcome.err
+    assert "CO215: 1 mandatory node not ready (left): 2 of 3 nodes run, 1 failed" in outcome.err
+    assert 'start = "each" in [network], the default: each node that is ready runs' in outcome.err
+    assert 'start = "all" in [network], if no node may run without this one' in outcome.err
     assert "0x1018:04 is 0x00000001, expected 0x00000063" in outcome.err
     assert "canopen net check -m cell.toml -b demo" in outcome.err
     assert sorted(sent().nmt) == ["0104", "0109", "8200"]
@@ -192,7 +195,9 @@ def test_nobody_is_started_by_all_if_a_mandatory_node_fails(run: Run) -> None:
     path.write_text(path.read_text() + "[network]\nstart = 'all'\n")
     outcome = run("net", "boot", "cell.toml", "--yes", "--json", *DEMO, *TRACE)
     assert (outcome.status, outcome.error["code"], outcome.error["node"]) == (ExitCode.PARTIAL, "CO215", 3)
-    assert "the network is not started as a whole; no node runs" in outcome.error["message"]
+    assert "1 mandatory node not ready (left): no node runs, 2 ready and not started, 1 failed" in outcome.error["message"]
+    assert [each["state"] for each in outcome.json] == ["failed", "ready, not started", "ready, not started"]
+    assert [each["mandatory"] for each in outcome.json] == [True, True, False]
     assert sent().nmt == ["8200"]
     assert [each["running"] for each in outcome.json] == [False, False, False]
 
@@ -200,7 +205,7 @@ def test_nobody_is_started_by_all_if_a_mandatory_node_fails(run: Run) -> None:
 def test_an_optional_node_that_fails_stops_nobody(run: Run) -> None:
     outcome = run("net", "boot", cell("mandatory = false", "mandatory = false, serial = 9"), "--yes", *DEMO)
     assert outcome.status == ExitCode.PARTIAL
-    assert "CO216: 1 node of 3 failed and was not started" in outcome.err
+    assert "CO216: 1 node not ready (lamp): 2 of 3 nodes run, 1 failed" in outcome.err
 
 
 def test_a_mandatory_node_that_is_away(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -384,6 +389,23 @@ def test_watch_of_two_buses_tells_at_its_end_that_one_was_stopped(run: Run, rung
     Path("two.toml").write_text(f"[buses.can1]\n[network]\nmandatory_lost = 'stop all'\n{nodes}")
     outcome = run("net", "watch", "two.toml", "--yes", *DEMO)
     assert (outcome.status, "node 3 is mandatory and was lost" in outcome.err) == (ExitCode.NO_ANSWER, True), outcome.err
+    assert "all nodes of its bus were stopped: 2 of 3 nodes run, 1 lost or booted again" in outcome.err
+    assert "running: right on can0, lamp on can0" in outcome.err
+
+
+def test_watch_calls_stopped_what_was_stopped(run: Run, rung: Alarm) -> None:
+    """Not "not finished: perhaps configured"."""
+
+    async def silence(fleet: Fleet) -> None:
+        await trio.sleep(2)
+        fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+
+    rung.task = silence
+    Path(cell()).write_text(f"{CELL}[network]\nmandatory_lost = 'stop all'\n")
+    outcome = run("net", "watch", "cell.toml", "--yes", *DEMO)
+    assert "was stopped, since a mandatory node of its bus was lost: right, lamp" in outcome.err
+    assert "no node runs, 1 lost or booted again, 2 stopped" in outcome.err
+    assert "not finished" not in outcome.err
 
 
 def test_watch_ends_with_its_reader(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

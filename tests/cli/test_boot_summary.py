@@ -1,0 +1,142 @@
+"""Each headline, summary and exit status of `canopen net boot` and `net watch` says what the devices really do.
+
+The devices are tables of objects in virtual time; the oracle is their own NMT state and what was planted in them.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from canopen_cli.boot_summary import NodeRow, NodeState, by_state, policy, problem_of, rows_of, success, tally
+from canopen_cli.problem import ExitCode
+from canopen_proto.abort import AbortCode
+from canopen_proto.boot.assignment import Startup
+from canopen_proto.boot.entry import NetworkEntry
+from canopen_proto.boot.network_boot import BootReport
+from canopen_proto.boot.outcome import BootLetter, BootOutcome, BootStep
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND
+from tests.examples import examples
+from tests.proto.boot_bench import KEPT, MANDATORY, OPTIONAL, SERIAL, SETTING, BootBench, beating, entry, u32
+
+OPERATIONAL = 5
+SILENT, WRONG, REFUSES, NO_BEAT, KEPT_ALIVE, RIGHT = "silent", "wrong", "refuses", "no beat", "kept alive", "right"
+FAULTS = (SILENT, WRONG, REFUSES, NO_BEAT)
+STARTS = {"each": 1, "all": 3, "none": 9}
+"""The values of 0x1F80: bit 0 the master, bit 1 all at once, bit 3 the application starts."""
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A node: what is planted in it, and whether the network needs it."""
+
+    fault: str
+    is_mandatory: bool
+
+
+NODE = st.builds(Planted, st.sampled_from([*FAULTS, KEPT_ALIVE, RIGHT, RIGHT, RIGHT]), st.booleans())
+NODES = st.lists(NODE, min_size=1, max_size=5)
+
+
+def booted(bus: str, nodes: list[Planted], start: str) -> tuple[list[NodeRow], int]:
+    """Boot a bus; return its table, and how many devices are Operational."""
+    bench = BootBench(range(1, 1 + len(nodes)))
+    entries = []
+    for node_id, planted in enumerate(nodes, start=1):
+        device = bench.nodes[node_id]
+        if planted.fault == SILENT:
+            device.switch_off()
+        elif planted.fault == WRONG:
+            device.defaults[SERIAL] = device.table[SERIAL] = u32(4711)
+        elif planted.fault == REFUSES:
+            device.defaults[SETTING] = int(AbortCode.DEVICE_STATE)
+        elif planted.fault == NO_BEAT:
+            device.on_write = lambda place, data, device=device: setattr(device, "_beats_at", NEVER)  # type: ignore[misc]
+        elif planted.fault == KEPT_ALIVE:
+            beating(bench, node_id)
+        kind = MANDATORY if planted.is_mandatory else OPTIONAL
+        entries.append(entry(node_id, kind | (KEPT & ~MANDATORY if planted.fault == KEPT_ALIVE else 0)))
+    boot = bench.network_boot(STARTS[start], *entries, boot_time=SECOND)
+    report: BootReport = bench.run(boot.start())
+    bench.bus.run(MILLISECOND)
+    places = {node_id: f"n{node_id} on {bus}" for node_id in bench.nodes}
+    running = sum(device.state == OPERATIONAL for device in bench.nodes.values())
+    described = NetworkEntry(boot.startup, {each.node_id: each for each in entries})
+    return rows_of(bus, described, report, places), running
+
+
+def running_in(text: str) -> int:
+    """Return the number of running nodes that a headline tells."""
+    if "no node runs" in text:
+        assert not re.search(r"\d+ of \d+ nodes? runs?", text)
+        return 0
+    (found,) = re.findall(r"(\d+) of \d+ nodes? runs?", text)
+    return int(found)
+
+
+@examples(150, least=30)
+@given(buses=st.lists(NODES, min_size=1, max_size=3), start=st.sampled_from(list(STARTS)))
+@example(buses=[[Planted(RIGHT, True), Planted(WRONG, True)]], start="each")
+@example(buses=[[Planted(RIGHT, True), Planted(WRONG, True)]], start="all")
+@example(buses=[[Planted(RIGHT, True)], [Planted(WRONG, True), Planted(SILENT, True)]], start="all")
+@example(buses=[[Planted(KEPT_ALIVE, False), Planted(SILENT, True)]], start="all")
+def test_headlines_say_what_the_devices_do(buses: list[list[Planted]], start: str) -> None:
+    rows: list[NodeRow] = []
+    running = 0
+    for number, nodes in enumerate(buses):
+        table, count = booted(f"can{number}", nodes, start)
+        rows += table
+        running += count
+        if start == "all" and any(each.fault in FAULTS and each.is_mandatory for each in nodes):
+            assert count == sum(each.fault == KEPT_ALIVE for each in nodes), "nobody was started"
+    planted = [each for nodes in buses for each in nodes]
+    startup = Startup.from_value(STARTS[start])
+    problem = problem_of(rows, startup)
+    failed = [each for each in planted if each.fault in FAULTS]
+    missing = [each for each in failed if each.is_mandatory]
+    assert (problem is None) == (not failed)
+    headline = success(rows) if problem is None else problem.failed
+    assert running_in(headline) == running_in(tally(rows)) == running
+    assert sum(row.is_running for row in rows) == running
+    assert len(rows) == len(planted)
+    if problem is None:
+        assert headline.startswith(f"{len(rows)} node")
+        return
+    is_silent = any(each.fault in (SILENT, NO_BEAT) for each in missing)
+    assert problem.exit_code == (ExitCode.NO_ANSWER if is_silent else ExitCode.PARTIAL)
+    assert problem.code == ("CO215" if missing else "CO216")
+    told = re.match(r"(\d+) (mandatory )?nodes? not ready", headline)
+    assert told is not None
+    assert int(told[1]) == len(missing or failed)
+    assert f"{len(failed)} failed" in headline
+    assert "not started" not in headline or running < len(rows) - len(failed)
+    if missing:
+        assert policy(startup) in problem.also
+
+
+@examples(300, least=60)
+@given(
+    states=st.lists(st.tuples(st.sampled_from(list(NodeState)), st.booleans(), st.sampled_from(list(BootLetter))), min_size=1),
+    startup=st.builds(Startup, start_all=st.booleans(), application_starts=st.booleans()),
+)
+def test_any_table_gives_a_headline_that_adds_up(states: list[tuple[NodeState, bool, BootLetter]], startup: Startup) -> None:
+    """Also for states that only `net watch` meets: each node is counted once, in the headline and in the story."""
+    rows = [
+        NodeRow("can0", number, f"n{number}.", is_mandatory, state, BootOutcome(number, letter, BootStep.IDENTITY))
+        for number, (state, is_mandatory, letter) in enumerate(states, start=1)
+    ]
+    text = tally(rows)
+    others = [int(number) for number in re.findall(r", (\d+) ", text)]
+    assert running_in(text) + sum(others) == len(rows)
+    story = by_state(rows)
+    assert all(sum(f"{row.place}," in f"{line}," for line in story) == 1 for row in rows)
+    problem = problem_of(rows, startup)
+    bad = [row for row in rows if row.state not in (NodeState.RUNNING, NodeState.UNWATCHED, NodeState.READY)]
+    assert (problem is None) == (not bad)
+    if problem is not None:
+        assert problem.code == ("CO215" if any(row.is_mandatory for row in bad) else "CO216")
+        assert text in problem.failed
+        assert problem.node in {row.node_id for row in bad}
