@@ -258,5 +258,13 @@ BOOT_MUTANTS: Final = tuple(
             "nodes that were stopped are said to be configured in part",
             NET,
         ),
+        (
+            "kept_alive_does_not_run",
+            _SUMMARY,
+            "        if state is NodeState.FAILED and assignment.keep_alive:",
+            "        if False:",
+            "no node is said to run, while one that is kept alive and wrong runs on",
+            WORDS,
+        ),
     )
 )

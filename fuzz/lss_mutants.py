@@ -21,7 +21,7 @@ LSS_MUTANTS: Final = tuple(
             "        believed = TRIES * pace.repeats\n",
             "        believed = 1\n",
             "one lost frame, and a device is left behind without a word",
-            ASSIGN,
+            SCAN,
         ),
         (
             "loss_is_lateness",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from canopen_proto.boot.entry import BootEntry
-from canopen_proto.boot.outcome import BootOutcome
+from canopen_proto.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.machine import NEVER, Time
-from canopen_proto.nmt import NmtCommand
+from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.remote_node import RemoteNode
 
 
@@ -51,6 +51,15 @@ class Member:
     def is_supervised(self) -> bool:
         """Whether its loss would be noticed: its heartbeats are watched, or it is guarded."""
         return bool(self.node.heartbeat.timeout or self.node.guarding.guard_time)
+
+    @property
+    def is_left_running(self) -> bool:
+        """Whether it has failed, was not reset since it is kept alive, and was last heard as Operational."""
+        outcome = self.outcome
+        if outcome is None or not outcome.is_failure or not self.entry.assignment.keep_alive:
+            return False
+        is_silent = outcome.letter in (BootLetter.SILENT, BootLetter.NO_HEARTBEAT, BootLetter.NO_GUARDING)
+        return not is_silent and not self.node.heartbeat.lost and self.node.nmt_state is NmtState.OPERATIONAL
 
     def may_be_unheard(self, outage: str, back_at: Time) -> bool:
         """Return whether it was lost while the bus was away (`outage`), or before it could show itself since (`back_at`)."""

@@ -130,7 +130,7 @@ class BootReport:
     outcomes: by node-ID, as far as there are. missing: the mandatory nodes that are not ready. running: the nodes that were
     started, or left running, and are still as they were then, as far as is known. gone: those that were ready, and are lost or
     have booted again. unsupervised: those that are ready, and whose loss nobody would notice: they send no heartbeat, and are not
-    guarded.
+    guarded. left_running: those that have failed, were not reset since they are kept alive, and were last heard as Operational.
     elapsed: ns.
     """
 
@@ -140,6 +140,7 @@ class BootReport:
     gone: tuple[int, ...]
     elapsed: Time
     unsupervised: tuple[int, ...] = ()
+    left_running: tuple[int, ...] = ()
 
     @property
     def is_started(self) -> bool:
@@ -214,6 +215,7 @@ class NetworkBoot:
             tuple(sorted(gone)),
             now - self._begun,
             tuple(node_id for node_id, member in members if member.is_ready and not member.is_supervised),
+            tuple(node_id for node_id, member in members if member.is_left_running),
         )
 
     def _is_unheard(self, member: Member) -> bool:

@@ -7,7 +7,7 @@ memory of CiA 302-2, and as Lely's master does it):
     "all"     bit 1 = 1: nobody is started before every mandatory node is ready, so nobody runs
     "none"    bit 3 = 1: the master starts nobody in any case
 
-A node that is kept alive and was Operational before runs on with each of them.
+A node that is kept alive and was Operational before runs on with each of them, even if it is the wrong one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Any, Final
 
 from canopen_cli.problem import ExitCode, Problem
 from canopen_cli.screen import counted
@@ -46,6 +46,8 @@ class NodeState(StrEnum):
     UNWATCHED = "was started, and is not supervised, so whether it still runs is not known"
     READY = "ready, not started"
     FAILED = "failed"
+    RUNS_ON = "failed, and runs on: it is kept alive"
+    MAY_RUN = "failed; it is kept alive, and whether it runs is not known"
     GONE = "was ready, and is lost or has booted again"
     STOPPED = "was stopped, since a mandatory node of its bus was lost"
     UNFINISHED = "not finished: reset, perhaps configured, or its program written, in part; not started"
@@ -59,6 +61,8 @@ class NodeState(StrEnum):
 _SHORT: Final = {
     NodeState.READY: "ready and not started",
     NodeState.FAILED: "failed",
+    NodeState.RUNS_ON: "failed and runs on, since it is kept alive",
+    NodeState.MAY_RUN: "failed and may run, since it is kept alive",
     NodeState.GONE: "lost or booted again",
     NodeState.STOPPED: "stopped",
     NodeState.UNFINISHED: "not finished",
@@ -96,12 +100,14 @@ class NodeRow:
 
 
 def rows_of(bus: str, entry: NetworkEntry, report: BootReport, places: dict[int, str], *, stopped: bool = False) -> list[NodeRow]:
-    """Return a row for each listed node of a bus. stopped: all of its nodes were stopped."""
+    """Return a row for each listed node of a bus. stopped: all of its nodes were stopped, also those that are kept alive."""
     rows = []
     for node_id, place in places.items():
-        is_mandatory = entry.nodes[node_id].assignment.is_mandatory
+        assignment = entry.nodes[node_id].assignment
         state = _state(report, node_id, stopped)
-        rows.append(NodeRow(bus, node_id, place, is_mandatory, state, report.outcomes.get(node_id)))
+        if state is NodeState.FAILED and assignment.keep_alive:  # no command was sent to it
+            state = NodeState.RUNS_ON if node_id in report.left_running else NodeState.MAY_RUN
+        rows.append(NodeRow(bus, node_id, place, assignment.is_mandatory, state, report.outcomes.get(node_id)))
     return rows
 
 
@@ -122,7 +128,8 @@ def tally(rows: Sequence[NodeRow]) -> str:
     """Say how many nodes run, and what became of the others: "11 of 12 nodes run, 1 failed"."""
     running = sum(row.is_running for row in rows)
     if not running:
-        text = "no node runs"
+        is_sure = not any(row.state in (NodeState.RUNS_ON, NodeState.MAY_RUN) for row in rows)
+        text = "no node runs" if is_sure else "no node was started"
     else:
         text = f"{running} of {counted(len(rows), 'node')} {'runs' if running == 1 else 'run'}"
     others = Counter(row.state for row in rows if not row.is_running)
@@ -147,15 +154,11 @@ def problem_of(rows: Sequence[NodeRow], startup: Startup) -> Problem | None:
         return Problem(ExitCode.PARTIAL, "CO216", what, seen=first.text, tries=(advice,), node=first.node_id)
     what = f"{counted(len(missing), 'mandatory node')} not ready ({_names(missing)}): {tally(rows)}"
     others_run = any(row.is_running for row in rows)
-    return Problem(
-        ExitCode.NO_ANSWER if any(row.is_silent for row in missing) else ExitCode.PARTIAL,
-        "CO215",
-        what,
-        seen=first.text,
-        also=(policy(startup),),
-        tries=(advice, _ALL_FIRST) if others_run and not startup.start_all and not startup.application_starts else (advice,),
-        node=first.node_id,
-    )
+    tries = (advice, _ALL_FIRST) if others_run and not startup.start_all and not startup.application_starts else (advice,)
+    told: dict[str, Any] = {"seen": first.text, "also": (policy(startup),), "tries": tries, "node": first.node_id}
+    if any(row.is_silent for row in missing):
+        return Problem(ExitCode.NO_ANSWER, "CO215", what, **told)
+    return Problem(ExitCode.PARTIAL, "CO215", what, **told)
 
 
 def policy(startup: Startup) -> str:

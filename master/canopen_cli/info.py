@@ -8,17 +8,18 @@ from typing import Any
 import click
 
 from canopen_cli.device_types import DRIVE_PROFILE, device_type_text, profile_of
+from canopen_cli.file_identity import IDENTITY, differences, identity_in
 from canopen_cli.options import NodeId, Settings, common
 from canopen_cli.running import run
 from canopen_cli.screen import Screen, node_text
 from canopen_cli.session import Session, open_session
-from canopen_data.description import DeviceDescription, FileKind
+from canopen_data.description import DeviceDescription
 from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
 from canopen_proto import indices
 from canopen_proto.cia402.modes import describe_status, mode_name, supported_modes
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, text_for_people
-from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
+from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.error_codes import error_text, register_names
 from canopen_proto.frame import COB_ID_INVALID
@@ -28,7 +29,6 @@ from canopen_proto.procedures.configure_pdo import StrangePdo, read_pdo
 from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import SdoFailed
 
-IDENTITY = ((1, "vendor-ID"), (2, "product code"), (3, "revision"), (4, "serial number"))
 MAX_HISTORY = 8
 MAX_PDOS_SHOWN = 8
 """PDOs shown in each direction. A device may have 512, and the first ones show the idea."""
@@ -95,39 +95,19 @@ async def identity_facts(session: Session, node: Node) -> Facts:
 
 def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tuple[dict[str, Any], str]:
     """Compare the identity of the node with its file. A number that the file lacks, or has as 0, fits every node."""
-    compared = {name: number for name, number in _identity_of(description, node_id).items() if name in facts}
-    different = [
-        {"field": name, "node": facts[name][0], "file": number} for name, number in compared.items() if facts[name][0] != number
-    ]
-    raw = {"name": description.source, "matches": not different if compared else None, "different": different}
-    if not compared:
+    known = identity_in(description, node_id)
+    different = differences(known, {name: raw for name, (raw, _) in facts.items() if isinstance(raw, int)})
+    is_compared = any(name in facts for name in known)
+    raw = {
+        "name": description.source,
+        "matches": not different if is_compared else None,
+        "different": [each._asdict() for each in different],
+    }
+    if not is_compared:
         return raw, f"{description.source}: it gives no identity of the device"
     if not different:
         return raw, f"{description.source}: MATCH"
-    fields = ", ".join(f"{each['field']} 0x{each['node']:08X} (file: 0x{each['file']:08X})" for each in different)
-    return raw, f"{description.source}: ANOTHER DEVICE by {fields}"
-
-
-def _identity_of(description: DeviceDescription, node_id: int) -> dict[str, int]:
-    """Return what the file says, by the names of `Facts`. A serial number counts only in the file of a single device."""
-    device = description.device_info
-    said = {"vendor-ID": device.vendor_number, "product code": device.product_number, "revision": device.revision_number}
-    for subindex, name in IDENTITY:
-        variable = description.dictionary.get(indices.IDENTITY_OBJECT, subindex)
-        if variable is not None and isinstance(value := _said(variable, node_id), int) and value:
-            said[name] = value
-    if description.kind not in (FileKind.DCF, FileKind.XDC):
-        said.pop("serial number", None)
-    wanted = {name: number for name, number in said.items() if number}
-    device_type = description.dictionary.get(indices.DEVICE_TYPE)
-    if device_type is not None and isinstance(value := _said(device_type, node_id), int):
-        wanted = {"device type": value} | wanted
-    return wanted
-
-
-def _said(variable: Variable, node_id: int) -> Value | None:
-    """Return the value of an object after start-up, or None if the file does not say."""
-    return None if variable.default is None and variable.configured is None else variable.initial_of(node_id)
+    return raw, f"{description.source}: ANOTHER DEVICE by {', '.join(map(str, different))}"
 
 
 async def _add_health(node: Node, facts: Facts) -> None:

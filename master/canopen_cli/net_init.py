@@ -11,6 +11,7 @@ import click
 
 from canopen_cli.device_files import split_file
 from canopen_cli.device_types import device_type_text
+from canopen_cli.file_identity import DEVICE_TYPE, IDENTITY, PRODUCT_CODE, VENDOR_ID, differences, identity_in, is_identified
 from canopen_cli.fleet import DEMO_LOCATOR
 from canopen_cli.new_files import check_new_file, write_file
 from canopen_cli.options import DEMO, NodeIds, Settings, common
@@ -20,7 +21,7 @@ from canopen_cli.scan import find_nodes
 from canopen_cli.screen import Screen, counted, escape
 from canopen_cli.session import open_session
 from canopen_data import DataError
-from canopen_data.describing import identified
+from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import SUFFIXES, load_description
 from canopen_data.findings import DictionaryError
 from canopen_master.machine_file import BootSettings, BusEntry, MachineFile, NodeEntry, machine_text
@@ -39,17 +40,17 @@ HEARTBEAT: Final = 500 * MILLISECOND
 
 
 class DeviceFile(NamedTuple):
-    """A file of a device, and the identity in it: vendor-ID, product code, revision."""
+    """A file of a device."""
 
     path: str
-    identity: tuple[int, int, int]
+    description: DeviceDescription
 
 
 @click.command()
 @click.option("-o", "--output", metavar="FILE.toml", required=True, help="The machine file to write.")
 @click.option(
     "--files", "folder", metavar="FOLDER", type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Device files (EDS, DCF, XDD, XDC): each node gets the one with its identity. -e FILE names single ones.",
+    help="Device files (EDS, DCF, XDD, XDC): each node gets the one that `info -e` calls a MATCH. -e FILE names single ones.",
 )  # fmt: skip
 @click.option("--serials", is_flag=True, help="Expect the serial numbers, too: devices that were swapped are noticed.")
 @click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
@@ -113,33 +114,42 @@ def _files(screen: Screen, folder: Path | None, given: Sequence[str]) -> Iterato
     listed = [] if folder is None else sorted(each for each in folder.iterdir() if each.suffix.lower() in SUFFIXES)
     for path in (*map(str, listed), *(path for node_id, path in map(split_file, given) if node_id is None)):
         try:
-            dictionary = identified(load_description(path))
+            yield DeviceFile(path, load_description(path))
         except (DataError, DictionaryError) as error:
             if path in given:
                 raise
             screen.say(f"[yellow]{escape(path)} cannot be read: {escape(str(error).splitlines()[0])}[/]")
-            continue
-        numbers = []
-        for subindex in (1, 2, 3):
-            variable = dictionary.get(indices.IDENTITY_OBJECT, subindex)
-            value = 0 if variable is None else variable.initial_of(1)
-            numbers.append(value if isinstance(value, int) else 0)
-        yield DeviceFile(path, (numbers[0], numbers[1], numbers[2]))
 
 
 def _file_of(screen: Screen, node: NodeFound, files: Sequence[DeviceFile]) -> str:
-    """Return the file with the identity of a node: vendor-ID and product code, and the revision if several have these."""
-    vendor, product, revision, _ = node.identity
-    if not vendor or product is None:
-        return ""
-    fitting = [each for each in files if each.identity[:2] == (vendor, product)]
+    """Return the file of a node's device: one with its vendor-ID and product code, which `canopen info -e` calls a MATCH.
+
+    A vendor-ID of 0 is none: a file without one is not taken by itself. It is named if nothing in it contradicts the node.
+    """
+    numbers = (node.device_type, *node.identity)
+    names = (DEVICE_TYPE, *(name for _, name in IDENTITY))
+    shown = {name: number for name, number in zip(names, numbers, strict=True) if number is not None}
+    fitting: list[str] = []
+    for each in files:
+        known = identity_in(each.description, node.node_id)
+        different = differences(known, shown)
+        takes = f"Try: -e {node.node_id}={escape(each.path)}, if it is its file"
+        if is_identified(known, shown):
+            if not different:
+                fitting.append(each.path)
+            else:
+                why = f"ANOTHER DEVICE by {', '.join(map(str, different))}"
+                screen.say(f"[yellow]node {node.node_id}: {escape(each.path)} is not taken: {why}. {takes}[/]")
+        elif not different and known.get(PRODUCT_CODE) and known[PRODUCT_CODE] == shown.get(PRODUCT_CODE):
+            why = "the file gives no vendor-ID" if not known.get(VENDOR_ID) else "the node shows none"
+            screen.say(
+                f"[yellow]node {node.node_id}: {escape(each.path)} is not taken by its product code alone: {why}. {takes}[/]"
+            )
     if len(fitting) > 1:
-        fitting = [each for each in fitting if each.identity[2] == revision] or fitting
-    if len(fitting) > 1:
-        names = ", ".join(escape(each.path) for each in fitting)
-        screen.say(f"[yellow]node {node.node_id}: several files have its identity, so none is taken: {names}[/]")
+        listed = ", ".join(map(escape, fitting))
+        screen.say(f"[yellow]node {node.node_id}: several files have its identity, so none is taken: {listed}[/]")
         return ""
-    return fitting[0].path if fitting else ""
+    return fitting[0] if fitting else ""
 
 
 def _beside(path: str, output: str) -> str:

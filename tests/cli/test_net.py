@@ -6,6 +6,7 @@ import signal
 from binascii import crc32
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -435,7 +436,7 @@ def test_init_writes_what_a_scan_finds(run: Run) -> None:
 def test_init_takes_the_file_with_the_identity(run: Run) -> None:
     Path("eds").mkdir()
     description = load_description("sample_io.eds")
-    identity: dict[Mux, Value] = {mux(0x1018, 1): 0x332, mux(0x1018, 2): 0x43}
+    identity: dict[Mux, Value] = {mux(0x1000): 0x20192, mux(0x1018, 1): 0x332, mux(0x1018, 2): 0x43}
     Path("eds/own.dcf").write_text(write_eds(with_configured(description, identity, Commissioning(4))))
     Path("eds/other.eds").write_text(write_eds(description))
     Path("eds/broken.eds").write_text("nothing")
@@ -444,6 +445,42 @@ def test_init_takes_the_file_with_the_identity(run: Run) -> None:
     run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "4", *DEMO, "--force")
     node = read_machine("new.toml").nodes["node4"]
     assert (node.device.file, node.boot) == ("eds/own.dcf", BootSettings(mandatory=True, heartbeat=500 * MILLISECOND))
+
+
+def a_file(name: str, device_type: int = 0x20192, **numbers: int) -> None:
+    """Write the file of a device with these numbers in 0x1018, by their names in `SUBS`."""
+    own: dict[Mux, Value] = {mux(0x1000): device_type, **{mux(0x1018, SUBS[key]): value for key, value in numbers.items()}}
+    Path("eds").mkdir(exist_ok=True)
+    bare = load_description("sample_io.eds")
+    info = replace(bare.device_info, vendor_number=None, product_number=None, revision_number=None)
+    Path("eds", name).write_text(write_eds(with_configured(replace(bare, device_info=info), own, Commissioning(3))))
+
+
+SUBS = {"vendor": 1, "product": 2, "revision": 3, "serial": 4}
+
+
+@pytest.mark.parametrize("vendor", [0, 0x332, 0x29C])
+@pytest.mark.parametrize("product", [0, 0x43, 0x44])
+@pytest.mark.parametrize("device_type", [0x20192, 0x191])
+def test_init_takes_a_file_only_if_info_calls_it_a_match(run: Run, vendor: int, product: int, device_type: int) -> None:
+    """The nodes of the demo: vendor-ID 0x332, product code 0x43. A vendor-ID of 0 in a file is unknown, and no evidence."""
+    a_file("its.dcf", device_type, vendor=vendor, product=product, serial=0)
+    outcome = run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "3", *DEMO, "--force", "--json")
+    ((file,),) = ([each["file"] for each in outcome.json["nodes"]],)
+    said = run("info", "3", "-e", "3=eds/its.dcf", *DEMO, "--json").json["file"]
+    assert file in (None, "eds/its.dcf")
+    assert (file is not None) == (said["matches"] is True and (vendor, product) == (0x332, 0x43))
+    if file is None and said["matches"] and product:
+        assert "is not taken by its product code alone: the file gives no vendor-ID" in outcome.err
+        assert "-e 3=eds/its.dcf" in outcome.err
+
+
+def test_a_file_of_another_device_type_is_named_with_the_words_of_info(run: Run) -> None:
+    a_file("its.dcf", 0x191, vendor=0x332, product=0x43)
+    told = run("net", "init", "-o", "new.toml", "--files", "eds", "--ids", "3", *DEMO).err
+    words = "ANOTHER DEVICE by device type 0x00020192 (file: 0x00000191)"
+    assert words in told
+    assert words in run("info", "3", "-e", "3=eds/its.dcf", *DEMO).out
 
 
 # ---- mistakes ----

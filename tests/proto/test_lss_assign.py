@@ -338,6 +338,15 @@ def test_the_time_for_one_device_is_kept_and_what_is_known_of_it_is_told() -> No
     assert bench.none_is_selected
 
 
+def test_a_search_that_is_given_up_takes_nothing_from_those_that_are_ready_and_says_so() -> None:
+    bench = LssBench([LssAddress(*TYPE, 1), LssAddress(*TYPE, 0xFFFF_FFFF)], window=100 * MILLISECOND)
+    bench.pace.device_limit = 3 * SECOND
+    result = bench.run(assign_all(Assignment(bench.tool, in_order(range(10, 100)), bench.pace)))
+    assert [given.is_complete for given in result.done] == [True]
+    assert "the time for one device is over" in result.unfinished
+    assert (bench.ids, bench.none_is_selected) == ([10, UNCONFIGURED], True)
+
+
 def test_a_device_that_was_left_alone_hides_no_other() -> None:
     """It is selected while the others are searched, though it has the lowest address and answers each fastscan."""
     addresses = some(4)

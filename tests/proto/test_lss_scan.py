@@ -134,6 +134,23 @@ class NoFastscan(LssSlave):
             super().receive(frame, now)
 
 
+class LikeCanopenNode(LssSlave):
+    """It does not know "who has no node-ID?" (0x4C)."""
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        if frame.data[0] != LssService.IDENTIFY_NON_CONFIGURED:
+            super().receive(frame, now)
+
+
+@pytest.mark.parametrize("lost", [{2}, {2, 4}, {4}])
+def test_a_device_that_knows_only_fastscan_is_found_though_the_first_questions_are_lost(lost: set[int]) -> None:
+    bench = scene([], lose=lost)
+    bench.bus.attach(LikeCanopenNode(Outbox(), LssAddress(1, 2, 3, 4)))
+    assert bench.run(survey(bench.tool, bench.pace)).found == [(1, 2, 3, 4)]
+    asked = [frame.data[0] for number, (_, frame) in enumerate(bench.bus.sent) if number in lost]
+    assert LssService.FASTSCAN in asked
+
+
 def test_devices_without_fastscan_are_told_of() -> None:
     bench = scene([])
     bench.bus.attach(NoFastscan(Outbox(), LssAddress(1, 2, 3, 4)))
