@@ -50,6 +50,13 @@ FLASH_MUTANTS: Final = tuple(
             "a reset before the confirmation brings the old program back, and it is called new",
         ),
         (
+            "identity_across_a_boot",
+            _OBJECTS,
+            "            if self.node.boots == boots:\n",
+            "            if True:\n",
+            "what a device showed before it went back to its old program counts as evidence",
+        ),
+        (
             "silence_about_it",
             _DOWNLOAD,
             "remarks = [] if self.so_far.verified_by else [NOT_VERIFIED]",

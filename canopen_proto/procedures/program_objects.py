@@ -116,11 +116,18 @@ class ProgramObjects:
         return (yield from self._await(indices.PROGRAM_SOFTWARE, lambda value: True, limit, refusal_is_none=True))
 
     def identity(self, limit: Time) -> Procedure[ProgramIdentity]:
-        """Return what tells the present program from another."""
-        program = yield from self.identification(limit)
-        version = yield from self._bytes(indices.MANUFACTURER_SOFTWARE_VERSION, 0)
-        revision = yield from self._bytes(indices.IDENTITY_OBJECT, 3)
-        return ProgramIdentity(program, version, None if revision is None else int.from_bytes(revision[:4], "little"))
+        """Return what tells the present program from another; if the device boots meanwhile, what it shows then."""
+        identity = NOTHING_KNOWN
+        for _ in range(TRIES):
+            boots = self.node.boots
+            version = yield from self._bytes(indices.MANUFACTURER_SOFTWARE_VERSION, 0)
+            revision = yield from self._bytes(indices.IDENTITY_OBJECT, 3)
+            program = yield from self.identification(limit)  # the best evidence last: it is the freshest
+            number = None if revision is None else int.from_bytes(revision[:4], "little")
+            identity = ProgramIdentity(program, version, number)
+            if self.node.boots == boots:
+                break
+        return identity
 
     def settled(self, limit: Time) -> Procedure[FlashStatus | None]:
         """Wait until the flash is not busy; return its status, None if it cannot be read. A flash that is busy at the limit is no
