@@ -9,6 +9,7 @@ from fuzz.mutant import Mutant
 ANY_SITUATION: Final = ("tests/proto/test_drive_stateful.py",)
 TABLES: Final = ("tests/proto/test_cia402_tables.py",)
 WALK: Final = ("tests/proto/test_drive_state_walk.py",)
+HOMING: Final = ("tests/proto/test_master_homing.py",)
 HOMED: Final = ("tests/proto/test_homed_means_homed.py",)
 KILLS: Final = ("tests/proto/test_kill_table.py",)
 STOP_FIRST: Final = ("tests/proto/test_stop_first.py",)
@@ -26,6 +27,22 @@ DRIVE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
         # ---- the master ----
+        (
+            "homed_from_a_motion",
+            _HOMING,
+            "    yield from halt(axis)\n    axis.is_homed = False",
+            "    axis.is_homed = False",
+            "a drive that moves gets another mode before it is halted",
+            HOMING,
+        ),
+        (
+            "zeros_are_methods",
+            "drive/homing_parameters.py",
+            "        if method:\n",
+            "        if method is not None:\n",
+            "a list of zeros refuses every method",
+            HOMING,
+        ),
         (
             "never_settled",
             _HOMING,

@@ -17,6 +17,14 @@ MASTER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
         (
+            "whole_step_in_less_than_a_period",
+            "canopen_master/motion/cycles.py",
+            "self._write(1.0 - late % self._period / self._period)",
+            "self._write(1.0)",
+            "behind a late SYNC a joint is faster than its limit",
+            STALLS,
+        ),
+        (
             "known_after_the_pump",
             "canopen_master/participant.py",
             "self._begun = self._participant.start(procedure)\n        self._participant.pump.pump()",

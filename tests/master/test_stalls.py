@@ -214,6 +214,19 @@ def test_a_shorter_period_has_a_shorter_step_and_what_is_missing_comes_later() -
     assert within.is_on_path
 
 
+@virtual_time
+async def test_the_step_behind_a_late_sync_is_as_long_as_the_time_that_is_left_for_it() -> None:
+    async with arms(1) as (_, [arm], _):
+        await arm.follow()
+        points = arm._set_points
+        (start,), (way,) = arm.desired_positions, points.limited_ways
+        arm.set_positions([start + way])
+        assert arm.desired_positions == pytest.approx([start + way], abs=way / 100)
+        for late, share in ((0.75, 0.25), (1.5, 0.5), (3.9, 0.1)):
+            points.before_late_sync(round(late * points.period))
+            assert arm.desired_positions == pytest.approx([start + share * way], abs=way / 100)
+
+
 def test_a_joint_without_a_limit_is_left_alone() -> None:
     within = WithinReach([0.0], [float("inf")])
     for number in (1, 2, 3):

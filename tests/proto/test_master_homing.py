@@ -9,22 +9,26 @@ import pytest
 
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.homing_methods import MAXON_HOMING, HomingMethod, HomingSwitch
-from canopen_proto.cia402.modes import HomingStatus
+from canopen_proto.cia402.modes import HomingStatus, Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.drive import (
     DriveError,
     HomingFailed,
     HomingProgressed,
     ModeUnsupported,
+    enable,
     home,
     home_if_needed,
     move_to,
     read_homing_methods,
     read_position,
+    set_mode,
 )
 from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.multiplexer import Mux
+from canopen_proto.procedures.objects import write
+from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.simulated_drive.homing import METHODS
 from canopen_proto.simulated_drive.plant import Mechanics
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
@@ -209,6 +213,22 @@ def test_a_drive_that_has_its_reference_need_not_home() -> None:
     assert joint.run(home_if_needed(joint.axis))
     joint.axis.is_homed = False  # a new master, which reads bit 15
     assert not joint.run(home_if_needed(joint.axis))
+
+
+def test_a_drive_that_moves_is_halted_before_it_gets_another_mode() -> None:
+    """By the drive's own truth: it stands when its mode changes, and not only when it begins to home."""
+    rig = rig_with(replace(DEGREES, homing_method=35))
+    rig.run(set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(enable(rig.axis))
+    rig.run(write(rig.remote, "0x60FF", 20_000))
+    rig.bus.run(SECOND)
+    rig.drive.refresh(rig.bus.now)
+    assert rig.drive._servo.demand_velocity
+    request = rig.master.run(home(rig.axis), rig.bus.now)
+    rig.bus.run_until(lambda: rig.node.values.store[objects.MODES_OF_OPERATION] == Mode.HOMING, 10 * SECOND)
+    rig.drive.refresh(rig.bus.now)
+    assert not rig.drive._servo.demand_velocity
+    assert isinstance(rig.outcome(request), ProcedureFinished)
 
 
 def test_method_0_is_said_as_such_and_zeros_in_the_list_are_none() -> None:
