@@ -1,4 +1,9 @@
-"""Planted bugs of trajectories: limits, clock, blends and stops. No fuzz target knows a path; tests find them."""
+"""Planted bugs of trajectories: limits, clock, blends and stops. No fuzz target knows a path; tests find them.
+
+Believed equivalent, and so not planted: in stop_check.py, `v, w = v - bow * third, w + bow * third` left out. A velocity bulges
+between two looks only where the acceleration changes its sign, and there the bounds of 3 r dr/dt p'' have more to spare than the
+bulge needs. Of 30,000 random stops none was let pass that exceeds a limit.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +13,7 @@ from fuzz.mutant import Mutant
 
 CLOCK: Final = ("tests/proto/test_path_clock.py",)
 ROUNDED: Final = ("tests/data/test_path_rounding.py",)
+STOPS: Final = ("tests/proto/test_stop_check.py",)
 LIMITS: Final = ("tests/proto/test_path_limits.py",)
 
 _CHECK: Final = "trajectory/limit_check.py"
@@ -135,6 +141,14 @@ TRAJECTORY_MUTANTS: Final = tuple(
             "if stretches[number][10] is None:",
             "a stop that is tried along its own way passes a jump of the acceleration unseen",
             CLOCK,
+        ),
+        (
+            "acceleration_of_a_stop_nearly",
+            _STOP,
+            "if low < -most or high > most:",
+            "if low < -1.05 * most or high > 1.05 * most:",
+            "a stop may exceed the acceleration by a little",
+            STOPS,
         ),
         (
             "jerk_of_a_stop",
