@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from canopen_cli.app import CLOSED_PIPE
-from canopen_cli.demonstration import MAX_LATE_SHARE
 from canopen_cli.failures import problem_of
 from canopen_cli.problem import ExitCode
 from canopen_master import errors
@@ -98,6 +97,7 @@ def statuses_of_codes() -> dict[str, set[int]]:
         errors.SdoNotConfirmed(*given_up),
         errors.SdoGivenUp(*given_up),
         errors.SdoNotConfirmed(errors.CONTESTED, *given_up[1:]),
+        errors.RealtimeRefused(errors.REALTIME_REFUSED, "x"),
         errors.MasterClosed(),
         NotConnected(),
         AlreadyConnected("x"),
@@ -123,10 +123,6 @@ def test_the_exit_statuses_are_all_there(page: str) -> None:
     shown = {int(status): kind for status, kind in re.findall(r"^\| ([0-9]+) \| (?:`(\w+)`)? ?\|", page, re.MULTILINE)}
     expected = {int(status): status.kind for status in ExitCode}
     assert shown == expected | {ExitCode.OK: "", CLOSED_PIPE: ""}
-
-
-def test_the_share_of_late_cycles_is_that_of_the_demo(page: str) -> None:
-    assert f"`demo`: more than {MAX_LATE_SHARE:.0%} of the cycles were late".replace("%", " %") in page
 
 
 def test_each_exception_on_the_page_exists(page: str, rows: list[list[str]]) -> None:

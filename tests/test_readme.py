@@ -1,7 +1,4 @@
-"""The Python examples of the README and of some pages run as they stand, each as a script of its own.
-
-In real time: so the joints of `direct.simulated` are those that never lose SYNC.
-"""
+"""The Python examples of the README and of some pages run as they stand, each as a script of its own."""
 
 from __future__ import annotations
 
@@ -19,12 +16,6 @@ NAMES = ("devices.md", "machine.md", "first-move.md", "recording.md", "lss.md", 
 PAGES = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in NAMES)
 EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT + PAGES, re.DOTALL)
 LIMIT = 60  # seconds, for a machine that is busy with other things
-BEFORE = """
-from canopen_master.direct import connection
-from tests.master.direct_world import patient
-
-connection.powerballs = patient
-"""
 
 
 def test_there_are_examples() -> None:
@@ -34,8 +25,7 @@ def test_there_are_examples() -> None:
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
 def test_example(number: int) -> None:
     path = os.pathsep.join(sys.path)
-    before = BEFORE if "direct" in EXAMPLES[number] else ""
-    script = [sys.executable, "-W", "error", "-c", before + EXAMPLES[number]]
+    script = [sys.executable, "-W", "error", "-c", EXAMPLES[number]]
     ran = subprocess.run(
         script, capture_output=True, text=True, timeout=LIMIT, env={**os.environ, "PYTHONPATH": path}, check=False
     )

@@ -25,6 +25,10 @@ that such a drive has stopped.
 
 Values that no PDO carries (`unsent`) must be read: `read_unsent` (unsent.py) does that. `following_limit` finds the limit.
 
+**Late SYNC.** A drive that gets its SYNC late, because the computer that sends it was busy, may stop following for no other
+reason. `late_sync` tells by how much SYNC was late, so that an error
+can name that cause first.
+
 **Late positions.** On a bus without room, positions come late, and look like a following error: answer_delay.py tells them apart.
 
     limit = yield from following_limit(axis, (yield from read_limits(axis)))
@@ -66,6 +70,8 @@ SILENT_SYNCS: Final = 3
 """More than one: a drive is not lost because a frame is."""
 SILENT_TIME: Final = 20 * MILLISECOND
 """An adapter may hold frames back this long (a serial one over USB: 16 ms by default)."""
+LATE_SYNC_TIME: Final = SECOND
+"""A SYNC that was late within this time may be why a drive does not follow."""
 CATCH_UP_TIME: Final = 200 * MILLISECOND
 """A drive that limits its speed gets back to its set-points in this time, if a SYNC came at the wrong time."""
 
@@ -119,7 +125,9 @@ class Following:
     """The watch on one drive; see this module's text. Each Axis has one, for its whole life.
 
     error: the following error as last seen, in the user's unit; 0 while the watch is off. largest_error: the largest so far; the
-    caller may set it back to 0. unsent: muxes of watched objects that the drive does not send at SYNCs.
+    caller may set it back to 0. late_sync: by how many ns SYNC was late, at most, within LATE_SYNC_TIME before the watch found
+    something; 0: it was in time, or its period is not known. unsent: muxes of watched objects that the drive does not send at
+    SYNCs.
     """
 
     __slots__ = (
@@ -131,11 +139,14 @@ class Following:
         "_delay",
         "_flawless",
         "_forgiven",
+        "_forgives",
         "_has_bit_12",
         "_is_answered",
         "_is_on",
         "_lag",
         "_last_sync",
+        "_late_at",
+        "_latest",
         "_limit",
         "_limited",
         "_mode",
@@ -151,6 +162,7 @@ class Following:
         "_watched",
         "error",
         "largest_error",
+        "late_sync",
         "unsent",
     )
 
@@ -176,12 +188,16 @@ class Following:
         self._flawless: int | None = None  # a statusword in which nothing was found
         self._limited = 0  # statuswords in a row with bit 11
         self._period, self._forgiven = 0, 0  # SYNCs until bit 11 counts again
+        self._forgives = True
+        self._latest: Time = 0  # the most by which a SYNC was late since `_late_at` - LATE_SYNC_TIME
+        self._late_at: Time = 0
         self._last_sync: Time | None = None
         self._catches_up = 1
         self._syncs_to_turn = 0  # 0: no turn is awaited
         self._turn_not_before: Time = 0
         self.error = 0.0
         self.largest_error = 0.0
+        self.late_sync: Time = 0
         self.unsent: set[Mux] = set()
         axis.node.add_listener(self._on_values, self._on_boot, self._on_sync)
 
@@ -206,18 +222,19 @@ class Following:
         catches_up: int = 1,
         silent_syncs: int = SILENT_SYNCS,
         period: Time = 0,
+        forgives: bool = True,
     ) -> None:
         """Watch the drive from now on. It must already follow set-points (bit 12), and stand at the present one.
 
         limit: of the following error, in the user's unit. mode: the mode of operation that 0x6061 has to show. cyclic: as for
         `expect`. lag: SYNCs from sending a set-point to reaching it. slack: further SYNCs that the drive may be behind;
         more than UNCERTAIN for a drive with a profile of its own. catches_up: statuswords in a row in which bit 11 is no finding.
-        silent_syncs: unanswered SYNCs in a row that make the drive count as silent. period: ns from SYNC to SYNC; behind one that
-        comes at another time, bit 11 is no finding for CATCH_UP_TIME. 0: not known.
+        silent_syncs: unanswered SYNCs in a row that make the drive count as silent. period: ns from SYNC to SYNC; 0: not known.
+        forgives: behind a SYNC that comes at another time, bit 11 is no finding for CATCH_UP_TIME.
         """
         self._limit, self._lag, self._bounds, self._catches_up = limit, lag, None, catches_up
         self._begin(mode, cyclic, silent_syncs, _WATCHED)
-        self._period, self._last_sync = period, None
+        self._period, self._last_sync, self._forgives, self._latest = period, None, forgives, 0
         self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + slack + 1)
 
     def begin_within(
@@ -265,6 +282,14 @@ class Following:
         """How far off its set-points the drive may be, in the user's unit, as `begin` was told."""
         return self._limit
 
+    def _late_sync(self, now: Time) -> Time:
+        """Return by how many ns SYNC was late, at most, within LATE_SYNC_TIME; one that is due and has not come is late, too."""
+        if self._last_sync is None or not self._period:
+            return 0
+        waited = now - self._last_sync - self._period
+        recent = self._latest if now - self._late_at <= LATE_SYNC_TIME else 0
+        return max(recent, waited if waited > self._period // 4 else 0)
+
     def end(self) -> None:
         """End the watch: no more set-points follow."""
         self._is_on = False
@@ -275,6 +300,7 @@ class Following:
         if self._is_on:
             self._is_on = False
             node = self._axis.node
+            self.late_sync = self._late_sync(max(node.heard_at.values(), default=self._last_sync or 0))
             node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows, self._axis.number, late))
 
     def await_turn(self, syncs: int, not_before: Time) -> None:
@@ -380,8 +406,11 @@ class Following:
     def _judge_period(self, now: Time) -> None:
         """See whether the SYNC came at another time than the drive expects: it has to get back to its set-points then."""
         before, self._last_sync = self._last_sync, now
-        if before is not None and abs(now - before - self._period) > self._period // 4:
-            self._forgiven = -(-CATCH_UP_TIME // self._period)
+        late = 0 if before is None else now - before - self._period
+        if abs(late) > self._period // 4:
+            if late > 0 and late >= (self._latest if now - self._late_at <= LATE_SYNC_TIME else 0):
+                self._latest, self._late_at = late, now
+            self._forgiven = -(-CATCH_UP_TIME // self._period) if self._forgives else 0
         elif self._forgiven:
             self._forgiven -= 1
 

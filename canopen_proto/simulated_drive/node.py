@@ -31,7 +31,7 @@ from canopen_proto.simulated_drive.drive import Drive
 from canopen_proto.simulated_drive.events import DriveFault, DriveFaultCleared, InputsChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulated_drive.fallbacks import UNSET_BY_ZERO
 from canopen_proto.simulated_drive.late_drive import LateDrive
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import SYNC_TOLERANCE, DriveSettings, Shape
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -184,6 +184,6 @@ class DriveNode(LocalNode):
             drive.rpdo_overdue(now)
 
 
-def powerball(out: Outbox, node_id: int) -> DriveNode:
-    """Return a joint of the Schunk Powerball arm, as the manual's library met it."""
-    return DriveNode(out, node_id, DriveSettings(shape=Shape.SCHUNK_POWERBALL))
+def powerball(out: Outbox, node_id: int, sync_tolerance: Time = SYNC_TOLERANCE) -> DriveNode:
+    """Return a joint of the Schunk Powerball arm, as the manual's library met it. sync_tolerance: see DriveSettings."""
+    return DriveNode(out, node_id, DriveSettings(shape=Shape.SCHUNK_POWERBALL, sync_tolerance=sync_tolerance))

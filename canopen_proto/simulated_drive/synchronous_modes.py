@@ -10,8 +10,9 @@ farther than 6067h from it, the mode stops following.
 (`Servo.interpolate`). So it brakes as soon as one SYNC, or one target of csp, is missing.
 
 **SYNC or an RPDO is lost.** SYNC is lost if none has come for three of its periods (1006h; 60C2h if 1006h is 0), and at least for
-SYNC_TOLERANCE. The watch begins with the first SYNC that the mode acts on. An RPDO is lost if it does not come within its event
-time (1400h:05), whatever it carries. Either way the mode stops following, and the axis brakes by the quick stop ramp.
+`sync_tolerance` of the settings. The watch begins with the first SYNC that the mode acts on. An RPDO is lost if it does not come
+within its event time (1400h:05), whatever it carries. Either way the mode stops following, and the axis brakes by the quick stop
+ramp.
 
 **The mode stops following**: bit 12 falls, and the warning bit rises; the drive stays in Operation enabled. ip follows again
 after a new rising edge of bit 4. csp follows again at the first SYNC that finds 607Ah where the axis stands (within 6067h), so
@@ -30,14 +31,12 @@ from canopen_proto.cia402.modes import ModeStatus
 from canopen_proto.cia402.positioning import Direction
 from canopen_proto.cia402.states import ControlBit, StatusBit
 from canopen_proto.communication_objects import CYCLE_PERIOD
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Time
+from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulated_drive.profile_modes import OperationMode
 from canopen_proto.simulated_drive.servo import UNLIMITED
 from canopen_proto.simulated_drive.turns import place_of
 
-SYNC_TOLERANCE: Final = 100 * MILLISECOND
-"""A SYNC that stays away for less is late, not lost: the axis brakes until it comes, then goes on."""
 _MISSED_SYNCS: Final = 3
 
 
@@ -70,7 +69,7 @@ class SynchronousMode(OperationMode):
     def _await_sync(self) -> None:
         """Start to wait for the next SYNC: the mode acts on this one."""
         period = self.servo.parameter(CYCLE_PERIOD) * MICROSECOND or round(self.servo.interpolation_period() * SECOND)
-        self._sync_timeout = max(_MISSED_SYNCS * period, SYNC_TOLERANCE)
+        self._sync_timeout = max(_MISSED_SYNCS * period, self.servo.settings.sync_tolerance)
         self.due = self.servo.time + self._sync_timeout
 
     def _stop_following(self) -> None:

@@ -81,7 +81,7 @@ def demo(
     With a machine file (-m; CANOPEN_MACHINE does not count) its chain moves: simulated, or for real with -b NAME of one of its
     buses, then on all of its buses, in its units and limits.
 
-    Exit status: 0 done, 7 done, but more than 5 % of the cycles were late.
+    Exit status: 0 done. If more than 5 % of the cycles were late, that is said.
 
     \b
     canopen demo

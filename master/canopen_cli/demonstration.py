@@ -33,7 +33,7 @@ from canopen_master.motion.chain_file import same_nodes
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
 from canopen_master.session import open_master
-from canopen_master.simulation import DeviceMaker
+from canopen_master.simulation import DeviceMaker, patient_cycles
 from canopen_proto.cia402.modes import Mode, mode_name
 from canopen_proto.drive.limits import Limit
 from canopen_proto.drive.units import Unit
@@ -203,7 +203,10 @@ class Demonstration:
         settings = ChainSettings(mode=None) if self.plan.files else ChainSettings()
         if machine is not None:
             settings = machine.chains[description.name].settings
-        chain = master.chain(description, replace(settings, cycle_time=self.plan.cycle / SECOND), axes=axes)
+        settings = replace(settings, cycle_time=self.plan.cycle / SECOND)
+        if self.plan.bus is None:
+            settings = replace(settings, max_missed_cycles=patient_cycles(settings.cycle_time))
+        chain = master.chain(description, settings, axes=axes)
         self._devices, self._halts = chain.devices, master.halts
         self._latest = [(0.0, 0.0)] * len(chain.devices)
         for number, device in enumerate(chain.devices):
@@ -421,12 +424,13 @@ class Demonstration:
         if not cycles.was_kept:
             late, cycle = _percent(cycles.late_share), _ms(self.plan.cycle)
             screen.say(f"[yellow]this computer could not keep a cycle of {cycle}: {late} of the periods were late[/]")
-            screen.say("  try:   a longer --cycle, or a computer that does less besides")
+            screen.say("  seen:  all was done: the path waits for a late computer, and no joint was sent faster than it may go")
+            screen.say("  try:   canopen doctor, a longer --cycle, or a computer that does less besides")
         elif self.plan.bus is None and not screen.json_output:
             is_own = self.plan.machine is not None or self.plan.files or self.plan.chains != CHAINS
             node_id = self.results[-1].node_id
             screen.say(NEXT_OF_OTHERS.format(node=node_id, time=self.plan.seconds / 2) if is_own else NEXT)
-        return ExitCode.OK if cycles.was_kept else ExitCode.PARTIAL
+        return ExitCode.OK
 
     def _as_json(self) -> dict[str, Any]:
         return {

@@ -19,6 +19,7 @@ from canopen_cli.screen import Screen, escape
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.doctor import Finding, Health, examine
 from canopen_transports.locator import bitrate_text, parse_locator
+from canopen_transports.realtime_checks import check_realtime
 from canopen_transports.receive_test import NO_WIRE, Each, Heard, find_bitrate, listen
 
 LISTEN: Final = 2 * SECOND
@@ -36,6 +37,8 @@ _STYLES: Final = {Health.OK: "green", Health.NOTE: "dim", Health.WARNING: "bold 
 @click.pass_obj
 def doctor(settings: Settings, duration: Time, bitrates: bool) -> int:
     """Check adapters, drivers and permissions; with -b also what is heard on a bus. Nothing is sent.
+
+    The lines about real time say what keeps this computer from an exact cycle: docs/realtime.md.
 
     Exit status: 0 all is well, 1 something needs doing (or nothing was heard), 3 or 9 the bus cannot be opened, 4 bus fault.
     """
@@ -62,7 +65,7 @@ def doctor(settings: Settings, duration: Time, bitrates: bool) -> int:
 
 
 def _examine_computer(screen: Screen) -> int:
-    findings = examine()
+    findings = [*examine(), *check_realtime()]
     if screen.json_output:
         screen.json([_finding_as_json(each) for each in findings])
     else:

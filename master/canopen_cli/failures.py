@@ -76,6 +76,8 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _spoken(error, ExitCode.BAD_FILE)
         case errors.UnknownChain() | errors.SetPointRefused() | errors.PlanRefused() | errors.PackageMissing():
             return _spoken(error, ExitCode.USAGE)
+        case errors.RealtimeRefused():
+            return _spoken(error, ExitCode.PERMISSION)
         case errors.NodeError():
             return _spoken(error, ExitCode.SDO_ABORT)
         case errors.MasterError():

@@ -17,7 +17,7 @@ import trio
 from canopen_data.configured import configure
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_master.parameter_keeper import ParameterKeeper
-from canopen_master.simulation import DeviceMaker, Host
+from canopen_master.simulation import IN_PROCESS, DeviceMaker, Host
 from canopen_proto import indices
 from canopen_proto.cia402.objects import VELOCITY_ACTUAL_VALUE
 from canopen_proto.dictionary import ObjectDictionary
@@ -49,12 +49,16 @@ _TRACK: Final = Track(home_switch=(0.0, math.inf))
 
 
 def drive_maker(
-    number: int, node_id: int, shape: Shape = Shape.SCHUNK_POWERBALL, dictionary: ObjectDictionary | None = None
+    number: int,
+    node_id: int,
+    shape: Shape = Shape.SCHUNK_POWERBALL,
+    dictionary: ObjectDictionary | None = None,
+    sync_tolerance: Time = IN_PROCESS,
 ) -> DeviceMaker:
     """Return a function that makes a simulated drive.
 
     number: its place in the fleet, from 0. dictionary: that of a device's own file, for which `drive_obstacle` finds no obstacle;
-    by default that of the shape.
+    by default that of the shape. sync_tolerance: see DriveSettings.
     """
     is_own = dictionary is None
     if dictionary is None:
@@ -63,7 +67,9 @@ def drive_maker(
     else:
         dictionary, _ = drive_dictionary_of(dictionary, shape)
     position = _POSITIONS[number % len(_POSITIONS)]
-    settings = DriveSettings(shape=shape, position=position, track=_TRACK, stops_at_switches=is_own)
+    settings = DriveSettings(
+        shape=shape, position=position, track=_TRACK, stops_at_switches=is_own, sync_tolerance=sync_tolerance
+    )
     return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
 
 

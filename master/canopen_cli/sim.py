@@ -13,7 +13,7 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, simulated_devices, simulated_fleet
+from canopen_cli.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, drive_maker, simulated_devices, simulated_fleet
 from canopen_cli.options import DEMO, Duration, FiniteRange, Settings, common
 from canopen_cli.problem import usage
 from canopen_cli.running import run_until_interrupted
@@ -30,6 +30,7 @@ from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.nmt import NmtStateChanged
 from canopen_proto.programs import FlashStatus
 from canopen_proto.simulated_drive.events import DriveFault, DriveStateChanged
+from canopen_proto.simulated_drive.settings import SYNC_TOLERANCE
 
 DEFAULT_IDS: Final = DEMO_NODES
 
@@ -125,7 +126,8 @@ def sim(
                 loaders = [partial(BootLoader, node_id=node_id, settings=how) for node_id in ids]
                 return counted(len(ids), "boot loader"), simulated_devices({locator: loaders}, tell)
             drives = [(locator, node_id) for node_id in ids]
-            fleet = simulated_fleet(drives, SHAPES[shape or "schunk"], tell, keeper=_keeper(state or ""))
+            make = partial(drive_maker, shape=SHAPES[shape or "schunk"], sync_tolerance=SYNC_TOLERANCE)  # the master is elsewhere
+            fleet = simulated_fleet(drives, on_event=tell, make=make, keeper=_keeper(state or ""))
             return counted(len(ids), "simulated drive"), fleet
         made = models(plant.devices, screen)
         keeper = _keeper(state or plant.state)

@@ -33,7 +33,7 @@ from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.multiplexer import Mux
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulated_drive.settings import SYNC_TOLERANCE, DriveSettings, Shape
 
 SHAPES: Final = {"schunk": Shape.SCHUNK_POWERBALL, "standard": Shape.STANDARD}
 PLANT_SUFFIX: Final = ".toml"
@@ -117,7 +117,11 @@ def devices_on(
     for name, locator in buses.items():
         nodes = [node for node in machine.nodes.values() if node.bus == name]
         described = models([_beside_machine(machine, node.device, settings) for node in nodes if node.device.file], screen)
-        joints = [drive_maker(number, node.node_id) for number, node in enumerate(nodes) if not node.device.file]
+        joints = [
+            drive_maker(number, node.node_id, sync_tolerance=SYNC_TOLERANCE)
+            for number, node in enumerate(nodes)
+            if not node.device.file
+        ]
         if nodes:
             made[name] = locator, [*described, *joints]
     return made

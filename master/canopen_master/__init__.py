@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from canopen_master.errors import PackageMissing as PackageMissing
     from canopen_master.errors import PathRefused as PathRefused
     from canopen_master.errors import PlanRefused as PlanRefused
+    from canopen_master.errors import RealtimeRefused as RealtimeRefused
     from canopen_master.errors import SdoContested as SdoContested
     from canopen_master.errors import SdoError as SdoError
     from canopen_master.errors import SdoGivenUp as SdoGivenUp
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
     from canopen_proto.drive.axis import AxisSettings as AxisSettings
     from canopen_proto.drive.axis import HomingStyle as HomingStyle
     from canopen_proto.procedures.grip import Grip as Grip
+    from canopen_transports.realtime import Realtime as Realtime
 else:
     from canopen_proto.lazy_names import lazy_names
 
@@ -82,8 +84,8 @@ else:
             "canopen_master.bus": "BusChanged FramesLost FramesNotSent",
             "canopen_master.errors": (
                 "BusError ChainError ChainFault ChainFileError ChainHalted HaltNotConfirmed MasterClosed MasterError "
-                "MotionReplaced NodeError NodeSilent PackageMissing PathRefused PlanRefused SdoContested SdoError SdoGivenUp "
-                "SdoNotConfirmed SdoRefused SdoTimeout "
+                "MotionReplaced NodeError NodeSilent PackageMissing PathRefused PlanRefused RealtimeRefused SdoContested "
+                "SdoError SdoGivenUp SdoNotConfirmed SdoRefused SdoTimeout "
                 "SetPointRefused UnexpectedAnswer UnknownChain"
             ),
             "canopen_master.grip": "NodeIdTaken NotHeld",
@@ -104,5 +106,6 @@ else:
             "canopen_master.subscription": "Subscription",
             "canopen_proto.drive.axis": "AxisSettings HomingStyle SCHUNK_POWERBALL",
             "canopen_proto.procedures.grip": "Grip",
+            "canopen_transports.realtime": "Realtime",
         },
     )

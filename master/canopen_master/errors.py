@@ -32,6 +32,7 @@ MASTER_CLOSED: Final = "CO130"
 HALT_NOT_CONFIRMED: Final = "CO131"
 """The master has been left, and a drive did not confirm that it stands."""
 PACKAGE_MISSING: Final = "CO141"
+REALTIME_REFUSED: Final = "CO142"
 NO_ANSWER: Final = "CO201"
 REFUSED: Final = "CO202"
 GIVEN_UP: Final = "CO203"
@@ -57,6 +58,10 @@ PROCEDURE_FAILED: Final = "CO407"
 
 class MasterError(Explained, Exception):
     """A command failed; see this module's text, and Explained for the fields."""
+
+
+class RealtimeRefused(MasterError):
+    """The operating system does not give what `Realtime(required=True)` asks for; the master was not opened."""
 
 
 class BusError(MasterError):

@@ -32,6 +32,7 @@ from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_proto.procedures.steps import all_of
 from canopen_proto.remote_node import RemoteNode
 from canopen_transports import Transport
+from canopen_transports.realtime import Measure
 
 E = TypeVar("E", bound=Event)
 
@@ -46,7 +47,8 @@ class Master(Participant):
     """See this module's text. Participant says what it does on its buses.
 
     devices: the drives by node and axis. chains: those made so far, by name. nodes, joints: those of the machine file, by name.
-    halts: once the master was left, the halts of its drives. Times are in seconds here, as everywhere in trio.
+    halts: once the master was left, the halts of its drives. realtime: what the operating system was asked for. Times are in
+    seconds here, as everywhere in trio.
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class Master(Participant):
         self.nodes: dict[str, Node] = {}
         self.joints: dict[str, Device] = {}
         self.halts: list[Halt] = []
+        self.realtime: tuple[Measure, ...] = ()
         self.grips = Grips(self, grip)
 
     @property

@@ -17,6 +17,7 @@ Drives on the other buses are halted as always.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack
 from pathlib import Path
@@ -27,7 +28,7 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.assembly import assemble
-from canopen_master.errors import HALT_NOT_CONFIRMED, BusError, HaltNotConfirmed
+from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmed, RealtimeRefused
 from canopen_master.machine_file import MachineFile, read_machine
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_proto.dictionary import ObjectDictionary
@@ -35,6 +36,9 @@ from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_transports import Transport, TransportError, open_transport
+from canopen_transports.realtime import Grant, Realtime
+
+LOGGER: Final = logging.getLogger("canopen_master")
 
 BusSource: TypeAlias = str | Transport
 """A locator, or an open transport; the master closes it."""
@@ -55,6 +59,7 @@ def open_master(
     heartbeat_timeout: float | None = None,
     dictionary: ObjectDictionary | None = None,
     grip: Grip | None = DEFAULT_GRIP,
+    realtime: Realtime | bool | None = None,
 ) -> MasterSession:
     """Open a master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
 
@@ -63,12 +68,15 @@ def open_master(
     seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats); by default 0, no
     supervision. dictionary: for nodes that are given none; by default that of the data files. grip: how drives notice that this
     master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for no grip. See grip.py.
+    realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for `Realtime()`; by default
+    nothing. `Master.realtime` and the log say what was given. It is for the thread that runs trio; at the end it is given back.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the
     file says; a grip that is DEFAULT_GRIP is not given. Raises DataError, DictionaryError with every error in the file.
 
-    Entering the block raises BusError if a bus cannot be opened. On leaving it, see this module's text.
+    Entering the block raises BusError if a bus cannot be opened, RealtimeRefused for `Realtime(required=True)`. On leaving it,
+    see this module's text.
     """
     if isinstance(machine, str | Path):
         machine = read_machine(machine)
@@ -81,6 +89,7 @@ def open_master(
         sdo_timeout = told.timeout / SECOND if sdo_timeout is None else sdo_timeout
         heartbeat_timeout = told.heartbeat_timeout / SECOND if heartbeat_timeout is None else heartbeat_timeout
         grip = told.grip if grip is DEFAULT_GRIP else grip
+        realtime = told.realtime if realtime is None else realtime
     for number, locator in enumerate(locators):
         name = locator if isinstance(locator, str) else getattr(locator, "locator", f"bus{number}")
         if name in named:
@@ -103,15 +112,19 @@ def open_master(
             assemble(master, machine)
         return master
 
-    return MasterSession(named, make)
+    return MasterSession(named, make, Realtime() if realtime is True else realtime or None)
 
 
 class MasterSession:
     """The async context manager that `open_master` returns; to be entered once."""
 
     def __init__(
-        self, sources: Mapping[str, BusSource], make: Callable[[Mapping[str, Transport], Mapping[str, str]], Master]
+        self,
+        sources: Mapping[str, BusSource],
+        make: Callable[[Mapping[str, Transport], Mapping[str, str]], Master],
+        realtime: Realtime | None = None,
     ) -> None:
+        self._realtime = realtime
         self._sources = sources
         self._make = make
         self._open_transports = AsyncExitStack()
@@ -119,7 +132,9 @@ class MasterSession:
     @enable_ki_protection
     async def __aenter__(self) -> Master:
         try:
+            grant = self._ask_for_realtime()
             self._master = self._make(*await self._open())
+            self._master.realtime = () if grant is None else tuple(grant.measures)
             self._tasks = trio.open_nursery()
             self._nursery = await self._tasks.__aenter__()
         except BaseException:
@@ -179,6 +194,25 @@ class MasterSession:
         """Return whether a Ctrl-C came during the halt: trio then cancels the nursery, and raises at its end."""
         return self._nursery.cancel_scope.cancel_called
 
+    def _ask_for_realtime(self) -> Grant | None:
+        """Ask for what is wanted, and say what was given; it is given back when the session closes. Raises RealtimeRefused."""
+        if self._realtime is None:
+            return None
+        grant = Grant(self._realtime)
+        self._open_transports.callback(_give_back, grant)
+        given = [each.name for each in grant.measures if not each.refusal]
+        if given:
+            LOGGER.info("real time: %s", ", ".join(given))
+        for each in grant.refused:
+            remedy = f". Try: {each.remedy}" if each.remedy else ""
+            LOGGER.warning("real time: %s was not given (%s)%s", each.name, each.refusal, remedy)
+        if grant.refused and self._realtime.required:
+            failed = f"the operating system does not give {', '.join(each.name for each in grant.refused)}"
+            seen = "; ".join(each.refusal for each in grant.refused)
+            tries = tuple(dict.fromkeys(each.remedy for each in grant.refused if each.remedy))
+            raise RealtimeRefused(REALTIME_REFUSED, failed, seen=seen, tries=(*tries, "canopen doctor"))
+        return grant
+
     async def _open(self) -> tuple[dict[str, Transport], dict[str, str]]:
         """Open each bus once. Returns the transports by their first names, and the first names by the other ones."""
         transports: dict[str, Transport] = {}
@@ -201,6 +235,11 @@ class MasterSession:
     async def _close(self) -> None:
         with trio.CancelScope(shield=True):
             await self._open_transports.aclose()
+
+
+def _give_back(grant: Grant) -> None:
+    for problem in grant.end():
+        LOGGER.warning("real time: it could not be given back: %s", problem)
 
 
 def _is_only(error: BaseException, failure: Exception | None) -> bool:

@@ -29,20 +29,29 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.messages import OK, UNCONFIGURED
 from canopen_proto.lss.slave import STORAGE_FAILED, LssStoreRequested
-from canopen_proto.machine import Event, Outbox
+from canopen_proto.machine import SECOND, Event, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_proto.simulated_drive.node import DriveNode, powerball
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulated_drive.settings import SYNC_TOLERANCE, DriveSettings
 from canopen_transports import BusState, Transport, TransportError
 
 PATIENCE: Final = 16
 """Rounds of trio's scheduler. A master in this process is stalled together with its devices, and takes some rounds to send its
 SYNC; the devices wait for it before they handle their own timeouts."""
 
+IN_PROCESS: Final = 60 * SECOND
+"""The tolerance of SYNC for drives in the process of their master: a computer that has no time for the one has none for the
+other, and no drive shall fail by that. A loop of such a master may be as late."""
+
 DeviceMaker: TypeAlias = Callable[[Outbox], LocalNode]
 """Makes a device with the outbox of the network that it will be attached to."""
+
+
+def patient_cycles(cycle_time: float) -> int:
+    """Return how many cycles IN_PROCESS is. cycle_time: seconds."""
+    return round(IN_PROCESS / SECOND / cycle_time)
 
 
 @dataclass(frozen=True)
@@ -64,9 +73,9 @@ class DeviceModel:
         return DriveNode(out, self.node_id, self.drive, self.dictionary)
 
 
-def powerballs(*node_ids: int) -> list[DeviceMaker]:
-    """Joints of the Schunk Powerball arm, as the manual's library knows them."""
-    return [partial(powerball, node_id=node_id) for node_id in node_ids]
+def powerballs(*node_ids: int, sync_tolerance: Time = SYNC_TOLERANCE) -> list[DeviceMaker]:
+    """Joints of the Schunk Powerball arm, as the manual's library knows them. sync_tolerance: see DriveSettings."""
+    return [partial(powerball, node_id=node_id, sync_tolerance=sync_tolerance) for node_id in node_ids]
 
 
 def standard_drives(*node_ids: int, settings: DriveSettings | None = None) -> list[DeviceMaker]:

@@ -57,8 +57,10 @@ def test_the_result_as_json(run: Run) -> None:
         assert joint["sdo_round_trips"] > 10
 
 
-@pytest.mark.parametrize(("times", "status"), [(1, ExitCode.OK), (6, ExitCode.PARTIAL)])
-def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alarm: Alarm, times: int, status: int) -> None:
+@pytest.mark.parametrize("times", [1, 6])
+def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alarm: Alarm, times: int) -> None:
+    """All was done all the same."""
+
     async def stall(fleet: Fleet) -> None:
         """Stop the whole process, again and again, while the arm moves."""
         await trio.sleep(3.2)
@@ -71,10 +73,10 @@ def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alar
     alarm.task = stall
     for arguments in ((), ("--json",)):
         outcome = run("demo", "--seconds", "2", "--cycle", "20ms", *TWO_JOINTS, *arguments)
-        assert outcome.status == status
+        assert outcome.status == ExitCode.OK
         assert_all_stand(fleets)
         fleets.clear()
-        assert ("this computer could not keep a cycle of 20 ms" in outcome.err) is (status != ExitCode.OK)
+        assert ("this computer could not keep a cycle of 20 ms" in outcome.err) is (times > 1)
         if arguments:
             sent, skipped = outcome.json["sync_cycles"], outcome.json["skipped_cycles"]
             assert 2.1 / 0.02 <= sent <= 2.1 / 0.02 + 3  # the path takes as many SYNCs as it ever did

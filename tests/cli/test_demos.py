@@ -25,12 +25,8 @@ from tests.master.direct_world import devices, near_home
 from tests.master.test_direct_script import environment
 
 LIMIT = 100.0
-NEAR = 300
-"""Millidegrees that an axis may still have to go at the end. In real time: behind a late SYNC it comes back from its ramp."""
-
-LATE = re.compile("no longer follows its set-points|is silent: no PDO")
-"""The message of a demo that halts because this computer was too busy for SYNC or an answer in time. It is then tried again."""
-TRIES = 5
+NEAR = 5000
+"""Millidegrees that an axis may still have to go at the end. In real time: behind a late SYNC it comes back from where it was."""
 
 RUNS = {
     "homing 12 --bus virtual": ["homing device 12", "device 12 is referenced, at 0 mdeg"],
@@ -204,10 +200,7 @@ def test_a_demo_does_what_the_manual_says(
 ) -> None:
     monkeypatch.setattr(connection, "powerballs", near_home)
     name, *arguments = command.split()
-    for _ in range(TRIES):
-        status, said = DEMOS[name].main(arguments), capsys.readouterr()
-        if LATE.search(said.err) is None:
-            break
+    status, said = DEMOS[name].main(arguments), capsys.readouterr()
     assert status == ExitCode.OK, said.err
     assert_as_in_the_manual(command, said.out)
 
@@ -246,10 +239,6 @@ def test_a_fault_in_the_middle_of_a_move(capsys: pytest.CaptureFixture[str], mon
 
 def test_a_demo_is_a_program(program: subprocess.Popen[str]) -> None:
     output, errors = program.communicate(timeout=LIMIT)
-    for _ in range(TRIES):
-        if LATE.search(errors):
-            program = start(PROGRAM)
-            output, errors = program.communicate(timeout=LIMIT)
     assert program.returncode == 0, errors
     assert all(WARNING in line for line in errors.splitlines()), errors
     assert_as_in_the_manual(PROGRAM, output)

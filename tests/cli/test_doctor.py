@@ -21,6 +21,7 @@ DOWN = Finding(
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    monkeypatch.setattr(command, "check_realtime", list)
     return runner(capsys, monkeypatch, tmp_path)
 
 

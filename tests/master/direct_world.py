@@ -16,13 +16,10 @@ import trio
 from canopen_master import Host, session, simulate
 from canopen_master.direct.background import Background
 from canopen_master.direct.drive import COUNTS
-from canopen_master.simulation import DeviceMaker
-from canopen_proto.dictionary.standard import standard_object
+from canopen_master.simulation import IN_PROCESS, DeviceMaker
 from canopen_proto.drive import following
-from canopen_proto.indices import COMMUNICATION_CYCLE_PERIOD
 from canopen_proto.machine import SECOND
 from canopen_proto.procedures.grip import Grip
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
@@ -38,21 +35,21 @@ INTERVAL = 100
 """Milliseconds from SYNC to SYNC that drives and master are told: a busy computer is late."""
 SILENT_TIME = SECOND
 """A drive that is late by less is not silent, however many SYNCs come meanwhile."""
-SYNC_PERIOD = 30_000_000
-"""Microseconds, in 0x1006 of patient drives: SYNC is lost to them after three of these, so never."""
 
 _numbers = itertools.count()
 
 
 def patient(*node_ids: int, settings: DriveSettings = DriveSettings(shape=Shape.SCHUNK_POWERBALL)) -> list[DeviceMaker]:  # noqa: B008 - frozen
     """Drives that never lose SYNC, by default Powerball joints."""
-    dictionary = drive_dictionary(settings.shape).with_objects([standard_object(COMMUNICATION_CYCLE_PERIOD, SYNC_PERIOD)])
-    return [partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary) for node_id in node_ids]
+    settings = replace(settings, sync_tolerance=IN_PROCESS)
+    return [partial(DriveNode, node_id=node_id, settings=settings) for node_id in node_ids]
 
 
-def near_home(*node_ids: int) -> list[DeviceMaker]:
-    """Patient Powerball joints that are homed in a blink: the edge of their home switch is near."""
-    return patient(*node_ids, settings=DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=Track(home_switch=(1_500, 10_000))))
+def near_home(*node_ids: int, sync_tolerance: int = IN_PROCESS) -> list[DeviceMaker]:
+    """Powerball joints that are homed in a blink: the edge of their home switch is near."""
+    track = Track(home_switch=(1_500, 10_000))
+    settings = DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=track, sync_tolerance=sync_tolerance)
+    return [partial(DriveNode, node_id=node_id, settings=settings) for node_id in node_ids]
 
 
 class Devices:

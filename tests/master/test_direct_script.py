@@ -17,10 +17,6 @@ SCRIPT = """
 import os, signal, sys, threading, time
 import can
 from canopen_master import direct as canopen
-from canopen_master.direct import connection
-from tests.master.direct_world import patient
-
-connection.powerballs = patient
 BUS = "pythoncan:virtual:script"
 
 homes = threading.Event()

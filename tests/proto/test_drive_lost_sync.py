@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.states import State
 from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
-from canopen_proto.simulated_drive.synchronous_modes import SYNC_TOLERANCE, SyncOverdue
+from canopen_proto.simulated_drive.settings import SYNC_TOLERANCE, DriveSettings, Shape
+from canopen_proto.simulated_drive.synchronous_modes import SyncOverdue
 from tests.examples import examples
 from tests.proto.drive_bench import NODE_ID, Bench
 from tests.proto.rig import Rig

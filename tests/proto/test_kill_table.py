@@ -1,7 +1,7 @@
 """Kill the master, the joint, the bus, the power, in every mode: the axis stands within a named detection time and its ramp.
 
 The times are computed here, from the objects that are in force. The detection times are those of docs/limits.md: 0x1016 (the
-heartbeat of the master), 0x1006 and SYNC_TOLERANCE (SYNC), 0 for what the drive notices at once.
+heartbeat of the master), 0x1006 and `sync_tolerance` (SYNC), 0 for what the drive notices at once.
 """
 
 from __future__ import annotations

@@ -22,11 +22,12 @@ from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
 from canopen_master.machine_file import MachineFile
 from canopen_master.master import Master
 from canopen_master.session import MasterSession, open_master
-from canopen_master.simulation import DeviceMaker, powerballs, simulate
+from canopen_master.simulation import IN_PROCESS, DeviceMaker, powerballs, simulate
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import TransportError, open_transport
+from canopen_transports.realtime import Realtime
 
 R = TypeVar("R")
 
@@ -64,6 +65,11 @@ class Connection:
         return self._background is not None and self._background.is_running
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether the drives of the next connection are simulated in this process."""
+        return bool(self._simulated)
+
+    @property
     def last_error(self) -> Exception | None:
         """Why the last attempt of the calling thread returned False; None if it returned True, or there was none."""
         error: Exception | None = getattr(self._errors, "last", None)
@@ -72,7 +78,7 @@ class Connection:
     @contextmanager
     def simulated(self, node_ids: Sequence[int], bus: str) -> Iterator[None]:
         """Simulate joints on a bus for connections that are opened in the block; leaving the block closes the connection."""
-        entry = bus, powerballs(*node_ids)
+        entry = bus, powerballs(*node_ids, sync_tolerance=IN_PROCESS)
         self._simulated.append(entry)
         try:
             yield
@@ -89,6 +95,7 @@ class Connection:
         grip: Grip | None = DEFAULT_GRIP,
         prepare: Callable[[Master], object] = lambda _: None,
         machine: MachineFile | None = None,
+        realtime: Realtime | bool | None = None,
     ) -> bool:
         """Open the buses and begin the master's thread. buses: further ones, by name; those of a machine go before them.
 
@@ -103,7 +110,13 @@ class Connection:
                     dictionary, _ = load_dictionary()  # now, so that a fault in the files is raised now
                 named = {**buses} if machine is not None else {bus: bus, **buses}
                 options = partial(
-                    open_master, machine=machine, buses=named, sdo_timeout=sdo_timeout, dictionary=dictionary, grip=grip
+                    open_master,
+                    machine=machine,
+                    buses=named,
+                    sdo_timeout=sdo_timeout,
+                    dictionary=dictionary,
+                    grip=grip,
+                    realtime=realtime,
                 )
                 make = partial(_master, tuple(self._simulated), options, prepare)
                 background = Background(make, lambda master: master.failure)

@@ -1,9 +1,10 @@
 """`DirectDrive`: one drive as the direct half of the blocking API uses it. Runs in the master's thread.
 
-Commands go by SDO ("all these commands and checks are performed by SDO communication"). Set-points go by the manual's rPDO, sent
-at the very moment of `send_position`, and the drive takes them at the next SYNC: the user alternates send_pos and send_sync, and
-nothing else sends either. So the rPDO has a producer of its own here: the producers of the RemoteNode follow the SYNC. The rPDO
-is built from the node's one image, which also holds each confirmed command; so it always carries the controlword last commanded.
+Commands go by SDO ("all these commands and checks are performed by SDO communication"). Set-points go by the manual's rPDO, and
+the drive takes them at the next SYNC: the user alternates send_pos and send_sync, and nothing else sends either. `give` leaves a
+set-point for the SYNC of `HandSync`, which sends it right before; `send_position` sends it at that very moment. So the rPDO has a
+producer of its own here: the producers of the RemoteNode follow the SYNC. The rPDO is built from the node's one image, which also
+holds each confirmed command; so it always carries the controlword last commanded.
 
 A drive keeps an rPDO until the next SYNC, whoever sends it. An rPDO sent before a halt or the brake was commanded, and not taken
 yet, would undo that command. So while the drive may hold one, the rPDO is sent once more before each command, with the
@@ -11,11 +12,13 @@ controlword of that command: whenever the SYNC comes, it brings the same as the 
 
 **How fast a set-point is.** Within `interval`, the time written to 0x60C2, the drive goes to the set-point from the one of the
 last SYNC: that step must keep to its `limits`. If a SYNC comes early, the drive takes the next step all the same. So the way of
-the last STEPS SYNCs together must keep to the limits too, by the clock. A pause makes no step larger.
+the last STEPS SYNCs together must keep to the limits too, by the clock. A pause makes no step larger. A drive that left its path
+because a SYNC was late comes back to it slowly (late_sync.py): it is then sent elsewhere than the user wants it.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -23,11 +26,14 @@ from typing import Final, TypeVar
 
 import trio
 
+from canopen_master.direct.hand_sync import HandSync
 from canopen_master.errors import NOT_HEARD, NodeSilent
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import awake, follow, quietly, stop
+from canopen_master.motion.late_sync import WithinReach
 from canopen_master.motion.set_point_check import check_limits
+from canopen_master.motion.supervision import late_sync_reason
 from canopen_master.participant import ProcedureSlot
 from canopen_master.silence import missing_frame
 from canopen_proto import drive
@@ -38,6 +44,7 @@ from canopen_proto.drive.axis import AxisSettings
 from canopen_proto.drive.following import FollowingLost
 from canopen_proto.drive.identity import identify
 from canopen_proto.drive.limits import read_limits
+from canopen_proto.drive.reasons import Reason
 from canopen_proto.drive.settings import HomingStyle
 from canopen_proto.drive.unsent import read_unsent
 from canopen_proto.frame import routing_key
@@ -50,7 +57,7 @@ from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
 from canopen_proto.procedures.objects import ABSENT, read_int, write
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
 from canopen_proto.sync import SyncReceived, SyncSent
 from canopen_proto.trajectory import JointLimits
 
@@ -73,12 +80,15 @@ class DirectDrive:
     """See this module's text. interval: ms between two SYNCs, as written to the drive. in_counts: whether positions are integers
     as on the wire. master: that it belongs to."""
 
-    def __init__(self, master: Master, device: Device, rpdo: str, tpdo: str, in_counts: bool = True) -> None:
+    def __init__(
+        self, master: Master, device: Device, rpdo: str, tpdo: str, in_counts: bool = True, hand_sync: HandSync | None = None
+    ) -> None:
         """rpdo, tpdo: the PDOs of the dictionary that the drive comes with; an unknown name means none. in_counts: positions are
-        integers as on the wire; False: in the unit of the machine file.
+        integers as on the wire; False: in the unit of the machine file. hand_sync: sends what is left by `give`.
         """
         self.master = master
-        self._device = device
+        self._device = self.device = device
+        self._hand_sync = hand_sync
         self.axis = device.axis
         self.node = device.node
         self.interval = 10
@@ -86,7 +96,11 @@ class DirectDrive:
         self._producer: PdoProducer | None = None
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
+        self._is_new = False  # the rPDO is to be sent before the next SYNC
         self._taken: deque[tuple[Time, float]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; at first: where it stood
+        self._wanted = 0.0  # the set-point of the user; `_within` knows what is sent in its place behind a late SYNC
+        self._within = WithinReach([0.0], [math.inf])
+        self._given: deque[float] = deque(maxlen=1)  # what the next SYNC by hand takes along, and what the user's threads write
         self._every: dict[int, int] = {}  # number of a tPDO -> at every how many SYNCs it should come
         self._cyclic: dict[Mux, int] = {}  # the same by object, of those that came
         self._lost: FollowingLost | None = None  # why it stopped following, for the next send_position
@@ -157,10 +171,16 @@ class DirectDrive:
             lag=1,
             catches_up=followed.catches_up,
             silent_syncs=SILENT_SYNCS,
+            period=self.interval * MILLISECOND,
+            forgives=False,
         )
-        self._taken.clear()
-        self._on_sync()
+        ranges = self.limits.lowest, self.limits.highest
+        self._within = WithinReach([self.axis.set_point], [followed.speed * self.interval / 1000], [ranges])
+        self._stand_at(self.axis.set_point)
+        self._given.clear()
         self._is_following, self._lost = True, None
+        if self._hand_sync is not None:
+            self._hand_sync.begin(self)
         self._reading.begin(read_unsent([following]))
 
     async def halt(self) -> None:
@@ -242,21 +262,83 @@ class DirectDrive:
         node_id = self.node.node_id
         if not self._is_following:
             raise LocalProtocolError(f"node {node_id} does not follow set-points: enable_ip_mode({node_id}) first")
-        self.axis.set_position_counts(self._checked(position))
-        producer = self._producer
-        assert producer is not None  # a drive that follows has one
-        await self.master.run(act(lambda now: self.node.remote.send_rpdo(producer, now)))
+        self._given.append(self._checked(position))
+        self.take_given()
+        self.send_given()
+        self.master.pump.pump()
+
+    # ---- by hand: see HandSync ----
+
+    def give(self, position: float) -> bool:
+        """Leave a set-point for the next SYNC by hand; return False, and do nothing, if `send_position` has to take it.
+
+        May be called in any thread. Raises as `send_position` does for a set-point that the drive cannot take.
+        """
+        hand_sync = self._hand_sync
+        if hand_sync is None or not (hand_sync.is_ours and self._is_following) or self._lost or self.master.sync_period:
+            return False
+        self._given.append(self._checked(position))
+        return True
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether set-points have to keep its speed limit."""
+        return math.isfinite(self.way)
+
+    @property
+    def way(self) -> float:
+        """The way that it makes in an interval at its speed limit; inf without one."""
+        return self._within.ways[0]
+
+    @property
+    def is_on_path(self) -> bool:
+        """Whether it is sent where the user wants it: it is not on its way back there, behind a late SYNC."""
+        return self._within.is_on_path
+
+    def take_given(self) -> None:
+        """Let the next SYNC take what was given."""
+        self._is_new = bool(self._given) or not self.is_on_path
+        if self._given:
+            self._wanted = self._given.popleft()
+        if self._is_new:
+            (to,) = self._within.next([self._wanted])
+            self.axis.set_position_counts(self.axis.to_counts(to))
+
+    def send_given(self) -> None:
+        """Send the rPDO, if the next SYNC shall take something new."""
+        producer, is_new = self._producer, self._is_new
+        self._is_new = False
+        if is_new and producer is not None and self._is_following:
+            self.node.remote.send_rpdo(producer, self.master.now())
+
+    def must_look(self, late: Time) -> bool:
+        """Return whether it may be out of reach of its next set-point. late: ns by which SYNC is late."""
+        return self._within.must_look_ahead(late / (self.interval * MILLISECOND))
+
+    def stand_at_image(self) -> None:
+        """Go on from the set-point in the image: the drive is there, and was told to stay at the next SYNC."""
+        self._within.stand_at([self.axis.set_point], [self._wanted])
+        self._is_new = True
+
+    def lose(self, cause: str) -> None:
+        """Stop it; the next `send_position` says why."""
+        self._device.following.lose(cause)
+        self.master.pump.pump()
 
     async def stand_at_actual(self) -> float:
         """Return where the drive is, in the unit of its axis; its next set-point is checked as from there."""
         position = await self.master.run(read_int(self.axis.node, objects.POSITION_ACTUAL_VALUE))
         self.axis.set_position_counts(position)
-        self._taken.clear()
-        self._on_sync()
+        self._stand_at(self.axis.set_point)
         return self.axis.from_counts(position)
 
-    def _checked(self, position: float) -> int:
-        """Return the counts of a set-point.
+    def _stand_at(self, position: float) -> None:
+        self._wanted = position
+        self._within.stand_at([position], [position])
+        self._taken = deque([(self.master.now(), position)], maxlen=STEPS)
+
+    def _checked(self, position: float) -> float:
+        """Return a set-point that the drive can take, in the unit of its axis.
 
         Raises ValueRangeError or SetPointRefused for one that the drive cannot hold, or that is beyond its limits.
         """
@@ -267,15 +349,19 @@ class DirectDrive:
         check_limits(self._device, last, position, interval)
         if abs(position - start) > abs(last - start):  # standing and coming back must always be possible
             check_limits(self._device, start, position, self.master.now() - since + interval)
-        return int(counts)
+        return self.axis.from_counts(int(counts))
 
-    def _on_sync(self, report: Event | None = None) -> None:
+    def _on_sync(self, report: Event) -> None:
         if self._device.taken_over_by:  # by a command of the master's, past this drive
             self._end_following()
-        self._taken.append((self.master.now(), self.axis.set_point))
+        self._taken.append((self.master.now(), self._wanted))
+        self._within.on_sent()
 
     def _end_following(self) -> None:
-        self._is_following = False
+        self._is_following = self._is_new = False
+        self._given.clear()
+        if self._hand_sync is not None:
+            self._hand_sync.end(self)
         self._device.release()
         self._device.following.end()
         self._reading.take_back()
@@ -289,12 +375,18 @@ class DirectDrive:
 
     async def _why(self, lost: FollowingLost) -> Exception:
         """Return the error to raise."""
+        late = self._device.following.late_sync
+        likely = late_sync_reason(late) if late else None
         if self._device.has_fault:
-            return await self.master.run(drive.fault_of(self.axis, "while it followed set-points"))
+            beside = f", and {likely.what}" if likely else ""
+            return await self.master.run(drive.fault_of(self.axis, f"while it followed set-points{beside}"))
         failed = f"drive {self.node.node_id} {lost.cause}"
         if not lost.is_silent:
-            return drive.DriveError(self.axis, lost.cause)
-        cause, tries = "its power is off, its cable is loose, or it was stopped", ("look at the drive and its cable",)
+            reason, remedy, _ = likely or Reason("", "")
+            return drive.DriveError(self.axis, lost.cause, reason=reason, remedy=remedy)
+        cause, tries = "its power is off, its cable is loose, or it was stopped", ["look at the drive and its cable"]
+        if likely:
+            cause, tries = f"{likely.what}; or {cause}", [likely.remedy, *tries]
         network = self.master.bus(self.node.bus).network
         known = missing_frame(network, self.node.remote, self.master.now(), cause, tries, pdo=True)
         return NodeSilent(NOT_HEARD, self.node.node_id, self.node.bus, failed, **known._asdict())

@@ -11,8 +11,8 @@ Three kinds of result:
 - a wrong call always raises, with nothing sent: NotConnected, LocalProtocolError (node-ID 200), ObjectNotFound, ConstantNotFound,
   ValueRangeError.
 
-The direct half sends no SYNC by itself: `send_pos` sends the rPDO, `send_sync` the SYNC. The master half sends SYNC periodically,
-and has its chains in `chain_map`.
+The direct half sends no SYNC by itself: `send_pos` gives a set-point, `send_sync` sends the rPDOs and SYNC. The master half sends
+SYNC periodically, and has its chains in `chain_map`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import threading
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, TypeVar
@@ -32,6 +33,7 @@ from canopen_master.assembly import described
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import COUNTS, DirectDrive
+from canopen_master.direct.hand_sync import HandSync
 from canopen_master.direct.hold_to_run import move_while_held
 from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.machine_file import MachineFile, read_machine
@@ -39,15 +41,17 @@ from canopen_master.master import Master
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_master.node import Node
+from canopen_master.simulation import patient_cycles
 from canopen_proto.cia402.states import State, state_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Message, ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drive import read_position
-from canopen_proto.machine import SECOND, LocalProtocolError
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+from canopen_transports.realtime import Realtime
 
 R = TypeVar("R")
 
@@ -76,6 +80,8 @@ class Session:
         self._rpdo, self._tpdo = rpdo, tpdo
         self._connection = Connection()
         self._drives: dict[tuple[Node, int], DirectDrive] = {}  # of the open connection; used in the master's thread
+        self._following: dict[int | str, DirectDrive] = {}  # those that enable_ip_mode was called for, by what it was given
+        self._hand_sync: HandSync | None = None  # of the open connection
         self._chain_source: tuple[str | Path, str | None] = "", None
         self._chains: tuple[ChainDescription, ...] = ()
         self._queues_pdos = True
@@ -99,13 +105,15 @@ class Session:
         sdo_timeout: float | None = None,
         dictionary: ObjectDictionary | None = None,
         grip: Grip | None = DEFAULT_GRIP,
+        realtime: Realtime | bool | None = None,
     ) -> bool:
         """Open a bus: "/dev/pcan32", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "virtual:demo". This is the first command.
 
         Returns False if it fails (`last_error` says why, and what to try), also while a connection is open. bus: the bus of the
         node-IDs. buses: more buses, by the names that a chain file gives them; a file's buses are opened by themselves if `bus`
         is one of them. sdo_timeout: seconds for one answer of a device, by default 0.5. dictionary: by default that of the data
-        files. grip: how drives notice that this program is gone, and stop; see `open_master`.
+        files. grip: how drives notice that this program is gone, and stop; see `open_master`. realtime: what
+        to ask the operating system for, for the master's thread; see there.
 
         machine: a machine file, in place of `bus`. Its chains are in `chain_map`. Wherever a function takes a node-ID, it also
         takes the name of a joint or a node, and positions are in the unit of the joint. A node-ID means the bus of this name
@@ -117,13 +125,17 @@ class Session:
             self.chain_map.clear()
             self.chain_map.update({each.name: ChainCalls(self._connection, each, in_counts=False) for each in chains})
             first = bus or next(iter(self._machine.buses))
-            return self._connection.open(first, buses or {}, sdo_timeout, dictionary, grip, self._prepare, self._machine)
+            return self._connection.open(
+                first, buses or {}, sdo_timeout, dictionary, grip, self._prepare, self._machine, realtime
+            )
         if not bus:
             raise LocalProtocolError('open_connection needs a bus ("/dev/pcan32"), or a machine file')
         self._machine = None
         named = dict.fromkeys(joint.bus for chain in self._chains for joint in chain.joints)
         more = {name: name for name in named if name != bus} if bus in named else {}
-        return self._connection.open(bus, {**more, **(buses or {})}, sdo_timeout, dictionary, grip, self._prepare)
+        return self._connection.open(
+            bus, {**more, **(buses or {})}, sdo_timeout, dictionary, grip, self._prepare, realtime=realtime
+        )
 
     def init_listener_thread(self) -> None:
         """Do nothing: `open_connection` has begun to listen. It is there for the manual's order of calls.
@@ -179,15 +191,20 @@ class Session:
         self._call(send)
 
     def send_sync(self, milliseconds: float = 0) -> None:
-        """Send one SYNC, then wait. While the master's own SYNC runs (init_master_thread), only wait.
+        """Send the rPDOs of `send_pos`, then one SYNC, then wait. While the master's own SYNC runs, only wait.
 
         In a loop it keeps time: the wait ends `milliseconds` after the end of the last one, so that the other work of the loop
-        does not add to the period.
+        does not add to the period. A loop that was late goes on slowly: the next SYNC comes `milliseconds` after the late one (at
+        most a twentieth earlier). If drives that follow may have gone too far meanwhile, they are asked where they are before
+        SYNC is sent, and come back to the set-points of the script slowly.
         """
+
+        interval = round(milliseconds * MILLISECOND)
 
         async def send(master: Master) -> None:
             if not master.sync_period:
-                await master.send_sync()
+                assert self._hand_sync is not None
+                await self._hand_sync.send(interval)
 
         self._call(send)
         now, wait = time.monotonic(), milliseconds / 1000
@@ -245,18 +262,30 @@ class Session:
 
     def enable_ip_mode(self, node: int | str) -> bool:
         """Make the drive follow the set-points of `send_pos` from where it stands. Returns False if it lacks the mode."""
-        return self._attempt(node, lambda drive: drive.follow())
+
+        async def follow(master: Master) -> None:
+            drive = self._drive(master, node)
+            await drive.follow()
+            self._following[node] = drive
+
+        return self._connection.attempt(follow)
 
     def send_pos(self, node: int | str, position: float) -> None:
-        """Send the rPDO with this set-point. The drive takes it at the next SYNC and is there one interval later.
+        """Give the set-point of the next SYNC: `send_sync` sends the rPDO with it, and the drive is there one interval later.
+
+        Where somebody else sends SYNC, the rPDO is sent at once.
 
         position: absolute, in millidegrees (the drive's counts). The rPDO also carries the controlword that was commanded last.
         Raises SetPointRefused, with nothing sent, for a position beyond the drive's limits (0x607D), or further from the last one
         than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises LocalProtocolError before
         enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveFault in fault, NodeSilent if its
-        PDOs no longer come, else ProcedureError with the reason. If the drive is a joint of a chain, the master's next cycle
-        sends the set-point; raises ChainFault and ChainHalted as the chain does.
+        PDOs no longer come, else ProcedureError. The error names our own SYNC first if that was late. If the drive is a joint of
+        a chain, the master's next cycle sends the set-point; raises ChainFault and ChainHalted as the chain does.
         """
+
+        drive = self._following.get(node)
+        if drive is not None and self._connection.is_open and drive.give(position):
+            return
 
         async def send(master: Master) -> None:
             await self._drive(master, node).send_position(position)
@@ -405,6 +434,8 @@ class Session:
         interval = SYNC_INTERVAL if sync_interval is None else sync_interval
         cycle_time = interval / 1000 if machine is None else machine.master.cycle / SECOND
         settings = ChainSettings(cycle_time=cycle_time, rpdo=self._rpdo, tpdo=self._tpdo)
+        if self._connection.is_simulated:
+            settings = replace(settings, max_missed_cycles=patient_cycles(cycle_time))
 
         async def begin(master: Master) -> None:
             if master.sync_period:
@@ -428,6 +459,8 @@ class Session:
     def _prepare(self, master: Master) -> None:
         """Prepare for a connection that was just opened. Called in the master's thread."""
         self._drives = {}
+        self._following = {}
+        self._hand_sync = HandSync(master)
         self._queues_pdos = True
         self.incoming_pdos.clear()
         master.watch((PdoReceived,), self._on_pdo)
@@ -455,7 +488,7 @@ class Session:
             in_counts = self._machine is None or device is None
             if device is None:
                 device = master.device(node, settings=COUNTS)
-            drive = self._drives[node, axis] = DirectDrive(master, device, self._rpdo, self._tpdo, in_counts)
+            drive = self._drives[node, axis] = DirectDrive(master, device, self._rpdo, self._tpdo, in_counts, self._hand_sync)
         return drive
 
     def _on_pdo(self, report: PdoReceived) -> None:

@@ -13,17 +13,20 @@ from canopen_proto.drive.settings import AxisSettings
 from canopen_proto.linking import Link
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+from canopen_transports.realtime import Realtime
 
 
 @dataclass(frozen=True, slots=True)
 class MasterEntry:
     """`[master]`. cycle: ns between two SYNCs, on all buses. timeout: ns for one answer of a device. heartbeat_timeout: ns after
-    which a node whose heartbeat stops is lost; 0 = no supervision. grip: None = none."""
+    which a node whose heartbeat stops is lost; 0 = no supervision. grip: None = none. realtime: what to ask the operating system
+    for; None = nothing."""
 
     cycle: Time = 10 * MILLISECOND
     timeout: Time = 500 * MILLISECOND
     heartbeat_timeout: Time = 0
     grip: Grip | None = DEFAULT_GRIP
+    realtime: Realtime | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,7 @@ from canopen_proto.machine import SECOND
 from canopen_proto.procedures.grip import Grip
 from canopen_transports import TransportError, parse_bitrate
 from canopen_transports.locator import bitrate_text, parse_locator
+from canopen_transports.realtime import Realtime
 
 E = TypeVar("E")
 
@@ -148,11 +149,13 @@ class _Reader:
     # ---- entries ----
 
     def _master(self) -> MasterEntry:
-        table = self._table(self._top, "master", ("cycle", "timeout", "heartbeat_timeout", "grip"))
+        table = self._table(self._top, "master", ("cycle", "timeout", "heartbeat_timeout", "grip", "realtime"))
         cycle, timeout = table.take("cycle", _CYCLE), table.take("timeout", _CYCLE)
         heartbeat = table.take("heartbeat_timeout", DURATION)
         given = {"cycle": cycle, "timeout": timeout, "heartbeat_timeout": heartbeat}
         entry = MasterEntry(**{key: value for key, value in given.items() if value is not None})
+        if table.take("realtime", _FALSE_OR_TABLE) not in (None, False):
+            entry = replace(entry, realtime=take_settings(self._table(table, "realtime", tuple(names_of(Realtime))), Realtime))
         grip = table.take("grip", _FALSE_OR_TABLE)
         if grip is False:
             return replace(entry, grip=None)

@@ -47,11 +47,13 @@ def machine_tables(machine: MachineFile) -> dict[str, Any]:
 
 
 def _master(master: MasterEntry) -> dict[str, Any]:
-    table = {
+    table: dict[str, Any] = {
         key: duration_text(value)
         for key in ("cycle", "timeout", "heartbeat_timeout")
         if (value := getattr(master, key)) != getattr(MasterEntry(), key)
     }
+    if master.realtime is not None:
+        table["realtime"] = settings_table(master.realtime)
     if master.grip is None:
         return {**table, "grip": False}
     return table if master.grip == DEFAULT_GRIP else {**table, "grip": settings_table(master.grip)}

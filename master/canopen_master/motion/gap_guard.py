@@ -12,9 +12,8 @@ last of MOST_LOOKS halts its chain, too.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
-from canopen_master.motion.cycles import SetPoints
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import quietly
 from canopen_proto.drive.synchronous import align_position
@@ -28,10 +27,34 @@ MOST_LOOKS: Final = 10
 """Drives that brake have come to rest by then."""
 
 
+class Guarded(Protocol):
+    """The set-points that a GapGuard guards: `SetPoints`, and `HandSync` of the direct half. See there."""
+
+    @property
+    def is_followed(self) -> bool: ...
+
+    @property
+    def period(self) -> Time: ...
+
+    @property
+    def limited(self) -> list[Device]: ...
+
+    @property
+    def limited_ways(self) -> list[float]: ...
+
+    def must_look(self, late: Time) -> bool: ...
+
+    def rest(self) -> None: ...
+
+    def stand_at_images(self) -> None: ...
+
+    def before_late_sync(self, late: Time) -> None: ...
+
+
 class GapGuard:
     """The `SyncGuard` of one chain; see this module's text."""
 
-    def __init__(self, set_points: SetPoints, stop: Callable[[str], None]) -> None:
+    def __init__(self, set_points: Guarded, stop: Callable[[str], None]) -> None:
         """stop: halts the chain; it is told why."""
         self._set_points = set_points
         self._stop = stop

@@ -57,8 +57,11 @@ class WithinReach:
 
     def must_look(self, periods: float) -> bool:
         """Return whether a joint may be out of reach of its set-point. periods: how late the present SYNC is."""
-        each = zip(self._before, self._acted_on, self.sent, self.ways, strict=True)
-        return any(abs(sent - acted - (acted - before) * periods) > way * _EXACT for before, acted, sent, way in each)
+        return _must_look(self._before, self._acted_on, self.sent, self.ways, periods)
+
+    def must_look_ahead(self, periods: float) -> bool:
+        """As `must_look`, if the next set-points are taken at the present SYNC, since they are sent right before it."""
+        return _must_look(self._acted_on, self.sent, self._next, self.ways, periods)
 
     def next(self, wanted: Sequence[float], share: float = 1.0) -> Sequence[float]:
         """Return what to send in place of these set-points. share: of a period, until the SYNC behind which they are taken.
@@ -84,6 +87,13 @@ class WithinReach:
         """Note that the next ones were sent, and that the drives act on those before."""
         self._before, self._acted_on, self.sent = self._acted_on, self.sent, self._next
         self._off = self._next_off
+
+
+def _must_look(
+    before: Sequence[float], acted_on: Sequence[float], sent: Sequence[float], ways: Sequence[float], periods: float
+) -> bool:
+    each = zip(before, acted_on, sent, ways, strict=True)
+    return any(abs(to - at - (at - came_from) * periods) > way * _EXACT for came_from, at, to, way in each)
 
 
 def _within(limits: Range) -> tuple[float, float]:

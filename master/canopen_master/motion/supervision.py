@@ -97,10 +97,11 @@ class Supervision:
         if not self.is_on or (isinstance(report, AxisStateChanged | FollowingLost) and report.axis != device.axis.number):
             return
         foreign = foreign_commands(device, self._participant.bus(device.node.bus))
-        cause = Reason(foreign, FIND) if foreign else None
+        late = device.following.late_sync
+        cause = late_sync_reason(late, foreign) if late else Reason(foreign, FIND) if foreign else None
         match report:
-            case FollowingLost(cause=reason, is_silent=is_silent, still_follows=still_follows, late=late):
-                likely = self._lateness(late) if late else Reason(SILENT, FIND) if is_silent else None
+            case FollowingLost(cause=reason, is_silent=is_silent, still_follows=still_follows, late=cycles):
+                likely = self._lateness(cycles) if cycles else Reason(SILENT, FIND) if is_silent else None
                 self._failed(device, reason, cause or likely, still_follows)
             case AxisStateChanged() if device.has_fault:
                 self._failed(device, "fell into fault", cause, False)
@@ -122,6 +123,12 @@ class Supervision:
         """Report what happened to a node, and with it to all joints that are axes of it."""
         others = [each.name for each in self._devices if each.node is device.node and each is not device]
         self._failed(device, f"{reason}; and with it {', '.join(others)}, on the same node" if others else reason, cause, False)
+
+
+def late_sync_reason(late: Time, beside: str = "") -> Reason:
+    """Return the reason for a drive that does not follow, where SYNC was late. late: ns. beside: another likely one."""
+    what = f"our own SYNC was {late / MILLISECOND:.0f} ms late: this program, or its computer, was busy"
+    return Reason(f"{what}; or {beside}" if beside else what, "see canopen doctor; a longer cycle, fewer programs beside it")
 
 
 def foreign_commands(device: Device, bus: Bus) -> str:
