@@ -142,8 +142,12 @@ class Screen:
     # ---- messages ----
 
     def say(self, text: str) -> None:
-        """Print a message, unless --quiet. Markup is interpreted."""
-        if self.verbosity >= 0:
+        """Print a message, unless --quiet; with --json as {"note": ...}, so that stderr is JSON lines. Markup is interpreted."""
+        if self.verbosity >= 0 and self.json_output:
+            plain = Text.from_markup(text).plain.strip()
+            if plain:
+                self.err.out(json_text({"note": plain}), highlight=False)
+        elif self.verbosity >= 0:
             self.err.print(text, highlight=False, soft_wrap=not self.err.is_terminal)
 
     def ask(self, text: str) -> None:
@@ -153,7 +157,9 @@ class Screen:
 
     def detail(self, text: str) -> None:
         """Print a message, only with -v."""
-        if self.verbosity >= 1:
+        if self.verbosity >= 1 and self.json_output:
+            self.err.out(json_text({"note": clean(text)}), highlight=False)
+        elif self.verbosity >= 1:
             self.err.print(Text(clean(text), style="dim"), soft_wrap=True)
 
     def problem(self, problem: Problem) -> None:

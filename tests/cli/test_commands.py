@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import signal
 import sys
 from collections.abc import AsyncIterator
@@ -246,6 +247,28 @@ def test_nobody_is_there(run: Run) -> None:
 )  # fmt: skip
 def test_nobody_there_has_one_exit_status(run: Run, command: str) -> None:
     assert run(*command.split(), "-b", "virtual:empty").status == ExitCode.NO_ANSWER
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "scan",
+        "scan -v",
+        "info 99",
+        "drive 99 stop",
+        "drive 3 stop --axis 9",
+        "drive 3 enable --seconds 0.1",
+        "nmt reset 3",
+        "read 3 6041 --bogus",
+    ],
+)
+def test_stderr_of_json_is_json(run: Run, command: str) -> None:
+    """Notes while it runs, each a line; the error last."""
+    outcome = run(*command.split(), *DEMO, "--json")
+    lines = [json.loads(line) for line in outcome.err.splitlines()]
+    assert all(set(line) == {"note"} for line in lines[:-1])
+    assert lines
+    assert ("code" in lines[-1]) is (outcome.status != 0)
 
 
 def test_a_scan_of_some_tells_of_these(run: Run) -> None:
