@@ -173,15 +173,17 @@ class Network:
         has_changed = bool(outage) is not bool(self._knowledge.outage)
         self._knowledge.outage = outage
         if has_changed:
+            self._back_at = self._back_at if outage else NEVER  # until `_on_outage` has the time
             self.out.events.append(OutageChanged(0, outage))
 
     @property
     def back_at(self) -> Time:
-        """When the last outage ended. A node that was silent before may only not have been heard."""
+        """When the last outage ended; NEVER: it has just ended. A node that was silent before may only not have been heard."""
         return self._back_at
 
     def _on_outage(self, event: Event, now: Time) -> None:
-        self._back_at = now
+        if isinstance(event, OutageChanged) and not event.outage:
+            self._back_at = now
 
     def heard(self, node_id: int) -> NodeHeard:
         """Return what was last heard of a node (1..127, else LocalProtocolError), whether a machine wanted it or not."""

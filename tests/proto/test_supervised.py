@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto.boot.entry import CONSUMER_FACTOR
@@ -104,6 +104,7 @@ def test_a_period_that_the_node_does_not_tell_is_measured(period: int, held: lis
     assignment=st.sampled_from((OPTIONAL, MANDATORY)),
     while_booting=st.booleans(),
 )
+@example(begins=0, lasts=500, victim=None, assignment=OPTIONAL, while_booting=True)  # it ends when the consumer times do
 def test_while_the_bus_is_away_nobody_is_lost(
     begins: int, lasts: int, victim: int | None, assignment: int, while_booting: bool
 ) -> None:
