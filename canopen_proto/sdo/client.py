@@ -488,6 +488,7 @@ class SdoClient(ChannelEnd):
             self.send(INITIATE.pack(ABORT, transfer.index, transfer.subindex, AbortCode.GENERAL_ERROR))
         if transfer.state is INITIATED and not transfer.is_answered:
             self._queue.expect_late(transfer.first[1:4], now + self.late_guard + spread(now))
+            self.other.expect(transfer.first[1:4])
         transfer.state = OVER
         again = transfer.again()
         if again is not None and transfer.is_urgent:

@@ -66,7 +66,18 @@ class OtherClient:
     may still say something about them.
     """
 
-    __slots__ = ("_is_ambiguous", "_names", "count", "heard", "heard_at", "in_blocks", "last", "unfinished", "until")
+    __slots__ = (
+        "_is_ambiguous",
+        "_is_twofold",
+        "_names",
+        "count",
+        "heard",
+        "heard_at",
+        "in_blocks",
+        "last",
+        "unfinished",
+        "until",
+    )
 
     def __init__(self) -> None:
         self.count = 0
@@ -86,7 +97,12 @@ class OtherClient:
         self.in_blocks = False
         self.until: Time = -NEVER
         self._names: set[bytes] = set()  # of the objects whose answers may still come
+        self._is_twofold = False  # the last request names an object that another open one names
         self._is_ambiguous = False  # several exchanges overlap: no answer is the last one for certain
+
+    def expect(self, name: bytes) -> None:
+        """The answer to a request of ours that has ended is still to come: another request for that object is not alone."""
+        self._names.add(name)
 
     def on_request(self, data: bytes, ours: Transfer | None, timeout: Time, now: Time) -> None:
         """Take a stranger's request. ours: our own transfer that is under way."""
@@ -99,7 +115,8 @@ class OtherClient:
             return
         if is_initiate(command):
             name = data[1:4]
-            self._is_ambiguous |= bool(self._names) or (ours is not None and name == ours.first[1:4])
+            self._is_twofold = name in self._names or (ours is not None and name == ours.first[1:4])
+            self._is_ambiguous |= bool(self._names) or self._is_twofold
             if len(self._names) <= MAX_NAMES:
                 self._names.add(name)
         self.last = data
@@ -115,10 +132,10 @@ class OtherClient:
         """Take an answer of the server that is none to us. Does nothing if no stranger has anything under way."""
         if not self.last or self.last[0] == ABORT:
             return
-        if self._is_ambiguous:
-            self.until = max(self.until, now + PAUSE)
-        elif self._is_last_answer(data):
+        if self._is_last_answer(data) and (not self._is_ambiguous or self._is_idle_after(data)):
             self.close()
+        elif self._is_ambiguous:
+            self.until = max(self.until, now + PAUSE)
         else:
             self.until = now + (silence_limit(timeout) if self.in_blocks else PAUSE)
 
@@ -139,6 +156,11 @@ class OtherClient:
         if asked == DOWNLOAD_SEGMENT:
             return is_alike and said == DOWNLOAD_SEGMENT_RESPONSE and bool(request & LAST)
         return is_alike and asked == UPLOAD_SEGMENT and said == UPLOAD_SEGMENT_RESPONSE and bool(command & LAST)
+
+    def _is_idle_after(self, data: bytes) -> bool:
+        """Return whether a last answer shows that nothing else is open: a server answers in order, and in one frame only if it is
+        in no transfer. Not if two asked for the object."""
+        return data[0] != ABORT and is_initiate(self.last[0]) and not self._is_twofold
 
     def leaves_sure(self, transfer: Transfer) -> bool:
         """Return whether an expedited answer to our request cannot be one to a stranger's.

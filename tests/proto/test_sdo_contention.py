@@ -432,3 +432,31 @@ def test_a_read_does_not_go_on_in_segments_that_may_be_another_clients() -> None
     assert bench.frames() == [READ]
     bench.wait(TIMEOUT + SPREAD)
     assert bench.frames() == ["60C#8008100000000008", READ]
+
+
+def test_two_answers_about_one_object_are_both_waited_for() -> None:
+    """Ours was ended by a stranger's abort; then it writes the same object. The first answer must not free the way."""
+    bench = Shared()
+    bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.other("80 01 10 00 00 00 04 05", "2B 40 60 00 06 00 00 00")
+    bench.outcomes()
+    bench.frames()
+    bench.client.download(0x6040, 0, b"\x07\0", bench.now)
+    bench.hear("60 40 60 00 00 00 00 00")
+    assert bench.frames() == []
+    bench.hear("60 40 60 00 00 00 00 00")
+    assert bench.outcomes() == []
+    bench.wait(TIMEOUT + SPREAD)
+    assert bench.frames() == ["60C#2B40600007000000"]
+
+
+def test_a_client_that_asks_without_a_pause_does_not_keep_us_out() -> None:
+    """Both have asked for one object; after that each answer of the other's is followed by its next request."""
+    bench = Shared()
+    bench.client.upload(0x1000, 0, bench.now)
+    bench.other("40 00 10 00 00 00 00 00")
+    bench.frames()
+    bench.hear("43 00 10 00 92 01 02 00", "43 00 10 00 92 01 02 00")
+    bench.other(FOREIGN_READ)
+    bench.hear("4F 01 10 00 05 00 00 00")
+    assert bench.frames() == ["60C#8000100000000008", "60C#4000100000000000"]
