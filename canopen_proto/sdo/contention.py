@@ -159,8 +159,9 @@ class OtherClient:
 
     def _is_idle_after(self, data: bytes) -> bool:
         """Return whether a last answer shows that nothing else is open: a server answers in order, and in one frame only if it is
-        in no transfer. Not if two asked for the object."""
-        return data[0] != ABORT and is_initiate(self.last[0]) and not self._is_twofold
+        in no transfer; so does a refusal that is not about the protocol. Not if two asked for the object."""
+        is_plain = data[0] != ABORT or (data[7] != SERVICE_ERROR and data[1:4] == self.last[1:4])
+        return is_plain and is_initiate(self.last[0]) and not self._is_twofold
 
     def leaves_sure(self, transfer: Transfer) -> bool:
         """Return whether an expedited answer to our request cannot be one to a stranger's.
