@@ -1,12 +1,13 @@
 """Look whether the nodes of a bus keep to the rules of network management, by listening only: states and heartbeats.
 
 The state of a node is the one that its last heartbeat, or guarding answer, has told. An NMT command counts as well, once the node
-had the time to obey; a node that does not obey shows it by its next heartbeat. Behind a boot-up the state is not known: the node
-may start by itself (0x1F80, CiA 302-2).
+had the time to obey. A PDO or SDO that the state does not allow is a fault only if the next heartbeat tells the same state. Else
+the recording may lack a command. Behind a boot-up the state is not known: the node may start by itself (0x1F80, CiA 302-2).
 
 Two nodes with one ID: their heartbeats tell two states in turn. A state that changes, back, and again, without an NMT command or
-a boot-up, is that; a single change is a device that changes its state by itself (CiA 301 v4.2.0, 7.3.2.2). Or heartbeats with
-one state come in less than half of the producer time (0x1017), again and again, once the recording has shown that time.
+a boot-up, is that; a single change is a device that changes its state by itself (CiA 301 v4.2.0, 7.3.2.2). Or heartbeats come
+after a short time and a long one in turn, which together are the producer time (0x1017) that the recording has shown. A burst of
+heartbeats that were held back does not look so.
 
 A boot-up of a node that has sent something since its last one, and was not told to reset, is told: it was switched off and on, or
 has reset itself; or the recording lacks the command.
@@ -23,10 +24,13 @@ from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.observer.finding import Finding, ms_text
+from canopen_proto.observer.gaps import QUIET, Gaps
 from canopen_proto.observer.words import nmt_command_text
 
 OBEYING: Final = 100 * MILLISECOND
 """Time for a node to obey an NMT command: what it has in its queues still goes out, and a slow node takes its time."""
+LATE: Final = 25 * MILLISECOND
+"""A heartbeat that comes sooner behind a frame may have been sent before it."""
 MAX_CONSUMERS: Final = 127
 """Entries of 0x1016 that one node may have (CiA 301 v4.2.0, 7.5.2.19)."""
 
@@ -42,10 +46,12 @@ _AFTER: Final[dict[int, int]] = {
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 _STATES: Final = frozenset(int(state) for state in NmtState)
-_TURNS: Final = 3
-"""Changes of a state without a reason that only two nodes can make: A, B, A, B."""
-_EARLY: Final = 3
-"""Heartbeats in a row that come too early, until that is told: one may wait for the bus, and the next one not."""
+_TURNS: Final = 5
+"""Changes of a state without a reason that only two nodes can make: A, B, A, B, A, B."""
+_PAIRS: Final = 5
+"""Intervals in a row that only two nodes can make: a short one and a long one in turn, together the heartbeat time."""
+COPY: Final = 5 * MILLISECOND
+"""The same heartbeat within this time is a copy, or was held back."""
 _TOGGLE: Final = 0x80
 
 
@@ -53,8 +59,8 @@ class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
     __slots__ = (
-        "deadline", "early", "is_asked", "is_reset", "is_said", "is_told", "is_up", "last", "limit", "period", "since",
-        "state", "toggle", "turns",
+        "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_odd", "is_reset", "is_said", "is_told", "is_up",
+        "last", "limit", "pairs", "period", "since", "state", "suspect", "suspected", "toggle", "turns",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -67,7 +73,14 @@ class _View:
         self.is_said = False  # the state, by the node itself
         self.period: Time = 0  # of its heartbeat (0x1017); 0 if it is not known, or switched off
         self.last: Time = -NEVER  # its last heartbeat
-        self.early = 0  # heartbeats in a row that came too early
+        self.interval: Time = 0  # from the heartbeat before it
+        self.pairs = 0  # heartbeats in a row that came in two rhythms
+        self.byte = -1  # of its last heartbeat
+        self.suspect: Finding | None = None  # what its next heartbeat may prove
+        self.suspected: Time = 0  # when that was
+        self.guarded: Time = -NEVER  # its last guarding answer
+        self.guard_time: Time = NEVER  # the least time between two of them
+        self.is_odd = False  # the last one did not alternate
         self.is_asked = False  # by a guarding request
         self.is_up = False  # it has sent something since it booted
         self.is_reset = False  # it was told to boot
@@ -77,9 +90,10 @@ class _View:
 class NodeRules:
     """See this module's text. deadline: the time at which a heartbeat is late; NEVER if none can be."""
 
-    __slots__ = ("_consumers", "_views", "deadline")
+    __slots__ = ("_consumers", "_gaps", "_views", "deadline")
 
-    def __init__(self) -> None:
+    def __init__(self, gaps: Gaps) -> None:
+        self._gaps = gaps
         self._views = [_View() for _ in range(MAX_NODE_ID + 1)]
         self._consumers: dict[tuple[int, int], tuple[int, Time]] = {}  # by consumer and subindex: the producer and its time
         self.deadline: Time = NEVER
@@ -98,7 +112,7 @@ class NodeRules:
     def producer(self, node_id: int, period: Time) -> None:
         """Take note of a node's producer heartbeat time (0x1017). period: ns."""
         view = self._views[node_id]
-        view.period, view.early, view.last = period, 0, -NEVER
+        view.period, view.pairs, view.last = period, 0, -NEVER
 
     def is_operational(self, node_id: int) -> bool:
         """Return whether the node has said that it is operational, and was not told otherwise since."""
@@ -118,7 +132,7 @@ class NodeRules:
                 allowed = view.limit // MILLISECOND
                 waiting = [str(consumer) for (consumer, _), (each, _) in sorted(self._consumers.items()) if each == node_id]
                 text = f"no heartbeat for more than {allowed} ms, which node {', '.join(waiting)} allows"
-                found.append(Finding("late heartbeat", node_id, text))
+                found.append(Finding("late heartbeat", node_id, text, is_certain=False))
         self.deadline = min(view.deadline for view in self._views)
         return found
 
@@ -134,6 +148,7 @@ class NodeRules:
             view.state = _AFTER.get(command)
             view.since = now
             view.turns.clear()
+            view.suspect = None
             view.is_told = view.is_said = False
             view.last = -NEVER  # a heartbeat that tells the new state may come at once
             view.is_reset = view.is_reset or command in _RESETS
@@ -150,27 +165,40 @@ class NodeRules:
             view.state = None
             view.is_said = view.is_asked = False
             view.turns.clear()
+            view.suspect, view.pairs, view.last, view.guarded = None, 0, -NEVER, -NEVER
             view.period, view.toggle = 0, _TOGGLE  # the first guarding answer has 0 (CiA 301 v4.2.0, 7.2.8.3.2.1)
             is_expected = view.is_reset or not view.is_up
             view.is_reset = view.is_up = False
             text = "it boots in the middle of operation, and no reset command is in the recording"
             return [] if is_expected else [Finding("boot-up", node_id, text, is_certain=False)]
         view.is_up = True
-        found = self._answered(node_id, view, data[0])
+        found: list[Finding] = []
+        if view.is_asked:
+            self._answered(node_id, view, data[0], now, found)
+        elif data[0] == view.byte and now - view.last < COPY:
+            self._gaps.copied(node_id, "heartbeats come at once: they are there twice, or were held back", now, found)
+            return found
+        view.byte = data[0]
+        suspect, view.suspect = view.suspect, None
+        if suspect is not None and state == view.state and now - view.suspected > LATE:
+            found.append(suspect)
         if state not in _STATES:
             found.append(Finding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
-        if now - view.last >= view.period // 2 or state != view.state:
-            view.early = 0
+        interval, before, period = now - view.last, view.interval, view.period
+        if abs(interval + before - period) * 8 <= period and abs(interval - before) * 5 > period > 0:
+            view.pairs += 1
+            if view.pairs == _PAIRS:
+                text = f"its heartbeats come {ms_text(before)} and {ms_text(interval)} apart in turn, and it sends one in"
+                found.append(Finding("double id", node_id, f"{text} {ms_text(period)}: two nodes have one ID"))
         else:
-            view.early += 1
-            if view.early == _EARLY:
-                text = f"its heartbeats come {ms_text(now - view.last)} apart, and it sends one in {ms_text(view.period)}"
-                found.append(Finding("double id", node_id, f"{text}: two nodes have one ID"))
-        view.last, view.is_said = now, True
+            view.pairs = 0
+        view.last, view.interval, view.is_said = now, interval, True
+        if now - self._gaps.last < QUIET:
+            view.turns.clear()
         if not view.turns or state != view.turns[-1]:
             view.turns.append(state)
             if len(view.turns) > _TURNS:
-                if view.turns[-1] == view.turns[-3] and view.turns[-2] == view.turns[-4]:
+                if len(set(view.turns[::2])) == len(set(view.turns[1::2])) == 1:
                     text = f"its heartbeats say {_word(view.turns[-2])} and {_word(state)} in turn: two nodes have one ID"
                     found.append(Finding("double id", node_id, text))
                 del view.turns[:-1]
@@ -178,16 +206,26 @@ class NodeRules:
             view.state, view.since, view.is_told = state, now, False
         return found
 
-    def _answered(self, node_id: int, view: _View, byte: int) -> list[Finding]:
-        """Return whether an answer to a guarding request has the toggle bit of the one before."""
-        if not view.is_asked:
-            return []
+    def _answered(self, node_id: int, view: _View, byte: int, now: Time, found: list[Finding]) -> None:
+        """Look whether an answer to a guarding request has the toggle bit of the one before.
+
+        A request and an answer may be missing between them. It is told once two in a row came in the time of one request.
+        """
         view.is_asked = False
         last, view.toggle = view.toggle, byte & _TOGGLE
-        if view.toggle != last:
-            return []
-        text = "its guarding answers do not alternate the toggle bit: it sends heartbeats instead, or two nodes have one ID"
-        return [Finding("toggle", node_id, text)]
+        interval, view.guarded = now - view.guarded, now
+        if view.toggle == last:
+            text = "its guarding answers do not alternate the toggle bit"
+            if interval * 4 < view.guard_time * 3:
+                self._gaps.copied(node_id, f"{text}: one is there twice", now, found)
+            elif interval * 2 < view.guard_time * 3 and view.guard_time < NEVER and view.is_odd:
+                found.append(Finding("toggle", node_id, f"{text}: it sends heartbeats instead, or two nodes have one ID"))
+            else:
+                self._gaps.missing(node_id, text, now, found)
+            view.is_odd = True
+        else:
+            view.is_odd = False
+            view.guard_time = min(view.guard_time, interval)
 
     def sdo(self, node_id: int, now: Time, found: list[Finding], *, is_answer: bool) -> None:
         """Take note of an SDO frame."""
@@ -197,7 +235,7 @@ class NodeRules:
             return
         view.is_told = True
         text = "it is stopped, and answers an SDO" if is_answer else "an SDO goes to a node that is stopped: it may not answer"
-        found.append(Finding("stopped", node_id, text))
+        view.suspect, view.suspected = Finding("stopped", node_id, text), now
 
     def pdo(self, node_id: int, now: Time, found: list[Finding]) -> None:
         """Take note of a PDO that a node has sent."""
@@ -206,7 +244,8 @@ class NodeRules:
         if view.state is None or view.state == _OPERATIONAL or now - view.since < OBEYING:
             return
         view.since = now  # said again after a while only
-        found.append(Finding("not operational", node_id, f"it sends a PDO, and is {_word(view.state)}"))
+        text = f"it sends a PDO, and is {_word(view.state)}"
+        view.suspect, view.suspected = Finding("not operational", node_id, text), now
 
 
 def _word(state: int) -> str:

@@ -48,6 +48,7 @@ from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 from canopen_proto.observer import words
 from canopen_proto.observer.connections import Channel, Service, channels_of, services_of
 from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.gaps import Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
 from canopen_proto.observer.parameters import Parameters
@@ -62,8 +63,9 @@ RULES: Final = {
     "toggle": "the toggle bit of a segment, or of a guarding answer, does not alternate",
     "crc": "the CRC of a block transfer does not fit its data",
     "size": "a value has another size than was announced",
-    "no request": "an SDO answer without a request, or for another one",
-    "sdo": "an SDO frame that does not fit the transfer",
+    "missing": "frames are missing here",
+    "copied": "a frame is there twice",
+    "sdo": "an SDO frame that the standard does not have, or that contradicts the transfer",
     "two masters": "two clients use one SDO channel at the same time",
     "double id": "two nodes have one ID",
     "shared cob-id": "two nodes send PDOs with one COB-ID",
@@ -77,7 +79,7 @@ RULES: Final = {
     "nmt": "an NMT command that CiA 301 does not have",
     "boot-up": "a node boots in the middle of operation",
     "two sync": "two nodes produce SYNC",
-    "sync counter": "the counter of SYNC leaves a number out, or goes back",
+    "sync counter": "the counter of SYNC is out of its range",
     "late heartbeat": "a heartbeat later than its consumers allow",
     "length": "a frame of a wrong length",
     "load": "the load of the bus is over the limit",
@@ -86,6 +88,8 @@ RULES: Final = {
 
 LOAD_LIMIT: Final = 0.9
 """Share of the bit rate. Above it, a bus delays what has a low priority beyond any bound that a plan gives."""
+_SILENCE: Final = 50 * MILLISECOND
+"""A full bus has no pause as long. Behind one, frames may come that were held back: they say nothing about the load."""
 _MAX_TOLD: Final = 1024
 """Pairs of PDOs with one COB-ID of which it is kept that they were told: more than a bus of 127 nodes can have by mistake."""
 _EMPTY: Final = ObjectDictionary((), source="nothing")
@@ -139,9 +143,10 @@ class Observer:
         self._followers: dict[Channel, SdoFollower] = {}  # those that were heard
         self._routes: dict[RoutingKey, _Route] = {}  # those that were needed since the last change
         self._assigned: dict[RoutingKey, _Route] | None = None  # those that parameters say
-        self._nodes = NodeRules()
-        self._services = ServiceRules()
-        self._timings = PdoRules(self._nodes.is_operational)
+        self._gaps = Gaps()
+        self._nodes = NodeRules(self._gaps)
+        self._services = ServiceRules(self._gaps)
+        self._timings = PdoRules(self._nodes.is_operational, self._gaps)
         self._sequences = Sequences()
         self._told: set[str] = set()
         self._alive: set[int] = set()  # nodes that have sent something
@@ -149,6 +154,7 @@ class Observer:
         self._now: Time = -NEVER
         self._load = _Load(bitrate, load_limit) if bitrate else None
         self._settled: Settled | None = None  # by this frame
+        self._lengths: dict[OverheardPdo, int] = {}  # those that came: the wrong length of the last one, or 0
         self._statuswords: tuple[tuple[int, int], ...] = ()  # by this frame
         for node_id in drives:
             self._pdos.identified(node_id, DEVICE_TYPE, PROFILE)
@@ -288,6 +294,7 @@ class Observer:
             self._channels[node_id] = tuple(channels_of(self._parameters, node_id))
             self._assigned = None
         self._routes.clear()
+        self._lengths.clear()
 
     # ---- the services ----
 
@@ -325,8 +332,8 @@ class Observer:
         return Meaning("guarding", node_id, words.of_guarding_request, frame)
 
     def _sync(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
-        found += self._services.sync(frame.data)
-        self._timings.sync(found)
+        self._services.sync(frame.data, now, found)
+        self._timings.sync(now, found)
         return Meaning("SYNC", 0, words.of_sync, frame)
 
     def _time(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
@@ -335,6 +342,7 @@ class Observer:
 
     def _lss(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         found += self._services.length("LSS", 0, frame.data)
+        self._services.lss(frame.data, now, found, by_master=frame.key == lss.FROM_MASTER)
         self._sequences.lss(frame.data, now, by_master=frame.key == lss.FROM_MASTER)
         return Meaning("LSS", 0, words.of_lss, frame)
 
@@ -354,14 +362,25 @@ class Observer:
 
     def _pdo(self, pdo: OverheardPdo, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         if len(frame.data) != pdo.byte_length:
-            text = f"{pdo.name} has {len(frame.data)} bytes, and its mapping {pdo.byte_length}"
-            found.append(Finding("pdo length", pdo.node_id, text))
-        elif pdo.has_statusword:
-            self._statuswords = pdo.statuswords(frame.data)
+            self._odd_length(pdo, len(frame.data), now, found)
+        else:
+            self._lengths[pdo] = 0
+            if pdo.has_statusword:
+                self._statuswords = pdo.statuswords(frame.data)
         if pdo.direction is Direction.TPDO:
             self._nodes.pdo(pdo.node_id, now, found)
-        self._timings.came(pdo.node_id, pdo.name, now, found)
+        self._timings.came(pdo.node_id, pdo.name, frame.data, now, found)
         return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
+
+    def _odd_length(self, pdo: OverheardPdo, size: int, now: Time, found: list[Finding]) -> None:
+        """A PDO has another length than its mapping. One with the right length proves the mapping: else its change is missing."""
+        text = f"{pdo.name} has {size} bytes, and its mapping {pdo.byte_length}"
+        last = self._lengths.get(pdo)
+        if last is None and pdo.is_recorded:
+            self._gaps.missing(pdo.node_id, f"{text}, which no PDO had yet", now, found)
+        elif last != size:
+            found.append(Finding("pdo length", pdo.node_id, text, is_certain=last is not None))
+            self._lengths[pdo] = size
 
     def _request(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         self._nodes.sdo(channel.node_id, now, found, is_answer=False)
@@ -384,7 +403,7 @@ class Observer:
     def _follower(self, channel: Channel) -> SdoFollower:
         follower = self._followers.get(channel)
         if follower is None:
-            follower = self._followers[channel] = SdoFollower(channel.node_id, self._dictionaries[channel.node_id])
+            follower = self._followers[channel] = SdoFollower(channel.node_id, self._dictionaries[channel.node_id], self._gaps)
         return follower
 
     def _settle(self, settled: Settled) -> list[Finding]:
@@ -420,7 +439,7 @@ class Observer:
             text = f"{first.name} of node {first.node_id} and {second.name} of node {second.node_id} have the COB-ID 0x{key:X}"
             if text not in self._told and len(self._told) < _MAX_TOLD:
                 self._told.add(text)
-                found.append(Finding("shared cob-id", second.node_id, text))
+                found.append(Finding("shared cob-id", second.node_id, text, is_certain=False))
         return found
 
     def _read_consumers(self, node_id: int, dictionary: ObjectDictionary) -> None:
@@ -456,6 +475,8 @@ class _Load:
         self._bitrate = bitrate
         self._limit = limit
         self._begin: Time | None = None
+        self._last: Time = 0
+        self._is_behind_silence = False  # what was held back may come in this second
         self._bits = 0
 
     def add(self, frame: Frame, now: Time, found: list[Finding]) -> int:
@@ -463,10 +484,14 @@ class _Load:
         if self._begin is None or now - self._begin >= SECOND:
             elapsed = SECOND if self._begin is None else now - self._begin
             share = self._bits * SECOND / (elapsed * self._bitrate)
-            if share > self._limit:
+            if self._limit < share and not self._is_behind_silence:
                 text = f"the load was {share * 100:.0f} % of {self._bitrate} bit/s in the last {elapsed / SECOND:.3g} s"
                 found.append(Finding("load", 0, f"{text}; the limit is {self._limit * 100:.0f} %"))
+            self._is_behind_silence = now - self._last > _SILENCE
             self._begin, self._bits = now, 0
+        elif now - self._last > _SILENCE:
+            self._is_behind_silence = True
+        self._last = now
         bits = frame_bits(frame)
         self._bits += bits
         return bits

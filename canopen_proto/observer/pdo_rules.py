@@ -1,8 +1,9 @@
 """Look whether PDOs come when their communication parameters say, by listening only.
 
-Only parameters that the recording has shown count: a device may hold others than its file says. A frame may wait for the bus, and
-a node may be busy. So only a PDO within less than half of its inhibit time, later than one and a half times its event timer, or
-missing at a SYNC and at the next one, is a fault; the last two of a node that says it is operational.
+Only parameters that the recording has shown count: a device may hold others than its file says. A frame may wait for the bus,
+and a node may be busy. So only PDOs that come three times in a row within less than half of their inhibit time, later than one
+and a half times its event timer, or missing at a SYNC and at the next one, is a fault; the last two of a node that says it is
+operational.
 
 Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.35, 7.5.2.37.
 """
@@ -15,6 +16,7 @@ from typing import Final
 from canopen_proto.dictionary import Direction
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, ms_text
+from canopen_proto.observer.gaps import Gaps
 from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, place_of
 
 MAX_CYCLIC: Final = 240
@@ -22,11 +24,19 @@ MAX_CYCLIC: Final = 240
 EVENT_DRIVEN: Final = 254
 """The first transmission type of PDOs that an event sends, or the event timer."""
 
+EARLY: Final = 3
+"""So often in a row a PDO comes too soon until that is told: a frame may wait for the bus, and the next one not."""
+BURST: Final = 2 * MILLISECOND
+"""What comes closer together may have been held back, and be handed over at once."""
+
 
 class _Timing:
     """One PDO: its parameters, and when it came. kind: the transmission type, -1 if it is not known. Times: ns, 0 for none."""
 
-    __slots__ = ("at_sync", "deadline", "event_timer", "inhibit", "is_sent", "kind", "last", "name", "node_id")
+    __slots__ = (
+        "at_sync", "data", "deadline", "early", "event_timer", "extra", "inhibit", "is_sent", "kind", "last", "name",
+        "node_id",
+    )  # fmt: skip
 
     def __init__(self, node_id: int, name: str, is_sent: bool) -> None:
         self.node_id = node_id
@@ -35,6 +45,7 @@ class _Timing:
         self.kind = -1
         self.inhibit: Time = 0
         self.event_timer: Time = 0
+        self.data = b""  # of the last one
         self.forget()
 
     def forget(self) -> None:
@@ -42,6 +53,8 @@ class _Timing:
         self.last: Time = -NEVER
         self.at_sync = -1  # the number of the last SYNC when it came
         self.deadline: Time = NEVER
+        self.early = 0  # in a row, that came too soon
+        self.extra = 0  # that came a second time behind one SYNC
 
 
 class PdoRules:
@@ -50,9 +63,14 @@ class PdoRules:
     deadline: the time at which a PDO is late for its event timer; NEVER if none can be.
     """
 
-    __slots__ = ("_cyclic", "_is_operational", "_syncs", "_timings", "deadline")
+    __slots__ = (
+        "_cycle", "_cyclic", "_gaps", "_is_operational", "_sync_at", "_syncs", "_timings", "deadline",
+    )  # fmt: skip
 
-    def __init__(self, is_operational: Callable[[int], bool]) -> None:
+    def __init__(self, is_operational: Callable[[int], bool], gaps: Gaps) -> None:
+        self._gaps = gaps
+        self._sync_at: Time = -NEVER  # the last SYNC
+        self._cycle: Time = NEVER  # the least time between two of them
         self._is_operational = is_operational
         self._timings: dict[tuple[int, str], _Timing] = {}  # by node and name: "TPDO 1"
         self._cyclic: list[_Timing] = []  # those that a node sends at each SYNC, or at each nth
@@ -89,30 +107,53 @@ class PdoRules:
             if node_id in (0, timing.node_id):
                 timing.forget()
 
-    def came(self, node_id: int, name: str, now: Time, found: list[Finding]) -> None:
+    def came(self, node_id: int, name: str, data: bytes, now: Time, found: list[Finding]) -> None:
         """Take note of a PDO. found: takes what is wrong with its time."""
         timing = self._timings.get((node_id, name)) if self._timings else None
         if timing is None:
             return
-        if timing.is_sent and (now - timing.last) * 2 < timing.inhibit:
-            text = f"{name} {ms_text(now - timing.last)} behind the last one; its inhibit time is {ms_text(timing.inhibit)}"
-            found.append(Finding("inhibit time", node_id, text))
-        if timing.is_sent and 0 <= timing.kind <= MAX_CYCLIC and timing.at_sync == self._syncs > 0:
-            found.append(Finding("synchronous pdo", node_id, f"{name} comes a second time behind one SYNC"))
-        timing.last, timing.at_sync = now, self._syncs
+        interval = now - timing.last
+        if timing.is_sent and interval * 2 < timing.inhibit:
+            timing.early = timing.early + 1 if interval > BURST else 0
+            if timing.early == EARLY:
+                text = f"{name} {ms_text(interval)} behind the last one; its inhibit time is {ms_text(timing.inhibit)}"
+                found.append(Finding("inhibit time", node_id, text))
+        else:
+            timing.early = 0
+        if timing.is_sent and 0 <= timing.kind <= MAX_CYCLIC:
+            if timing.at_sync == self._syncs > 0:
+                self._twice(timing, data, interval, now, found)
+            elif timing.at_sync < self._syncs - max(timing.kind, 1):
+                timing.extra = 0  # one may have been late
+        timing.last, timing.at_sync, timing.data = now, self._syncs, data
         if timing.event_timer and timing.kind >= EVENT_DRIVEN:
             timing.deadline = now + timing.event_timer * 3 // 2
             self.deadline = min(self.deadline, timing.deadline)
 
-    def sync(self, found: list[Finding]) -> None:
+    def _twice(self, timing: _Timing, data: bytes, interval: Time, now: Time, found: list[Finding]) -> None:
+        """A PDO comes a second time behind one SYNC. A SYNC may be missing between the two, if that was long enough."""
+        text = f"{timing.name} comes a second time behind one SYNC"
+        if data == timing.data:
+            self._gaps.copied(timing.node_id, text, now, found)
+        elif self._cycle == NEVER or interval * 2 >= self._cycle:
+            self._gaps.missing(timing.node_id, text, now, found)
+        else:
+            timing.extra += 1
+            if timing.extra == EARLY:
+                timing.extra = 0
+                found.append(Finding("synchronous pdo", timing.node_id, f"{text}, for the third time"))
+
+    def sync(self, now: Time, found: list[Finding]) -> None:
         """Take note of a SYNC. found: takes the PDOs that were due behind the last two of theirs; each one once."""
         self._syncs += 1
+        self._cycle = min(self._cycle, now - self._sync_at)
+        self._sync_at = now
         for timing in self._cyclic:
             if 0 <= timing.at_sync < self._syncs - timing.kind - 1:
                 timing.at_sync = -1
                 if self._is_operational(timing.node_id):
                     text = f"{timing.name} does not come, at a SYNC and at the next one; its transmission type is {timing.kind}"
-                    found.append(Finding("late pdo", timing.node_id, text))
+                    found.append(Finding("late pdo", timing.node_id, text, is_certain=False))
 
     def overdue(self, now: Time) -> list[Finding]:
         """Return the PDOs that are later than their event timers allow; each one once."""
@@ -122,7 +163,7 @@ class PdoRules:
                 timing.deadline = NEVER
                 if self._is_operational(timing.node_id):
                     text = f"{timing.name} does not come; its event timer is {ms_text(timing.event_timer)}"
-                    found.append(Finding("late pdo", timing.node_id, text))
+                    found.append(Finding("late pdo", timing.node_id, text, is_certain=False))
         self.deadline = min((timing.deadline for timing in self._timings.values()), default=NEVER)
         return found
 

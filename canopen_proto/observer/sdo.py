@@ -9,6 +9,15 @@ heard, nothing is wrong. A frame that does not fit into the transfer is put in w
 transfer. Where the recording lacks a part of a block, neither its CRC nor its size is judged, and no value is shown. A request
 that is given up without an abort is no fault of its own.
 
+Whatever a missing frame can look like is told as that, once (gaps.py). A fault needs a proof:
+
+    toggle        of a segment: all bytes are there that were announced, so no segment is missing; or the server says so itself
+    size          the difference is less than a segment; it is likely only
+    crc           the announced size is there
+    two masters   another client's transfer inside of one that has all its bytes; or _REPEATED times, a second apart, answers to
+                  two requests at once
+    double id     _REPEATED times in a row a second answer with another value, sooner than any answer to a request has come
+
 Source: CiA 301 v4.2.0, 7.2.4.3.
 """
 
@@ -21,9 +30,10 @@ from typing import Final, NamedTuple
 from canopen_proto.abort import text_of
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.gaps import QUIET, Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.sdo_words import (
     WRITTEN,
@@ -33,6 +43,7 @@ from canopen_proto.observer.sdo_words import (
     alone,
     mux_of,
     name_of,
+    once_more,
     too_short,
 )
 from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, END_RESPONSE, FINAL, KIND, MAX_BLOCK_SIZE, SEQUENCE, START_UPLOAD
@@ -64,8 +75,17 @@ MAX_KEPT: Final = 1 << 16
 TWO_CLIENTS: Final = 20 * MILLISECOND
 """Another request within this time behind one without an answer is another client's: no client gives up as soon."""
 
-SECOND_ANSWER: Final = 500 * MILLISECOND
-"""Another answer within this time behind the first one is to the same request: clients wait as long, usually."""
+COPY: Final = 5 * MILLISECOND
+"""The same frame of the same side within this time, with none of the other side between them, is a copy."""
+
+PAUSE: Final = 100 * MILLISECOND
+"""Behind such a pause a transfer may be another one, whose beginning is missing."""
+
+_REPEATED: Final = 3
+"""So often something has to happen that accuses another client, or another node."""
+_MAX_SUPERSEDED: Final = 4
+_SEGMENT: Final = 7
+_TOGGLE_ABORT: Final = 0x0503_0000
 
 _BLOCK_CRC: Final = 0x04
 _BLOCK_SIZE_BIT: Final = 0x02
@@ -102,14 +122,29 @@ class SdoFollower:
     """
 
     __slots__ = (
-        "_acknowledgement", "_announced", "_answer", "_answered", "_block_size", "_crc", "_data", "_dictionary", "_found",
-        "_has_crc", "_is_doubtful", "_is_judged", "_is_sound", "_is_upload", "_is_whole", "_last", "_length", "_pending",
-        "_phase", "_place", "_request", "_sent", "_since", "_tail", "_toggle", "_verb", "_was_final", "aborted",
-        "node_id", "settled",
+        "_acknowledgement", "_announced", "_answer", "_answered", "_before", "_block_size", "_copies", "_crc", "_data",
+        "_dictionary", "_echo", "_found", "_gaps", "_has_crc", "_held", "_is_client", "_is_doubtful", "_is_intruded",
+        "_is_judged", "_is_lost", "_is_odd_request", "_is_paused", "_is_sound", "_is_upload", "_is_whole", "_last",
+        "_last_answer", "_last_request", "_least", "_length", "_now", "_odd", "_pending", "_phase", "_place",
+        "_request", "_rival_at", "_rivals", "_sent", "_since", "_superseded", "_tail", "_toggle", "_twins", "_verb",
+        "_was_final", "aborted", "node_id", "settled",
     )  # fmt: skip
 
-    def __init__(self, node_id: int, dictionary: ObjectDictionary) -> None:
+    def __init__(self, node_id: int, dictionary: ObjectDictionary, gaps: Gaps) -> None:
         self.node_id = node_id
+        self._gaps = gaps
+        self._now: Time = -NEVER
+        self._is_client = False  # who has sent the last frame
+        self._before = b""  # the last frame
+        self._last_request = self._last_answer = b""  # for a segment
+        self._copies = 0  # requests that came twice, and may have two answers
+        self._superseded: list[tuple[bytes, bool]] = []  # objects of requests without an answer; whether another came at once
+        self._rivals = 0  # answers to one of two requests at once
+        self._rival_at: Time = -NEVER  # the last of these
+        self._twins = 0  # second answers in a row
+        self._least: Time = NEVER  # the least time from a request to its answer
+        self._held: _Held | None = None  # a transfer in which another one began
+        self._is_lost = False  # frames of this transfer are missing
         self.settled: Settled | None = None
         self.aborted: Mux | None = None
         self._dictionary = dictionary
@@ -141,22 +176,69 @@ class SdoFollower:
         self._is_doubtful = False  # it came twice: the receiver said it again, or a sub-block in between was not heard
         self._is_whole: bool = True  # all that the receiver has taken was heard
         self._is_sound = True  # its size and its CRC are right
+        self._odd = ""  # a toggle bit was wrong, in words
+        self._echo = b""  # a request for a segment that is a copy, or has a wrong toggle bit
+        self._is_intruded = False  # another transfer was inside of this one
+        self._is_paused = False  # the end of this transfer, and the beginning of another one, may be missing
+        self._is_odd_request = False
 
     def client(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         """Return the meaning of a frame of the client. found: takes what is wrong."""
         self.settled = self.aborted = None
         self._found = found
-        return Meaning("SDO", self.node_id, self._of_client(frame.data, now), frame)
+        data = frame.data
+        if data == self._before and self._is_client and now - self._now < COPY:
+            self._copies += self._phase is _Phase.INITIATE_ANSWER
+            return self._copy(frame, "request")
+        if now - self._now > PAUSE and self._phase not in _BETWEEN:
+            self._is_paused = True
+        self._now, self._before, self._is_client = now, data, True
+        return Meaning("SDO", self.node_id, self._of_client(data, now), frame)
 
     def server(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         """Return the meaning of a frame of the server. found: takes what is wrong."""
         self.settled = self.aborted = None
         self._found = found
-        return Meaning("SDO", self.node_id, self._of_server(frame.data, now), frame)
+        data = frame.data
+        if data == self._before and not self._is_client and now - self._now < COPY:
+            if self._copies:
+                self._copies -= 1
+                return Meaning("SDO", self.node_id, once_more, frame)
+            return self._copy(frame, "answer")
+        if now - self._now > PAUSE and self._phase not in _BETWEEN:
+            self._is_paused = True
+        self._now, self._before, self._is_client = now, data, False
+        return Meaning("SDO", self.node_id, self._of_server(data, now), frame)
+
+    def _copy(self, frame: Frame, what: str) -> Meaning:
+        """Take a frame that has come twice: it counts once."""
+        if self._is_judged:
+            self._gaps.copied(self.node_id, f"the same SDO {what} is there twice", self._now, self._found)
+        return Meaning("SDO", self.node_id, once_more, frame)
+
+    def _lost(self, text: str) -> None:
+        """Take a sign that frames are missing: nothing of this transfer is judged any more, up to the next request."""
+        if self._is_judged:
+            self._gaps.missing(self.node_id, text, self._now, self._found)
+        self._phase, self._is_judged, self._is_lost = _Phase.UNKNOWN, False, True
+        self._rivals = self._twins = 0
+        self._held = None
+        self._pending.clear()
+
+    def _lost_in_block(self, text: str) -> None:
+        """Take a sign that frames of a block are missing. The block goes on, and its content is not known."""
+        if self._is_whole and self._is_judged:
+            self._gaps.missing(self.node_id, text, self._now, self._found)
+        self._is_whole = False
+        self._is_lost = True
+        self._pending.clear()
 
     def _of_client(self, data: bytes, now: Time) -> Say:
-        if self._phase is _Phase.BLOCK_SEGMENTS and not self._is_upload and not self._is_abort(data):
-            return self._block_segment(data)
+        if not self._is_upload and data and not self._is_abort(data):
+            if self._phase is _Phase.BLOCK_SEGMENTS:
+                return self._block_segment(data)
+            if 0 < data[0] & SEQUENCE < _LEAST_INITIATE and self._has_next_segments():
+                return self._block_segment(data)
         request = complete(data, LEAST_REQUEST)
         if request is None:
             self._found.append(Finding("sdo", self.node_id, "an SDO request is too short for its command"))
@@ -175,8 +257,11 @@ class SdoFollower:
         return self._block_of_client(request)
 
     def _of_server(self, data: bytes, now: Time) -> Say:
-        if self._phase is _Phase.BLOCK_SEGMENTS and self._is_upload and not self._is_abort(data):
-            return self._block_segment(data)
+        if self._is_upload and data and not self._is_abort(data):
+            if self._phase is _Phase.BLOCK_SEGMENTS:
+                return self._block_segment(data)
+            if 0 < data[0] & SEQUENCE < _LEAST_INITIATE and self._has_next_segments():
+                return self._block_segment(data)
         answer = complete(data, LEAST_RESPONSE)
         if answer is None:
             self._say("sdo", "an SDO answer is too short for its command")
@@ -184,13 +269,13 @@ class SdoFollower:
         specifier = answer[0] & SPECIFIER
         say: Say
         if specifier == ABORT:
-            if self._phase is _Phase.IDLE:
-                self._say("no request", "the server aborts a transfer, and none is under way")
+            if self._phase is _Phase.IDLE and not self._superseded:
+                self._lost("the server aborts a transfer whose request is not there")
             say = self._aborted(answer, "server")
         elif self._phase is _Phase.IDLE or self._phase is _Phase.UNKNOWN:
             say = self._unasked(answer, now)
         elif self._phase is _Phase.INITIATE_ANSWER:
-            say = self._initiate_answer(answer)
+            say = self._initiate_answer(answer, now)
         elif specifier in (UPLOAD_SEGMENT_RESPONSE, DOWNLOAD_SEGMENT_RESPONSE) and self._phase in (
             _Phase.SEGMENT_ANSWER,
             _Phase.SEGMENT_REQUEST,
@@ -205,12 +290,21 @@ class SdoFollower:
     # ---- initiate ----
 
     def _initiate(self, request: bytes, now: Time) -> Say:
-        if self._phase is _Phase.INITIATE_ANSWER and request != self._request and now - self._since < TWO_CLIENTS:
-            self._say("two masters", "a second SDO request before the first one has its answer: two clients use one channel")
+        if self._phase is _Phase.INITIATE_ANSWER:
+            if request != self._request:
+                self._superseded.append((self._place, now - self._since < TWO_CLIENTS))
+                del self._superseded[:-_MAX_SUPERSEDED]
+            else:
+                self._copies += 1  # the client asks again, and both may be answered
+        elif self._phase in (_Phase.SEGMENT_REQUEST, _Phase.SEGMENT_ANSWER) and self._is_judged:
+            self._end_oddly()
+            self._held = _Held(
+                self._phase, self._request, self._announced, bytes(self._data), self._length, self._toggle, self._last_request
+            )
         command = request[0]
         specifier = command & SPECIFIER
         self._begin(request, is_upload=specifier in (INITIATE_UPLOAD, BLOCK_UPLOAD))
-        self._phase, self._since, self._is_judged = _Phase.INITIATE_ANSWER, now, True
+        self._phase, self._since, self._is_judged, self._is_lost = _Phase.INITIATE_ANSWER, now, True, False
         if specifier == INITIATE_UPLOAD:
             return self._step()
         if specifier == INITIATE_DOWNLOAD:
@@ -224,15 +318,18 @@ class SdoFollower:
         self._block_size = request[4]
         return self._step(f": in blocks of {request[4]} segments")
 
-    def _initiate_answer(self, answer: bytes) -> Say:
+    def _initiate_answer(self, answer: bytes, now: Time) -> Say:
         command, asked = answer[0], self._request[0] & SPECIFIER
         specifier = command & SPECIFIER
-        if (asked, specifier) not in _ANSWERS:
-            self._say("no request", "an SDO answer of another kind than the request")
+        if (asked, specifier) not in _ANSWERS or answer[1:4] != self._place:
+            if not self._is_to_another(answer):
+                seen = (
+                    f"an SDO answer for {name_of(answer[1:4])}" if answer[1:4] != self._place else "an SDO answer of another kind"
+                )
+                self._lost(f"{seen}; the request was for {name_of(self._place)}")
             return self._by_itself(answer)
-        if answer[1:4] != self._place:
-            self._say("no request", f"an SDO answer for {name_of(answer[1:4])}; the request was for {name_of(self._place)}")
-            return self._by_itself(answer)
+        self._least = min(self._least, now - self._since)
+        self._twins = self._twins if answer[1:4] == self._answer[1:4] else 0
         if specifier == INITIATE_DOWNLOAD_RESPONSE:
             if self._request[0] & EXPEDITED_BIT:
                 return self._written()
@@ -259,13 +356,39 @@ class SdoFollower:
         return self._step(f": go on, {answer[4]} segments a block")
 
     def _unasked(self, answer: bytes, now: Time) -> Say:
-        if now - self._answered > SECOND_ANSWER:
-            self._say("no request", "an SDO answer to which there is no request")
-        elif answer == self._answer:
-            self._say("no request", "the same SDO answer once more: the bus or the server has sent it twice")
+        if not self._is_judged or self._is_to_another(answer):
+            return self._by_itself(answer)
+        if self._copies and answer == self._answer:
+            self._copies -= 1
+            return self._by_itself(answer)
+        is_twin = answer[1:4] == self._answer[1:4] and (now - self._answered) * 2 < self._least and self._least < NEVER
+        twins = self._twins + 1 if is_twin else 0
+        if twins >= _REPEATED:
+            self._say(
+                "double id", f"{twins} times a second answer, with another value, to one SDO request: two nodes have one ID"
+            )
+            twins = 0
         else:
-            self._say("double id", "a second answer to one SDO request: two nodes have one ID")
+            self._lost("an SDO answer whose request is not there" + (", or a second node answers" if is_twin else ""))
+        self._twins = twins
         return self._by_itself(answer)
+
+    def _is_to_another(self, answer: bytes) -> bool:
+        """Return whether an answer is to a request before the last one: its client gave up, or there are two clients."""
+        for each in self._superseded:
+            if each[0] == answer[1:4]:
+                self._superseded.remove(each)
+                if each[1] and self._now - self._rival_at > QUIET:
+                    self._rival_at = self._now
+                    self._rivals += 1
+                    text = "answers to two SDO requests at once: another SDO client uses this channel"
+                    if self._rivals == _REPEATED:
+                        self._rivals = 0
+                        self._say("two masters", text)
+                    else:
+                        self._gaps.missing(self.node_id, f"{text}, or an answer is missing", self._now, self._found)
+                return True
+        return False
 
     def _by_itself(self, answer: bytes) -> Say:
         """Return an answer in words; its request was not heard, or was another one. If nothing else is known, the transfer is
@@ -297,17 +420,42 @@ class SdoFollower:
     # ---- segments ----
 
     def _segment_request(self, request: bytes, *, is_upload: bool) -> Say:
+        held = self._held
+        if held is not None and self._phase is _Phase.IDLE and request[0] & TOGGLE == held.toggle:
+            self._resume(held)
         if self._phase not in (_Phase.SEGMENT_REQUEST, _Phase.SEGMENT_ANSWER) or is_upload != self._is_upload:
-            self._say("sdo", "a request for a segment, outside of such a transfer")
+            self._lost("a request for a segment, outside of such a transfer")
             return alone
+        if request[0] & TOGGLE != self._toggle and request == self._last_request:
+            self._echo = request  # or the next one, with a wrong toggle bit: the answer will tell
+            return once_more
+        self._echo = b""
+        self._is_odd_request = request[0] & TOGGLE != self._toggle
+        if self._is_odd_request and self._phase is _Phase.SEGMENT_ANSWER:
+            self._lost("the answer to a segment")
+            return alone
+        self._last_request = request
         self._check_toggle(request[0], "request")
         self._phase = _Phase.SEGMENT_ANSWER
         return self._step(": next segment") if is_upload else self._segment(request)
 
     def _segment_answer(self, answer: bytes, *, is_upload: bool) -> Say:
+        if self._echo and self._phase is _Phase.SEGMENT_REQUEST and is_upload == self._is_upload:
+            echo, self._echo = self._echo, b""
+            if answer[0] & TOGGLE == self._toggle:
+                self._odd = "the toggle bit of a segment's request does not alternate"
+                self._phase = _Phase.SEGMENT_ANSWER
+                if not is_upload:
+                    self._segment(echo)
+        if answer == self._last_answer and answer[0] & TOGGLE != self._toggle and self._phase is _Phase.SEGMENT_REQUEST:
+            return once_more
         if is_upload != self._is_upload or (self._phase is not _Phase.SEGMENT_ANSWER and self._is_judged):
-            self._say("no request", "a segment's answer to which there is no request")
+            self._lost("a segment's answer to which there is no request")
             return alone
+        if self._is_odd_request and answer[0] & TOGGLE != self._toggle:
+            self._lost("a segment and its answer")
+            return alone
+        self._last_answer = answer
         self._check_toggle(answer[0], "answer")
         self._toggle ^= TOGGLE
         self._phase = _Phase.SEGMENT_REQUEST
@@ -328,13 +476,42 @@ class SdoFollower:
 
     def _check_toggle(self, command: int, what: str) -> None:
         if command & TOGGLE != self._toggle:
-            self._say("toggle", f"the toggle bit of a segment's {what} is {command >> 4 & 1}, and has to be {self._toggle >> 4}")
-            self._toggle = command & TOGGLE  # said once
+            self._odd = self._odd or f"the toggle bit of a segment's {what} does not alternate"
 
     def _check_size(self) -> None:
-        if self._announced is not None and self._length != self._announced:
-            self._say("size", f"{name_of(self._place)} was announced with {self._announced} bytes, and has {self._length}")
+        """Look at the size of a transfer that is over. It proves whether a segment is missing."""
+        announced, length = self._announced, self._length
+        is_odd, self._odd = self._odd, ""
+        if announced is not None and length != announced:
             self._is_sound = False
+            if self._is_paused or abs(announced - length) >= _SEGMENT:
+                self._lost(f"{name_of(self._place)} was announced with {announced} bytes, and has {length}")
+                return
+            text = f"{name_of(self._place)} was announced with {announced} bytes, and has {length}"
+            if self._is_judged:
+                self._found.append(Finding("size", self.node_id, text, is_certain=False))
+        if is_odd and announced == length:
+            self._say("toggle", f"{is_odd}, and no segment is missing")
+        elif is_odd:
+            self._is_sound = False
+            self._lost(is_odd)
+        if self._is_intruded and announced == length:
+            self._say("two masters", "a transfer in the middle of another one: another SDO client uses this channel")
+
+    def _end_oddly(self) -> None:
+        """A transfer ends before its size could tell whether a segment is missing."""
+        if self._odd:
+            self._gaps.missing(self.node_id, self._odd, self._now, self._found)
+            self._odd = ""
+
+    def _resume(self, held: _Held) -> None:
+        """Go on with a transfer in which another one was made."""
+        self._held = None
+        self._begin(held.request, is_upload=held.request[0] & SPECIFIER == INITIATE_UPLOAD)
+        self._phase, self._announced, self._length, self._toggle = held.phase, held.announced, held.length, held.toggle
+        self._data += held.data
+        self._last_request = held.last_request
+        self._is_intruded = True
 
     # ---- blocks ----
 
@@ -342,13 +519,28 @@ class SdoFollower:
         """Take a segment of the side that has the data."""
         segment = data[:8].ljust(8, b"\0")
         number, is_final = segment[0] & SEQUENCE, bool(segment[0] & FINAL)
+        if number < self._sent:
+            self._lost_in_block("an acknowledgement of a block")
+            self._acknowledgement = b""
         self._sent = number
         if number == len(self._pending) + 1:
             self._pending.append(segment[1:])
         if is_final or number >= self._block_size:
             self._was_final = is_final
             self._phase = _Phase.BLOCK_ACKNOWLEDGEMENT
+        elif self._phase is not _Phase.BLOCK_SEGMENTS:
+            self._phase = _Phase.BLOCK_SEGMENTS
         return self._step(f": block segment {number}{', the last' if is_final else ''}")
+
+    def _has_next_segments(self) -> bool:
+        """Return whether segments of a block may come here, if the frame before them is missing."""
+        if self._phase is _Phase.BLOCK_ACKNOWLEDGEMENT:
+            return not self._was_final
+        is_begun = self._phase is (_Phase.BLOCK_START if self._is_upload else _Phase.INITIATE_ANSWER)
+        if not is_begun or self._request[0] & SPECIFIER != (BLOCK_DOWNLOAD if not self._is_upload else BLOCK_UPLOAD):
+            return False
+        self._lost_in_block("the beginning of a block")
+        return True
 
     def _block_of_client(self, frame: bytes) -> Say:
         kind = frame[0] & KIND
@@ -362,7 +554,20 @@ class SdoFollower:
             return self._step(": block transfer ended")
         if not self._is_upload and kind == END and self._phase is _Phase.BLOCK_END:
             return self._block_end(frame)
-        self._say("sdo", "a frame of a block transfer that does not fit here")
+        if frame[0] & SPECIFIER == SPECIFIER and self._phase is _Phase.IDLE:
+            self._say("sdo", f"an SDO request with the command 0x{frame[0]:02X}, which does not exist")
+            return alone
+        if not self._is_upload and kind == END and self._phase in _IN_BLOCK:
+            self._lost_in_block("the end of a block")
+            return self._block_end(frame)
+        if self._is_upload and self._phase in _IN_BLOCK:
+            self._lost_in_block("a part of a block")
+            if frame[0] == ACKNOWLEDGEMENT:
+                return self._acknowledged(frame)
+            if frame[0] == END_RESPONSE:
+                self._end()
+            return self._step(": not all of it was heard")
+        self._lost("a frame of a block transfer that does not fit here")
         return alone
 
     def _block_of_server(self, frame: bytes) -> Say:
@@ -373,7 +578,15 @@ class SdoFollower:
             return self._written()
         if self._is_upload and kind == END and self._phase is _Phase.BLOCK_END:
             return self._block_end(frame)
-        self._say("no request", "an SDO answer that does not fit the request")
+        if self._phase in _IN_BLOCK and frame[0] & SPECIFIER == (BLOCK_UPLOAD if not self._is_upload else BLOCK_DOWNLOAD):
+            self._lost_in_block("a part of a block")
+            if self._is_upload:
+                return self._block_end(frame) if kind == END else self._step(": not all of it was heard")
+            if frame[0] == ACKNOWLEDGEMENT:
+                return self._acknowledged(frame)
+            if frame[0] == END_RESPONSE:
+                return self._written()
+        self._lost("an SDO answer that does not fit the request")
         return self._by_itself(frame)
 
     def _may_acknowledge(self, frame: bytes) -> bool:
@@ -388,8 +601,10 @@ class SdoFollower:
             self._is_doubtful = True
             return self._step(f": {taken} segments taken, once more")
         self._acknowledgement = frame
-        if taken > self._sent:
-            self._say("sdo", f"{taken} segments are acknowledged, and {self._sent} were sent")
+        if taken > MAX_BLOCK_SIZE:
+            self._say("sdo", f"{taken} segments are acknowledged, and a block has {MAX_BLOCK_SIZE} at most")
+        elif taken > len(self._pending):
+            self._lost_in_block(f"{taken} segments of a block are acknowledged")
         again = ", the others must be sent again" if taken < self._sent else ""
         self._is_whole = self._is_whole and taken <= len(self._pending)
         for content in self._pending[:taken]:
@@ -411,9 +626,18 @@ class SdoFollower:
             fits = (not self._has_crc or self._crc == said) and self._announced in (None, self._length)
             self._is_whole = self._is_whole and has_proof and fits
         if self._is_whole:
-            if self._has_crc and self._crc != said:
-                self._say("crc", f"the CRC of {name_of(self._place)} is said to be 0x{said:04X}, and is 0x{self._crc:04X}")
+            is_wrong = self._has_crc and self._crc != said
+            self._is_sound = not is_wrong
+            if is_wrong and (self._announced is None or self._is_paused):
+                self._lost("the CRC of a block does not fit, and its size does not prove that all of it is there")
+                return self._step(": not all of it was heard")
+            if self._has_crc and not is_wrong and self._announced not in (None, self._length):
+                text = f"{name_of(self._place)} was announced with {self._announced} bytes, and has {self._length}"
+                self._say("size", text)
                 self._is_sound = False
+                return self._value()
+            if is_wrong and self._announced == self._length:
+                self._say("crc", f"the CRC of {name_of(self._place)} is said to be 0x{said:04X}, and is 0x{self._crc:04X}")
             self._check_size()
         return self._value()
 
@@ -459,13 +683,17 @@ class SdoFollower:
         return SdoStep(self._dictionary, self.node_id, self._place, WRITTEN, "", data, self.settled is not None).say
 
     def _settle(self, data: bytes) -> None:
-        if self._is_sound:
+        if self._is_sound and not self._is_lost:
             self.settled = Settled(self.node_id, mux_of(self._place), data, self._is_upload)
 
     def _aborted(self, frame: bytes, whom: str) -> Say:
+        code = int.from_bytes(frame[4:8], "little")
+        if code == _TOGGLE_ABORT and (self._odd or self._is_odd_request or self._echo):
+            self._say("toggle", f"the toggle bit of a segment does not alternate; the {whom} says so too")
+            self._odd = ""
+        self._end_oddly()
         self._end()
         self.aborted = mux_of(frame[1:4])
-        code = int.from_bytes(frame[4:8], "little")
         text = text_of(code)
         reason = f": {text}" + ("" if "(0x" in text else f" (0x{code:08X})")
         return SdoStep(self._dictionary, self.node_id, frame[1:4], f"aborted by the {whom},", reason, None, False).say
@@ -483,11 +711,35 @@ class SdoFollower:
             self._found.append(Finding(rule, self.node_id, text))
 
 
+class _Held(NamedTuple):
+    """A transfer in segments in which another one began."""
+
+    phase: _Phase
+    request: bytes
+    announced: int | None
+    data: bytes
+    length: int
+    toggle: int
+    last_request: bytes
+
+
 def _expedited(frame: bytes) -> bytes:
     """Return the value in an initiate frame."""
     return frame[4 : 8 - (frame[0] >> 2 & 3 if frame[0] & SIZE_BIT else 0)]
 
 
+_BETWEEN: Final = frozenset((_Phase.UNKNOWN, _Phase.IDLE, _Phase.INITIATE_ANSWER))
+_IN_BLOCK: Final = frozenset(
+    (
+        _Phase.BLOCK_START,
+        _Phase.BLOCK_SEGMENTS,
+        _Phase.BLOCK_ACKNOWLEDGEMENT,
+        _Phase.BLOCK_END,
+        _Phase.BLOCK_END_ANSWER,
+    )
+)
+_LEAST_INITIATE: Final = 0x20
+"""The least first byte of a request that begins a transfer: segments with lower numbers cannot be taken for one."""
 _ANSWERS: Final = frozenset(
     {
         (INITIATE_DOWNLOAD, INITIATE_DOWNLOAD_RESPONSE),

@@ -55,6 +55,11 @@ def a_block_confirmation(_frame: Frame) -> Words:
     return Words("a block transfer is confirmed")
 
 
+def once_more(_frame: Frame) -> Words:
+    """Say that a frame is the one before it."""
+    return Words("the same frame once more")
+
+
 def too_short(frame: Frame) -> Words:
     """Say that bytes are missing which the command byte announces."""
     return Words(f"too short for its command: {hex_text(frame.data)}")

@@ -18,21 +18,33 @@ from canopen_proto.indices import (
     INHIBIT_TIME_EMERGENCY,
     SYNCHRONOUS_COUNTER_OVERFLOW_VALUE,
 )
+from canopen_proto.lss.messages import LssService
 from canopen_proto.machine import NEVER, Time
 from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, ms_text
+from canopen_proto.observer.gaps import Gaps
+from canopen_proto.observer.pdo_rules import BURST, EARLY
 from canopen_proto.sync import MAX_COUNTER
 
 _PRODUCES_SYNC: Final = COB_ID_NO_RTR  # bit 30: of a SYNC it has this meaning
 _LENGTHS: Final = {"TIME": 6, "EMCY": 8, "LSS": 8}
+_IDENTIFIED: Final = bytes((LssService.IDENTIFIED,))
 _WORDS: Final = {"TIME": "a time stamp", "EMCY": "an emergency", "LSS": "an LSS frame"}
+
+
+_TURNS: Final = 4
+"""Changes between SYNCs with a counter and without one that only two producers make: one that is configured makes fewer."""
 
 
 class ServiceRules:
     """See this module's text."""
 
-    __slots__ = ("_counter", "_emergencies", "_inhibit", "_lengths", "_periods", "_producers", "_told")
+    __slots__ = (
+        "_counter", "_early", "_emergencies", "_gaps", "_inhibit", "_lengths", "_lss", "_lss_rivals", "_periods",
+        "_producers", "_told",
+    )  # fmt: skip
 
-    def __init__(self) -> None:
+    def __init__(self, gaps: Gaps) -> None:
+        self._gaps = gaps
         self._counter: int | None = None  # of the last SYNC
         self._lengths: list[int] = []  # of SYNCs, where they change; the last three
         self._producers: set[int] = set()  # nodes with bit 30 in 0x1005
@@ -40,6 +52,9 @@ class ServiceRules:
         self._told = False  # that two nodes produce SYNC
         self._inhibit: dict[int, Time] = {}
         self._emergencies = [-NEVER] * (MAX_NODE_ID + 1)
+        self._early = [0] * (MAX_NODE_ID + 1)  # emergencies in a row that came too soon
+        self._lss = (b"", 0)  # the last LSS answer, and how many came to one request
+        self._lss_rivals = 0
 
     def settle(self, node_id: int, index: int, value: int) -> list[Finding]:
         """Take note of a value that a node holds; returns what is wrong with it on this bus. Other objects do nothing."""
@@ -61,7 +76,14 @@ class ServiceRules:
         if self._told:
             return []
         self._told = True
-        return [Finding("two sync", node_id, f"nodes {', '.join(map(str, both))} produce SYNC: bit 30 of 0x1005, and 0x1006 > 0")]
+        return [
+            Finding(
+                "two sync",
+                node_id,
+                f"nodes {', '.join(map(str, both))} produce SYNC: bit 30 of 0x1005, and 0x1006 > 0",
+                is_certain=False,
+            )
+        ]
 
     def booted(self, node_id: int) -> None:
         """Take note of a boot-up: the node has its power-on values again, which are not known."""
@@ -73,15 +95,15 @@ class ServiceRules:
         self._inhibit.pop(node_id, None)
         self._emergencies[node_id] = -NEVER
 
-    def sync(self, data: bytes) -> list[Finding]:
-        """Return what is wrong with a SYNC."""
+    def sync(self, data: bytes, now: Time, found: list[Finding]) -> None:
+        """Take a SYNC. found: takes what is wrong with it."""
         size = len(data)
         if size > 1:
-            return [Finding("length", 0, f"a SYNC of {size} bytes; it has one for the counter, or none")]
-        found = []
+            found.append(Finding("length", 0, f"a SYNC of {size} bytes; it has one for the counter, or none"))
+            return
         if not self._lengths or self._lengths[-1] != size:
             self._lengths.append(size)
-            if len(self._lengths) > 2:
+            if len(self._lengths) > _TURNS:
                 found.append(Finding("two sync", 0, "SYNCs with a counter and without one in turn: two nodes produce SYNC"))
                 del self._lengths[:-1]
         if size:
@@ -91,14 +113,36 @@ class ServiceRules:
                     Finding("sync counter", 0, f"the counter of SYNC is {data[0]}; it runs from 1 to {MAX_COUNTER} at most")
                 )
             elif last is not None and data[0] not in (1, last + 1):
-                text = f"the counter of SYNC is {data[0]} behind {last}: SYNCs were lost, or two nodes produce them"
-                found.append(Finding("sync counter", 0, text))
-        return found
+                text = f"the counter of SYNC is {data[0]} behind {last}"
+                if data[0] == last:
+                    self._gaps.copied(0, f"{text}: it is there twice, or two nodes produce SYNC", now, found)
+                else:
+                    self._gaps.missing(0, text, now, found)
 
     def length(self, service: str, node_id: int, data: bytes) -> list[Finding]:
         """Return whether a frame of TIME, EMCY or LSS has a wrong length."""
         size, due = len(data), _LENGTHS[service]
         return [] if size == due else [Finding("length", node_id, f"{_WORDS[service]} of {size} bytes; it has {due}")]
+
+    def lss(self, data: bytes, now: Time, found: list[Finding], *, by_master: bool) -> None:
+        """Look whether one device answers an LSS request. Only an identification may have several answers (CiA 305)."""
+        if by_master:
+            self._lss = (b"", 0)
+            return
+        last, count = self._lss
+        self._lss = (data, count + 1)
+        if not count or data[:1] == _IDENTIFIED:
+            return
+        if data == last:
+            self._gaps.copied(0, "the same LSS answer is there twice, or two devices give it", now, found)
+            return
+        self._lss_rivals += 1
+        text = "two answers to one LSS request: two devices are in LSS configuration state"
+        if self._lss_rivals == EARLY:
+            self._lss_rivals = 0
+            found.append(Finding("double id", 0, text, is_certain=False))
+        else:
+            self._gaps.missing(0, f"{text}, or a request is missing", now, found)
 
     def emergency(self, node_id: int, now: Time) -> list[Finding]:
         """Return whether an emergency came sooner than the inhibit time of its node allows.
@@ -107,7 +151,11 @@ class ServiceRules:
         """
         last, self._emergencies[node_id] = self._emergencies[node_id], now
         inhibit = self._inhibit.get(node_id, 0)
-        if (now - last) * 2 >= inhibit:
+        if (now - last) * 2 >= inhibit or now - last <= BURST:
+            self._early[node_id] = 0
+            return []
+        self._early[node_id] += 1
+        if self._early[node_id] != EARLY:
             return []
         text = f"an emergency {ms_text(now - last)} behind the last one; 0x1015 allows one in {ms_text(inhibit)}"
         return [Finding("inhibit time", node_id, text)]

@@ -35,11 +35,11 @@ def test_monitor_on_80_columns(opened: Open, tmp_path: Path) -> None:
         "                              switch_on_disabled, voltage_enabled, remote)",
     ]
     (wrong,) = [number for number, line in enumerate(lines) if line.startswith("! ")]
-    assert lines[wrong] == "! no request: node 5: the same SDO answer once more: the bus or the server has"
-    assert lines[wrong + 1] == "  sent it twice"
+    assert lines[wrong] == "! missing (likely): node 5: frames are missing here: an SDO answer whose request"
+    assert lines[wrong + 1] == "  is not there"
     assert "15 frames in 1.0 s, 1 finding" in lines
     coloured = terminal.screen(colours=True)
-    assert coloured[wrong].startswith("\x1b[1m\x1b[31m! no request")
+    assert coloured[wrong].startswith("\x1b[1m\x1b[31m! missing (likely)")
     assert coloured[0].startswith("\x1b[1m\x1b[32m    0.0000 705 boot-up")
 
 

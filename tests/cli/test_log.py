@@ -301,15 +301,18 @@ BAD = (
 """Two answers on can0, as two nodes with one ID give them; nothing of the kind on can1, but a command that is too short."""
 
 
+LACKING = "missing (likely): node 3: frames are missing here: an SDO answer whose request is not there"
+
+
 def test_decode_says_what_is_wrong_with_a_frame(run: Run, tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(BAD)
     outcome = run("log", "decode", "a.log")
     lines = outcome.out.splitlines()
-    assert lines[3] == "! double id: node 3: a second answer to one SDO request: two nodes have one ID"
+    assert lines[3] == f"! {LACKING}"
     assert lines[7] == "! length: an NMT command of 1 bytes; it has two"
     assert (outcome.status, len(lines)) == (0, 8)
     third = json.loads(run("log", "decode", "a.log", "--json").out.splitlines()[2])
-    assert [(each["rule"], each["node_id"]) for each in third["findings"]] == [("double id", 3)]
+    assert [(each["rule"], each["node_id"]) for each in third["findings"]] == [("missing", 3)]
 
 
 def test_check(run: Run, tmp_path: Path, log: Path) -> None:
@@ -320,15 +323,15 @@ def test_check(run: Run, tmp_path: Path, log: Path) -> None:
     outcome = run("log", "check", "a.log")
     assert outcome.status == 1
     assert outcome.out.splitlines() == [
-        "    0.200000 583#4B41600037060000      double id: node 3: a second answer to one SDO request: two nodes have one ID",
+        f"    0.200000 583#4B41600037060000      {LACKING}",
         "    0.500000 000#01                    length: an NMT command of 1 bytes; it has two",
     ]
-    assert "1 x double id: two nodes have one ID" in outcome.err
-    assert "6 frames, 2 findings" in outcome.err
+    assert "1 x missing (likely): frames are missing here" in outcome.err
+    assert "6 frames, 2 findings (1 certain, 1 likely)" in outcome.err
     (tmp_path / "one.log").write_text("(1.0) can0 000#01\n")
     assert "1 frame, 1 finding\n" in run("log", "check", "one.log").err
     found = [json.loads(line) for line in run("log", "check", "a.log", "--json").out.splitlines()]
-    assert [(each["rule"], each["channel"]) for each in found] == [("double id", "can0"), ("length", "can1")]
+    assert [(each["rule"], each["channel"]) for each in found] == [("missing", "can0"), ("length", "can1")]
 
 
 FAULT = (

@@ -86,12 +86,11 @@ CHANGES = [
     Change("toggle", SEGMENT, lambda session, at: with_byte(session, at, 0, TOGGLE)),
     Change("crc", IN_BLOCK, lambda session, at: with_byte(session, at, 1 + at % 7, 1 << at % 8)),
     Change(
-        "size", "(60|58).#.. .*in (segments|blocks), [0-9]+ bytes", lambda session, at: with_byte(session, at, 4, 1 << at % 8)
+        "size", "(60|58).#.. .*in (segments|blocks), [0-9]+ bytes", lambda session, at: with_byte(session, at, 4, 1 << at % 3)
     ),
-    Change("no request", ANSWER, lambda session, at: with_copy(session, at, 0, 0)),
-    Change("no request", ANSWER, lambda session, at: with_byte(session, at, 3, 0x40)),
-    Change("double id", ANSWER, lambda session, at: with_copy(session, at, 4, 1)),
-    Change("two masters", REQUEST, lambda session, at: with_copy(session, at, 3, 0x20)),
+    Change("copied", ANSWER, lambda session, at: with_copy(session, at, 0, 0)),
+    Change("missing", ANSWER, lambda session, at: with_byte(session, at, 3, 0x40)),
+    Change("missing", ANSWER, lambda session, at: with_copy(session, at, 4, 1)),
     Change("sdo", REQUEST, lambda session, at: with_data(session, at, session[at].frame.data[:2])),
 ]
 
@@ -168,37 +167,43 @@ STOP = [(1, "000#8063")]
 
 def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, str]]]]:
     """Each rule, with what breaks it, and with the like that does not."""
-    yield "toggle", every(9, "763#R1", RUNS, "763#R1", RUNS), every(9, "763#R1", RUNS, "763#R1", "763#85")
+    guarded = ["763#R1", RUNS, "763#R1", "763#85"]
+    yield "toggle", every(9, *guarded, *guarded[2:] * 2), every(9, *guarded, *guarded[:2])
     block = every(1, "663#C600200003000000", "5E3#A40020007F000000", "663#8161626300000000", "5E3#A2017F0000000000")
     yield "crc", [*block, (1, "663#D100000000000000")], [*block, *every(1, "663#D1D69D0000000000", "5E3#A100000000000000")]
     begin, end = ["5E3#6000200000000000", "663#0761626364000000"], "5E3#2000000000000000"
     yield "size", every(1, "663#2100200005000000", *begin), every(1, "663#2100200004000000", *begin, end)
     read = [READ, "5E3#4B41600037020000"]
-    yield "no request", every(900, *read, read[1]), every(900, *read, *read)
-    yield "sdo", every(1, *read, begin[1]), every(1, *read, "663#2100200004000000", *begin, end)
-    yield "two masters", every(1, READ, "663#4064600000000000"), every(900, READ, "663#4064600000000000")
-    yield "double id", every(9, RUNS, "763#7F", RUNS, "763#7F"), every(9, RUNS, "763#7F", RUNS)
+    yield "missing", every(900, *read, read[1]), every(900, *read, *read)
+    yield "copied", every(1, *read, read[1]), every(9, *read, *read)
+    yield "sdo", every(1, *read, "663#E000000000000000"), every(1, *read, "663#2100200004000000", *begin, end)
+    other = ["663#4064600000000000", "5E3#4364600000000000"]
+    at_once, in_turn = every(1, READ, other[0], read[1], other[1]), every(1, *read, *other)
+    yield "two masters", [*at_once, (1500, RUNS)] * 3, [*in_turn, (1500, RUNS)] * 3
+    yield "double id", every(9, *[RUNS, "763#7F"] * 3), every(9, RUNS, "763#7F", RUNS)
     period = write(0x1017, 0, 100, 2)
-    yield "double id", [*period, *every(40, *[RUNS] * 5)], [*period, *every(80, *[RUNS] * 5)]
+    yield "double id", [*period, *[(30, RUNS), (70, RUNS)] * 4], [*period, *every(100, *[RUNS] * 5)]
     both = every(1, "763#05", "762#05")
     yield "shared cob-id", *([*both, *mapped(98, 0x1E2), *mapped(99, each), (1, RUNS)] for each in (0x1E2, 0x1E3))
-    yield "pdo length", [*TIMED, (1, PDO + "00")], [*TIMED, (1, PDO)]
+    yield "pdo length", [*TIMED, (1, PDO), (1, PDO + "00")], [*TIMED, (1, PDO)]
     for inhibit, frame in ((write(0x1800, 3, 500, 2), PDO), (write(0x1015, 0, 500, 2), "0E3#0010010000000000")):
-        yield "inhibit time", [*TIMED, *inhibit, *every(20, frame, frame)], [*TIMED, *inhibit, *every(50, frame, frame)]
+        yield "inhibit time", [*TIMED, *inhibit, *every(20, *[frame] * 4)], [*TIMED, *inhibit, *every(50, *[frame] * 4)]
     timer = [*TIMED, *write(0x1800, 2, 254, 1), *write(0x1800, 5, 100, 2)]
     yield "late pdo", [*timer, (1, PDO), (200, RUNS)], [*timer, *every(100, PDO, PDO, RUNS), *STOP]
     cyclic = [*TIMED, *write(0x1800, 2, 1, 1)]
     cycles = [*cyclic, *every(0, "080#", PDO, "080#", PDO), *STOP]
     yield "late pdo", [*cyclic, *every(0, PDO, "080#", "080#", "080#")], cycles
-    yield "synchronous pdo", [*cyclic, *every(0, "080#", PDO, PDO)], cycles
-    yield "not operational", [*TIMED, (1, "763#7F"), (200, PDO)], [*TIMED, (200, PDO)]
-    yield "stopped", [(1, "763#04"), (200, READ)], [(1, "763#04"), (1, "763#7F"), (200, READ)]
+    twice = [(20, "080#"), (1, PDO), (1, "1E3#3703")]
+    yield "synchronous pdo", [*cyclic, *twice * 4], cycles
+    ready, halted = (60, "763#7F"), (60, "763#04")
+    yield "not operational", [*TIMED, ready, (200, PDO), ready], [*TIMED, ready, (200, PDO), (10, RUNS)]
+    yield "stopped", [halted, (200, READ), halted], [halted, ready, (200, READ), ready]
     yield "state", every(1, "763#11"), every(1, "763#04")
     yield "nmt", every(1, "000#0763"), every(1, "000#0163")
     yield "boot-up", every(1, RUNS, "763#00"), every(1, RUNS, "000#8163", "763#00")
     first, second = ([*write(0x1005, 0, 0x4000_0080, 4, each), *write(0x1006, 0, 9000, 4, each)] for each in (98, 99))
     yield "two sync", [*first, *second], first
-    yield "sync counter", every(0, "080#05", "080#07"), []
+    yield "sync counter", every(0, "080#F5"), every(0, "080#05")
     listens, listens_no_more = write(0x1016, 1, 99 << 16 | 200, 4, 98), write(0x1016, 1, 0, 4, 98)
     yield "late heartbeat", [*listens, *every(300, RUNS, RUNS)], [*listens, *every(150, RUNS, RUNS), *listens_no_more]
     for whole in ("080#01", "0E3#0010010000000000", "100#000000000000", "000#0163", "763#05", "7E5#0400000000000000"):

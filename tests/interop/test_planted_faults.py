@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from canopen_proto.frame import Frame
+from canopen_proto.frame import SYNC, Frame
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.observer.observer import RULES
 from tests.examples import takes_all
@@ -21,8 +21,6 @@ SESSIONS = sorted(path.stem for path in FOLDER.glob("*.log")) or ["none"]
 KNOWN = {
     # The session was made for this: the device's own emergency (0x8130) says the same in the same frame
     "canopennode-heartbeat-consumer-emcy": ["late heartbeat", "boot-up"],  # a node that the tool plays boots again
-    # The recording's client reads from the stopped node, to see that it does not answer
-    "canopennode-nmt-commands": ["stopped"],
 }
 PLACES = 4 if takes_all() else 1
 SHARE = 1 if takes_all() else 6
@@ -62,7 +60,10 @@ def test_a_changed_frame_is_found(name: str) -> None:
 def test_faults_of_two_further_devices_are_found_and_nothing_else(name: str) -> None:
     random, session = Random(name), session_of(name)
     end = session[-1].time
+    has_sync = any(line.frame.can_id == SYNC for line in session)
     for scene in SCENES[SESSIONS.index(name) % SHARE :: SHARE]:
+        if has_sync and scene.has_sync:
+            continue  # two producers
         for _ in range(PLACES):
             begin = scene.begin_in(session, random)
             found = found_in(scene.within(session, begin))
@@ -90,9 +91,13 @@ def test_the_conformance_tools_own_faults_are_found() -> None:
             after = SECOND if text[2:6] == "704#" else 2 * MILLISECOND
             lines.append(Line(lines[-1].time + after if lines else 0, Frame.parse(text[2:])))
             titles[lines[-1].time] = title
-    assert [(titles[each.line.time], each.rule) for each in found_in(lines) if each.rule != "late heartbeat"] == [
+    rules = [
+        (titles[each.line.time], each.rule)
+        for each in found_in(lines)
+        if each.rule not in ("late heartbeat", "missing", "copied")
+    ]
+    assert rules == [
         ("2.7 SDO 07", "sdo"),  # a command that does not exist
-        ("2.7 SDO 07", "no request"),
         ("2.17 SDO 17", "toggle"),
-        ("2.27 SDO 27", "sdo"),  # more segments are acknowledged than there were
+        ("2.27 SDO 27", "sdo"),  # more segments are acknowledged than a block has
     ]

@@ -150,6 +150,10 @@ def test_what_begins_in_the_middle() -> None:
 
 
 def test_a_long_value_is_only_counted() -> None:
-    segments = [frame for _ in range(MAX_KEPT // 7 + 2) for frame in (">00" + " 00" * 7, "<20" + " 00" * 7)]
+    segments = [
+        frame
+        for _ in range(MAX_KEPT // 14 + 1)
+        for frame in (">00" + " 00" * 7, "<20" + " 00" * 7, ">10" + " 00" * 7, "<30" + " 00" * 7)
+    ]
     whole = sdo(">20 00 20 00 00 00 00 00", "<60 00 20 00 00 00 00 00", *segments, ">01" + " 00" * 7)
-    assert whole[-1] == f"write 2000:00 blob: {(MAX_KEPT // 7 + 3) * 7} bytes"
+    assert whole[-1] == f"write 2000:00 blob: {(MAX_KEPT // 14 + 1) * 14 + 7} bytes"

@@ -1,0 +1,38 @@
+"""`Gaps`: where a recording lacks frames, has them twice, or has them late. One cause is told once.
+
+A recorder loses frames when its computer is busy; an adapter or a gateway holds them back and hands them over in a burst; a frame
+is copied where its last bit was disturbed (the sender repeats it). Nobody on the bus is to blame for that. What such a frame
+shows next is no evidence against a node: so each rule that a missing frame could break asks here first.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.machine import NEVER, SECOND, Time
+from canopen_proto.observer.finding import Finding
+
+QUIET: Final = 1 * SECOND
+"""Another sign within this time behind the last one is of the same gap."""
+
+
+class Gaps:
+    """See this module's text. last: when the last sign came that frames are missing."""
+
+    __slots__ = ("_copied", "last")
+
+    def __init__(self) -> None:
+        self.last: Time = -NEVER
+        self._copied: Time = -NEVER
+
+    def missing(self, node_id: int, text: str, now: Time, found: list[Finding]) -> None:
+        """Take a sign that frames are missing. found: takes the finding, if this is not the gap of the sign before."""
+        if now - self.last > QUIET:
+            found.append(Finding("missing", node_id, f"frames are missing here: {text}", is_certain=False))
+        self.last = now
+
+    def copied(self, node_id: int, text: str, now: Time, found: list[Finding]) -> None:
+        """Take a frame that has come twice."""
+        if now - self._copied > QUIET:
+            found.append(Finding("copied", node_id, text, is_certain=False))
+        self._copied = now

@@ -1,0 +1,40 @@
+"""The observer accuses nobody because of its recorder: a clean recording, however damaged, shows only that it is damaged."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.observer import Observer
+from tests.examples import examples
+from tests.proto.observer_sessions import OF_THE_RECORDER, Session, clean, damaged
+
+CLEAN = 60
+
+
+def findings(session: Session) -> list[Finding]:
+    observer = Observer(bitrate=1_000_000)
+    return [finding for at, frame in session for finding in observer.observe(frame, at).findings]
+
+
+@pytest.mark.parametrize("number", [*range(4), *range(4, CLEAN, 7)])
+def test_nothing_is_found_in_a_clean_recording(number: int) -> None:
+    assert findings(clean(number)) == []
+
+
+@given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))
+@examples(300)
+def test_a_damaged_recording_shows_that_it_is_damaged_and_nothing_else(number: int, seed: int) -> None:
+    session = damaged(clean(number), seed)
+    accused = [each for each in findings(session) if each.rule not in OF_THE_RECORDER]
+    assert accused == []
+
+
+@given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))
+@examples(60)
+def test_one_lost_frame_is_told_once_at_most(number: int, place: int) -> None:
+    session = clean(number)
+    del session[place % len(session)]
+    assert len([each for each in findings(session) if each.rule == "missing"]) <= 1
