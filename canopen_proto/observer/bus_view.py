@@ -282,7 +282,10 @@ class _Node:
             self._register = 0
             self.state = NmtState.PRE_OPERATIONAL  # it enters this state by itself (CiA 301 v4.2.0, 7.3.2.2.1)
             return
-        self.state = NmtState(state) if state in _STATES else state
+        if state in _STATES:  # no conditional expression: in the compiled core it would make an int of both
+            self.state = NmtState(state)
+        else:
+            self.state = state
         self.heartbeat.beat(now)
 
     def emergency(self, data: bytes, now: Time) -> None:

@@ -75,6 +75,7 @@ def test_states() -> None:
     assert (node.state, node.is_said) == (NmtState.OPERATIONAL, False)
     (node,) = watched.hear("705#05").nodes
     assert (node.state, node.is_said) == (NmtState.OPERATIONAL, True)
+    assert isinstance(node.state, NmtState), "also in the compiled core"
     nodes = watched.hear("706#7F", "000#0200", "706#7F").nodes
     assert [(node.state, node.is_said) for node in nodes] == [(NmtState.STOPPED, False), (NmtState.PRE_OPERATIONAL, True)]
     assert [node.state for node in watched.hear("705#42", "706#85").nodes] == [0x42, NmtState.OPERATIONAL]
