@@ -120,17 +120,26 @@ def line(
 
 
 def passage(
-    start: Time, position: float, velocity: float, target: float, passing: float, duration: float, deceleration: float
+    start: Time,
+    position: float,
+    velocity: float,
+    target: float,
+    passing: float,
+    duration: float,
+    deceleration: float,
+    *,
+    stands: bool = False,
 ) -> Profile:
     """Plan one step of an interpolation that passes `target` at the velocity `passing`, `duration` seconds (above 0) from now.
 
-    On the way there are two parabolas, half of the time each. Behind the target it brakes at `deceleration` (above 0).
+    On the way there are two parabolas, half of the time each. Behind the target it brakes at `deceleration` (above 0), or
+    stands at once, if it `stands`.
     """
     half = duration / 2.0
     change = (passing - velocity) / half
     first = (target - position - velocity * duration) / (half * half) - change / 2.0
     middle = position + (velocity + 0.5 * first * half) * half
-    plan = _Plan(target, passing)
+    plan = _Plan(target, 0.0 if stands else passing)
     plan.pieces.append((0.0, position, velocity, first, 0.0))
     plan.pieces.append((half, middle, velocity + first * half, change - first, 0.0))
     plan.time = duration

@@ -318,13 +318,15 @@ class Servo(Parameters):
         """Make one step of ip or csp: reach `target` one interpolation period from now, in a straight line.
 
         An axis that was already moving passes `target` and brakes by the quick stop ramp until the next step comes, since there
-        may be none. passing: the velocity at `target`; the way there is then no straight line. A step beyond the drive's speed or
+        may be none; one whose world waits for SYNC (`DriveSettings.sync_tolerance`) stands at `target` until then. passing: the
+        velocity at `target`; the way there is then no straight line. A step beyond the drive's speed or
         acceleration becomes a profile, as fast as allowed, that passes `target` at the speed of the targets, to catch up
         with them; internal_limit is set.
         """
         target = self._clip(target)
         period = self.interpolation_period()
-        last, self._target = self._target, (self.time + math.ceil(2.0 * period * SECOND), target)
+        counts = self.settings.sync_tolerance if self.settings.waits_for_sync else math.ceil(2.0 * period * SECOND)
+        last, self._target = self._target, (self.time + counts, target)
         here, now_at = self.demand_position, self.moving_at
         if self._is_barred(target - here, _ROUNDING):
             self._stop_at_switch()
@@ -336,20 +338,21 @@ class Servo(Parameters):
         fastest = self.fastest
         acceleration, deceleration = self.rate(objects.MAX_ACCELERATION), self.rate(objects.MAX_DECELERATION)
         velocity = (target - here) / period
+        waits = self.settings.waits_for_sync
         if passing is None:
-            passes = velocity * now_at > 0.0 and not self.internal_limit
+            passes = velocity * now_at > 0.0 and not self.internal_limit and not waits
             leaving = math.copysign(min(abs(velocity), abs(now_at)), velocity) if passes else 0.0
             change = (acceleration if abs(velocity) > abs(now_at) else deceleration) * period
             is_allowed = abs(velocity) <= fastest and abs(velocity - now_at) <= change
             step = motion.line(self.time, here, target, period, leaving, self.ramp(2))
         else:
             velocity = 0.0 if self.internal_limit else float(passing)
-            step = motion.passage(self.time, here, now_at, target, velocity, period, self.ramp(2))
+            step = motion.passage(self.time, here, now_at, target, velocity, period, self.ramp(2), stands=waits)
             middle, hardest = step.pieces[1][2], max(abs(step.pieces[0][3]), abs(step.pieces[1][3]))
             is_allowed = max(abs(velocity), abs(middle)) <= fastest and hardest <= min(acceleration, deceleration)
         if is_allowed:
             self._plan(step)
-            self._step = self.time + math.ceil(2.0 * period * SECOND), velocity
+            self._step = self.time + counts, velocity
         else:
             self.internal_limit = True
             low, high = self.limits()

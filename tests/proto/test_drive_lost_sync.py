@@ -16,15 +16,15 @@ from tests.proto.drive_bench import NODE_ID, Bench
 from tests.proto.rig import Rig
 
 IP, CSP = 7, 8
-FOLLOWS, WARNING, REACHED = 12, 7, 10
+FOLLOWS, WARNING, REACHED, INTERNAL_LIMIT = 12, 7, 10, 11
 SET_POINT = {IP: (0x60C1, 1), CSP: (0x607A, 0)}
 CYCLE = 10
 SPEEDS = st.integers(-1_000, 1_000).map(lambda step: 100 * step)  # a whole number of units in each cycle
 
 
-def moving(mode: int, speed: int, cycles: int = 20, quick_stop: int = 400_000) -> Bench:
+def moving(mode: int, speed: int, cycles: int = 20, quick_stop: int = 400_000, tolerance: int = SYNC_TOLERANCE) -> Bench:
     """A drive that follows set-points at `speed` units/s, the last SYNC just now; it lags behind nothing."""
-    bench = Bench(DriveSettings(position=0, lag=0))
+    bench = Bench(DriveSettings(position=0, lag=0, sync_tolerance=tolerance))
     bench.preset(0x60C2, CYCLE, 1)
     bench.preset(0x6085, quick_stop)
     bench.enable(mode)
@@ -110,6 +110,24 @@ def test_a_late_sync_takes_the_axis_along_again(mode: int, late: int, speed: int
     assert bench.position == pytest.approx(set_point + 5 * speed * CYCLE / 1000, abs=1)
     assert bench.has(FOLLOWS)
     assert not bench.has(WARNING)
+
+
+@pytest.mark.parametrize("mode", [IP, CSP])
+@examples(50)
+@given(st.lists(st.integers(0, 20_000), min_size=1, max_size=8), SPEEDS)
+def test_an_axis_whose_world_waits_for_sync_stands_at_its_set_point_and_goes_on(mode: int, stalls: list[int], speed: int) -> None:
+    """However late each SYNC is: it is never beyond its last set-point, and then as fast as before."""
+    bench = moving(mode, speed, tolerance=60 * SECOND)
+    given_so_far = [round(number * speed * CYCLE / 1000) for number in (19, 20)]
+    for late in stalls:
+        bench.run(CYCLE + late)
+        assert bench.position == pytest.approx(given_so_far[-1], abs=1)
+        assert bench.has(FOLLOWS)
+        given_so_far.append(given_so_far[-1] + round(speed * CYCLE / 1000))
+        give(bench, mode, given_so_far[-1])
+        bench.sync(CYCLE)
+        assert not bench.has(INTERNAL_LIMIT)
+        assert min(given_so_far[-2:]) - 1 <= bench.position <= max(given_so_far[-2:]) + 1
 
 
 def test_a_sync_that_waited_while_the_process_slept_is_in_time() -> None:
