@@ -1,6 +1,6 @@
 """For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
 
-Every day they are few. All that the tests name: `pytest --hypothesis-profile=full`, as .ci/run does once.
+Every day, and in .ci/run, they are few. All that the tests name: `pytest --hypothesis-profile=full`.
 To search further: `pytest --hypothesis-profile=search --timeout=0 tests/proto/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
 """
@@ -36,6 +36,8 @@ later it has mostly done before."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # so a shell starts what it runs in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # and `nohup` what it runs
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_xdist_auto_num_workers() -> int:

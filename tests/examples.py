@@ -7,7 +7,7 @@ from hypothesis import settings
 SAME = "same"
 """The profile of tests/conftest.py for every day: the same examples each time, and few of them."""
 FULL = "full"
-"""The same with all examples that the tests name: .ci/run has them once."""
+"""The same with all examples that the tests name; by hand."""
 PART = 5
 """Every day the number of examples is divided by this, down to `least` of them."""
 

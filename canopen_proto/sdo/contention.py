@@ -36,7 +36,6 @@ from canopen_proto.sdo.codec import (
     INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
     LAST,
-    NO_MULTIPLEXER,
     SPECIFIER,
     TOGGLE,
     UPLOAD_SEGMENT,
@@ -102,6 +101,7 @@ class OtherClient:
 
     def expect(self, name: bytes) -> None:
         """The answer to a request of ours that has ended is still to come: another request for that object is not alone."""
+        self._is_ambiguous |= bool(self._names)
         self._names.add(name)
 
     def on_request(self, data: bytes, ours: Transfer | None, timeout: Time, now: Time) -> None:
@@ -111,14 +111,13 @@ class OtherClient:
         self.count += 1
         self.heard, self.heard_at = data, now
         if self.in_blocks and self.last[0] & SPECIFIER == BLOCK_DOWNLOAD and command != ABORT and command & KIND != END:
-            self.until = now + silence_limit(timeout)  # a segment, whatever it looks like
+            self.until = now + silence_limit(timeout)  # a segment, it seems
+            if is_initiate(command):  # or a request of yet another client, whose answer comes behind that to the block transfer
+                self._note(data[1:4], ours)
+                self._is_twofold = True
             return
         if is_initiate(command):
-            name = data[1:4]
-            self._is_twofold = name in self._names or (ours is not None and name == ours.first[1:4])
-            self._is_ambiguous |= bool(self._names) or self._is_twofold
-            if len(self._names) <= MAX_NAMES:
-                self._names.add(name)
+            self._note(data[1:4], ours)
         self.last = data
         self.in_blocks = specifier in (BLOCK_UPLOAD, BLOCK_DOWNLOAD)
         if command != ABORT and command != END_RESPONSE:
@@ -127,6 +126,13 @@ class OtherClient:
             self.until = max(self.until, now + PAUSE)  # no answer is due to this one, but perhaps to another
         else:
             self.until = now + SPREAD  # its next request may be right behind
+
+    def _note(self, name: bytes, ours: Transfer | None) -> None:
+        """Note the name of an object whose answer may come."""
+        self._is_twofold = name in self._names or (ours is not None and name == ours.first[1:4])
+        self._is_ambiguous |= bool(self._names) or self._is_twofold
+        if len(self._names) <= MAX_NAMES:
+            self._names.add(name)
 
     def on_answer(self, data: bytes, timeout: Time, now: Time) -> None:
         """Take an answer of the server that is none to us. Does nothing if no stranger has anything under way."""
@@ -145,8 +151,7 @@ class OtherClient:
         is_named = data[1:4] == self.last[1:4]
         is_alike = (request ^ command) & TOGGLE == 0
         if command == ABORT:
-            is_nameless = data[1:4] == NO_MULTIPLEXER and not is_initiate(request)
-            return is_nameless or not self._names or data[1:4] in self._names
+            return not self._names or data[1:4] in self._names
         if self.in_blocks:  # the segments of an upload may look like anything else
             return request & KIND == END and command == END_RESPONSE
         if asked == INITIATE_DOWNLOAD:

@@ -318,7 +318,7 @@ class Servo(Parameters):
         """Make one step of ip or csp: reach `target` one interpolation period from now, in a straight line.
 
         An axis that was already moving passes `target` and brakes by the quick stop ramp until the next step comes, since there
-        may be none; one whose world waits for SYNC (`DriveSettings.sync_tolerance`) stands at `target` until then. passing: the
+        may be none; one whose world waits for SYNC (`DriveSettings.waits_for_sync`) stands at `target` until then. passing: the
         velocity at `target`; the way there is then no straight line. A step beyond the drive's speed or
         acceleration becomes a profile, as fast as allowed, that passes `target` at the speed of the targets, to catch up
         with them; internal_limit is set.

@@ -81,8 +81,8 @@ class DriveSettings:
     position: on the track at power-on; also the position it shows before it is homed. lag: time constant with which the actual
     position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated torque.
     sync_tolerance: in ip and csp, a SYNC that stays away for less, in ns, is late and not lost: the axis brakes until it comes,
-    then goes on. Three periods of SYNC (1006h, 60C2h) count if they are more. If it is above SYNC_TOLERANCE, the axis does not
-    brake: its world waits for SYNC (`waits_for_sync`), and it stands at its set-point until then.
+    then goes on. Three periods of SYNC (1006h, 60C2h) count if they are more. waits_for_sync: it does not brake then, it stands at
+    its set-point: as if the time of its world waited for SYNC.
     self_test: from power-on to Switch on disabled, ns. homing_method: the homing method of a Schunk Powerball, whose 6098h is
     constant. reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms
     to 1 s. unset: muxes of objects that count as not set if they are 0. mechanics: the mass that moves, in place of `lag` and
@@ -112,6 +112,7 @@ class DriveSettings:
     lag: Time = 5 * MILLISECOND
     load: int = 30
     sync_tolerance: Time = SYNC_TOLERANCE
+    waits_for_sync: bool = False
     self_test: Time = 0
     homing_method: int = 19
     unset: frozenset[Mux] = frozenset()
@@ -133,8 +134,3 @@ class DriveSettings:
     stops_at_switches: bool = True
     further_axes: tuple[DriveSettings, ...] = ()
     answers: tuple[tuple[Mux, Answer], ...] = ()
-
-    @property
-    def waits_for_sync(self) -> bool:
-        """Whether the axis stands at its set-point while SYNC is late, since the time of its world waits for SYNC."""
-        return self.sync_tolerance > SYNC_TOLERANCE

@@ -58,7 +58,8 @@ def drive_maker(
     """Return a function that makes a simulated drive.
 
     number: its place in the fleet, from 0. dictionary: that of a device's own file, for which `drive_obstacle` finds no obstacle;
-    by default that of the shape. sync_tolerance: see DriveSettings.
+    by default that of the shape. sync_tolerance: see DriveSettings. The time of a drive in the process of its master waits for
+    SYNC: else it would run beyond its path while this computer is busy.
     """
     is_own = dictionary is None
     if dictionary is None:
@@ -68,7 +69,12 @@ def drive_maker(
         dictionary, _ = drive_dictionary_of(dictionary, shape)
     position = _POSITIONS[number % len(_POSITIONS)]
     settings = DriveSettings(
-        shape=shape, position=position, track=_TRACK, stops_at_switches=is_own, sync_tolerance=sync_tolerance
+        shape=shape,
+        position=position,
+        track=_TRACK,
+        stops_at_switches=is_own,
+        sync_tolerance=sync_tolerance,
+        waits_for_sync=sync_tolerance == IN_PROCESS,
     )
     return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import trio
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_cli import session
@@ -26,6 +26,7 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import Shape
 from tests.cli.cli_support import Run, runner
+from tests.examples import examples
 from tests.master.world import Link
 
 DEMO = ("-b", "demo")
@@ -76,28 +77,29 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("command", WORDS)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(lost=st.lists(st.booleans(), max_size=14), later=st.booleans())
-def test_the_first_frame_is_the_stop_whatever_is_lost(
-    capsys: pytest.CaptureFixture[str], own: Path, command: str, lost: list[bool], later: bool
-) -> None:
-    fates: Iterator[bool] = itertools.chain(lost, itertools.repeat(later))
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        bus_and_drive = lossy(monkeypatch, lambda: next(fates), runs)
-        outcome = runner(capsys, monkeypatch, own)("drive", "3", command, *DEMO)
-    drive, bus = bus_and_drive
-    assert sent(bus)[0][1] == WORDS[command]
-    stopped = {"stop": (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED), "disable": (State.SWITCH_ON_DISABLED,)}[command]
-    assert drive.drive.state in stopped  # only answers were lost
-    assert outcome.status in (ExitCode.OK, ExitCode.NO_ANSWER)
-    if outcome.status == ExitCode.OK:
-        assert not all((*lost, later))
-        assert "state             " in outcome.out
-    else:
-        assert "CO411" in outcome.err
-        assert "IT MAY STILL MOVE" in outcome.err
-    for frame in (each for _, each in sent(bus) if each.startswith("000#")):  # each NMT command was announced
-        assert {"000#8003": "enter pre-operational", "000#0203": "'stop' is sent"}[frame] in outcome.err
+def test_the_first_frame_is_the_stop_whatever_is_lost(capsys: pytest.CaptureFixture[str], own: Path, command: str) -> None:
+    @examples(100)
+    @given(lost=st.lists(st.booleans(), max_size=14), later=st.booleans())
+    def check(lost: list[bool], later: bool) -> None:
+        fates: Iterator[bool] = itertools.chain(lost, itertools.repeat(later))
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            bus_and_drive = lossy(monkeypatch, lambda: next(fates), runs)
+            outcome = runner(capsys, monkeypatch, own)("drive", "3", command, *DEMO)
+        drive, bus = bus_and_drive
+        assert sent(bus)[0][1] == WORDS[command]
+        stopped = {"stop": (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED), "disable": (State.SWITCH_ON_DISABLED,)}[command]
+        assert drive.drive.state in stopped  # only answers were lost
+        assert outcome.status in (ExitCode.OK, ExitCode.NO_ANSWER)
+        if outcome.status == ExitCode.OK:
+            assert not all((*lost, later))
+            assert "state             " in outcome.out
+        else:
+            assert "CO411" in outcome.err
+            assert "IT MAY STILL MOVE" in outcome.err
+        for frame in (each for _, each in sent(bus) if each.startswith("000#")):  # each NMT command was announced
+            assert {"000#8003": "enter pre-operational", "000#0203": "'stop' is sent"}[frame] in outcome.err
+
+    check()
 
 
 def test_a_stopped_node_is_told_all_the_same(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,9 +22,10 @@ CYCLE = 10
 SPEEDS = st.integers(-1_000, 1_000).map(lambda step: 100 * step)  # a whole number of units in each cycle
 
 
-def moving(mode: int, speed: int, cycles: int = 20, quick_stop: int = 400_000, tolerance: int = SYNC_TOLERANCE) -> Bench:
+def moving(mode: int, speed: int, cycles: int = 20, quick_stop: int = 400_000, waits: bool = False) -> Bench:
     """A drive that follows set-points at `speed` units/s, the last SYNC just now; it lags behind nothing."""
-    bench = Bench(DriveSettings(position=0, lag=0, sync_tolerance=tolerance))
+    tolerance = 60 * SECOND if waits else SYNC_TOLERANCE
+    bench = Bench(DriveSettings(position=0, lag=0, sync_tolerance=tolerance, waits_for_sync=waits))
     bench.preset(0x60C2, CYCLE, 1)
     bench.preset(0x6085, quick_stop)
     bench.enable(mode)
@@ -117,7 +118,7 @@ def test_a_late_sync_takes_the_axis_along_again(mode: int, late: int, speed: int
 @given(st.lists(st.integers(0, 20_000), min_size=1, max_size=8), SPEEDS)
 def test_an_axis_whose_world_waits_for_sync_stands_at_its_set_point_and_goes_on(mode: int, stalls: list[int], speed: int) -> None:
     """However late each SYNC is: it is never beyond its last set-point, and then as fast as before."""
-    bench = moving(mode, speed, tolerance=60 * SECOND)
+    bench = moving(mode, speed, waits=True)
     given_so_far = [round(number * speed * CYCLE / 1000) for number in (19, 20)]
     for late in stalls:
         bench.run(CYCLE + late)

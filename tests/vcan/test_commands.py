@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from canopen_cli.problem import ExitCode
-from tests.cli.test_demos import LATE, NEAR, TRIES, numbers, without_numbers
+from tests.cli.test_demos import NEAR, numbers, without_numbers
 from tests.master.test_direct_script import environment
 from tests.vcan.support import needs_vcan, raw_socket
 
@@ -20,6 +20,10 @@ pytestmark = needs_vcan
 CANOPEN = [sys.executable, "-c", "import sys; from canopen_cli.entry import main; sys.exit(main())"]
 LIMIT = 90.0
 PATIENT = ["--timeout", "10s"]
+LATE = re.compile("no longer follows its set-points|is silent: no PDO")
+"""The message of a demo that halts because this computer was too busy for SYNC or an answer in time: the drives, in another
+process, do not wait for it. It is then tried again."""
+TRIES = 5
 
 
 @contextmanager
@@ -65,7 +69,7 @@ def test_scan_and_read(drives: None) -> None:
 @pytest.mark.parametrize("options", ["", "?sync=bcm&filter=ids"])
 def test_the_demonstration(drives: None, options: str) -> None:
     command = [*CANOPEN, "demo", "--bus", f"socketcan:vcan0{options}", "--seconds", "1", "--cycle", "200ms", *PATIENT]
-    said = run(*command, statuses=(ExitCode.OK, ExitCode.PARTIAL))  # a busy computer is late
+    said = run(*command)
     for joint, node_id in enumerate((3, 4, 5, 6, 7, 8), 1):
         assert re.search(rf"^joint{joint} +{node_id} .* switch on disabled +yes ", said, re.MULTILINE), said
 
