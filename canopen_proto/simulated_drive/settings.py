@@ -81,8 +81,8 @@ class DriveSettings:
     position: on the track at power-on; also the position it shows before it is homed. lag: time constant with which the actual
     position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated torque.
     sync_tolerance: in ip and csp, a SYNC that stays away for less, in ns, is late and not lost: the axis brakes until it comes,
-    then goes on. Three periods of SYNC (1006h, 60C2h) count if they are more. waits_for_sync: it does not brake then, it stands at
-    its set-point: as if the time of its world waited for SYNC.
+    then goes on. Three periods of SYNC (1006h, 60C2h) count if they are more. waits_for_sync: it does not brake then, and stands
+    at its set-point, as if the time of its world waited for SYNC.
     self_test: from power-on to Switch on disabled, ns. homing_method: the homing method of a Schunk Powerball, whose 6098h is
     constant. reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms
     to 1 s. unset: muxes of objects that count as not set if they are 0. mechanics: the mass that moves, in place of `lag` and
