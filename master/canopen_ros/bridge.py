@@ -82,6 +82,7 @@ class Bridge:
                 wall,
                 watchdog=parameters.velocity_watchdog,
                 goal_time=parameters.goal_time,
+                start_tolerance=parameters.start_tolerance,
             )
             for name, chain in master.chains.items()
         }
@@ -119,7 +120,7 @@ class Bridge:
             await self._changed.park()
 
     async def reports(self) -> AsyncIterator[Report]:
-        """The refusals of commands that have no answer: velocities and positions."""
+        """The refusals of commands that have no answer: velocities, positions, and trajectories of the topic."""
         while True:
             while self._reports:
                 yield self._reports.popleft()

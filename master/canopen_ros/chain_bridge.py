@@ -5,8 +5,11 @@ Every motion goes through the chain (canopen_master.motion), with all of its che
 **A halt stays in force.** After `halt`, and after any other stop of the chain, commands to move are refused until `recover`,
 `init`, `home` or a mode service. Else the next message of a joystick would undo the halt.
 
+**Taking over.** Behind a halt, a service or the motion of another source, a source that streams moves nothing before it was
+where the joints are (take_over.py). Else a controller that goes on sending would move the arm by `init` or `recover` alone.
+
 **One motion at a time.** A goal takes over from whatever moves the joints, without a stop. So does a velocity other than 0.
-Positions (`command_positions`) are refused while a goal runs.
+Positions (`command_positions`) are refused while a goal or velocities move the joints.
 
 **Silence.** Velocities have a watchdog: if none comes in time, the joints brake. Positions have none: ros2_control stops sending
 once the arm is there, so the joints go to the last ones and hold.
@@ -26,13 +29,15 @@ from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_errors import not_now
 from canopen_master.motion.chain_view import ChainState
 from canopen_proto.cia402.modes import short_name
+from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
 from canopen_ros.goal_motion import GoalMotion, Tell
-from canopen_ros.goals import GoalCode, GoalRefused, GoalResult, Outcome, TrajectoryGoal, checked
+from canopen_ros.goals import START, GoalCode, GoalRefused, GoalResult, Outcome, TrajectoryGoal, checked
 from canopen_ros.names import COMMANDS, MODE_SERVICES, OTHER_MODES
 from canopen_ros.reply import COMMAND_ERRORS, Reply, text_of
 from canopen_ros.samples import is_unit_missing, si_per_unit
-from canopen_ros.topic_motions import Jogging, Streaming
+from canopen_ros.take_over import Source, TakeOver
+from canopen_ros.topic_motions import Jogging, Streaming, braking_way
 
 WATCHDOG: Final = 0.1
 """Seconds within which the next velocity has to come."""
@@ -44,6 +49,7 @@ class ChainBridge:
     """See this module's text. name: of the chain. joints: their names, in its order. services: what `call` takes.
 
     chain: of the master. watchdog: seconds, of velocities. goal_time: seconds, the default of `goal_time_tolerance`.
+    start_tolerance: rad or m that a joint may be off where a source of motion begins.
     """
 
     def __init__(
@@ -55,6 +61,7 @@ class ChainBridge:
         *,
         watchdog: float = WATCHDOG,
         goal_time: float = GOAL_TIME,
+        start_tolerance: float = START,
     ) -> None:
         """nursery: for what moves the chain on behalf of topics. report: called with the name of the chain and the text of an
         error of a command that has no answer. wall: the time in ns since 1970.
@@ -64,6 +71,8 @@ class ChainBridge:
         self.joints = tuple(device.name for device in chain.devices)
         self.watchdog = watchdog
         self.goal_time = goal_time
+        self.start_tolerance = start_tolerance
+        self._take_over = TakeOver(chain, start_tolerance)
         self.failure: Exception | None = None
         self._nursery = nursery
         self._report = report
@@ -126,6 +135,8 @@ class ChainBridge:
             return Reply(True, await command())
         except COMMAND_ERRORS as error:
             return Reply(False, text_of(error, self.name))
+        finally:
+            self._take_over.look()
 
     def _drop_waiting_goals(self, service: str) -> None:
         """A service ends what the chain does; that includes trajectories that wait for their start."""
@@ -174,6 +185,7 @@ class ChainBridge:
             if self.chain.state is ChainState.FOLLOWING:
                 return f"chain {self.name} follows set-points in {mode} already"
             await self.chain.follow()
+            self._take_over.interrupt()
             return f"chain {self.name} follows set-points in {mode}"
 
         return follow
@@ -227,15 +239,19 @@ class ChainBridge:
         Never raises or waits: a refusal is reported (`Bridge.reports`). Zeros begin no motion.
         """
         what = "take velocities"
+        self._take_over.hear(Source.VELOCITIES)
         try:
             self._require_movable(what)
             velocities = self._in_units("velocity", values)
         except COMMAND_ERRORS as error:
             self._tell(error)
             return
+        if self._is_refused(Source.VELOCITIES, self._take_over.of_velocities(velocities)):
+            return
         if self._jogging is not None and not self._jogging.is_over:
             self._jogging.give(velocities)
         elif any(velocities):
+            self._take_over.begins(Source.VELOCITIES)
             self._jogging = Jogging(self.chain, self._tell, partial(self._require_movable, what), velocities, self.watchdog)
             self._nursery.start_soon(self._jogging.run)
 
@@ -248,20 +264,35 @@ class ChainBridge:
         whole.
         """
         what = "take positions"
+        self._take_over.hear(Source.POSITIONS)
         try:
             self._require_movable(what)
             if self._goals:
                 raise self._refused(what, "it follows a trajectory", "one source of commands at a time")
+            if self._jogging is not None and not self._jogging.is_over:
+                raise self._refused(what, "velocities move it", "one source of commands at a time")
             targets = self._targets(names, positions)
             speeds = self._targets(names, velocities) if velocities else {}
+            limits = self.chain.path_limits
+            aims = {place: target + braking_way(speeds.get(place, 0.0), limits[place]) for place, target in targets.items()}
+            refusal = self._take_over.of_positions(aims, self._scales())
         except COMMAND_ERRORS as error:
             self._tell(error)
+            return
+        if self._is_refused(Source.POSITIONS, refusal):
             return
         if self._streaming is not None and not self._streaming.is_over:
             self._streaming.give(targets, speeds)
         else:
+            self._take_over.begins(Source.POSITIONS)
             self._streaming = Streaming(self.chain, self._tell, partial(self._require_movable, what), targets, speeds)
             self._nursery.start_soon(self._streaming.run)
+
+    def _is_refused(self, source: Source, error: ChainError | None) -> bool:
+        """Return whether a source is not taken over; tell so, once."""
+        if error is not None and self._take_over.is_news(source):
+            self._tell(error)
+        return error is not None
 
     def _tell(self, error: Exception) -> None:
         self._report(self.name, text_of(error, self.name))
@@ -305,11 +336,44 @@ class ChainBridge:
         ends PREEMPTED. A goal that is refused changes nothing. If the task is cancelled, or by `cancel`, the joints brake along
         the path; `cancel` lets this return PREEMPTED. A trajectory without points stops the present motion.
         """
-        check = partial(self._require_movable, "follow a trajectory")
+        return await self._follow(goal, Source.ACTION, feedback, accepted)
+
+    async def command_trajectory(self, goal: TrajectoryGoal) -> None:
+        """Do as `follow` for a trajectory of the topic: a source that has to be taken over. One that fails is reported."""
+        self._take_over.hear(Source.TRAJECTORIES)
+        if self._is_refused(Source.TRAJECTORIES, self._not_taken(goal)):
+            return
+        result = await self._follow(goal, Source.TRAJECTORIES)
+        if result.outcome is not Outcome.SUCCEEDED:
+            self._report(self.name, f"the trajectory was {result.outcome.value}: {result.text}")
+
+    def _not_taken(self, goal: TrajectoryGoal) -> ChainError | None:
+        """Return why a trajectory of the topic is not taken over; None also for one that `follow` refuses."""
         try:
-            check()
+            self._require_movable("follow a trajectory")
+            points, scales = checked(goal, self.joints, self._wall()), self._scales()
+        except (GoalRefused, *COMMAND_ERRORS):
+            return None
+        if not points:
+            return None
+        aims = {place: value / scales[place] for place, value in enumerate(points[0].positions) if value is not None}
+        age = (self._wall() - goal.start) / SECOND if goal.start else 0.0
+        return self._take_over.of_trajectory(aims, scales, age)
+
+    async def _follow(
+        self,
+        goal: TrajectoryGoal,
+        source: Source,
+        feedback: Tell | None = None,
+        accepted: Callable[[], object] | None = None,
+    ) -> GoalResult:
+        what = "follow a trajectory"
+        try:
+            self._require_movable(what)
             points = checked(goal, self.joints, self._wall())
-            motion = GoalMotion(self.chain, goal, self._scales(), self.goal_time, check)
+            motion = GoalMotion(
+                self.chain, goal, self._scales(), self.goal_time, self.start_tolerance, partial(self._require_movable, what)
+            )
         except GoalRefused as refused:
             return GoalResult(refused.code, str(refused), Outcome.REJECTED)
         except COMMAND_ERRORS as error:
@@ -321,6 +385,7 @@ class ChainBridge:
             return GoalResult(GoalCode.SUCCESSFUL, "the joints stand", Outcome.SUCCEEDED)
 
         def begins() -> None:
+            self._take_over.begins(source)
             for other in self._goals:
                 if other is not motion and not other.has_begun:
                     other.cancel("another trajectory came")

@@ -36,16 +36,23 @@ class GoalMotion:
     """
 
     def __init__(
-        self, chain: Chain, goal: TrajectoryGoal, scales: Sequence[float], goal_time: float, check: Callable[[], object]
+        self,
+        chain: Chain,
+        goal: TrajectoryGoal,
+        scales: Sequence[float],
+        goal_time: float,
+        start_tolerance: float,
+        check: Callable[[], object],
     ) -> None:
-        """scales: radians, or metres, in one unit of each joint. goal_time: seconds, for a goal that names none. check: raises
-        if the chain may not begin to move."""
+        """scales: radians, or metres, in one unit of each joint. goal_time: seconds, for a goal that names none.
+        start_tolerance: see `path_of`. check: raises if the chain may not begin to move."""
         self.goal = goal
         self._check = check
         self.over = trio.Event()
         self._chain = chain
         self._names = tuple(device.name for device in chain.devices)
         self._scales = scales
+        self._start_tolerance = start_tolerance
         self._goal_time = goal.goal_time_tolerance or goal_time
         self._path_tolerances = _by_place(goal.path_tolerance, self._names)
         self._goal_tolerances = _by_place(goal.goal_tolerance, self._names)
@@ -86,7 +93,7 @@ class GoalMotion:
         chain = self._chain
 
         def make(start: PathPoint) -> Path:
-            self._path = path_of(points, start, self._names, self._scales)
+            self._path = path_of(points, start, self._names, self._scales, self._start_tolerance)
             return self._path
 
         try:

@@ -1,7 +1,8 @@
 """Goals as ROS gives them, `control_msgs/FollowJointTrajectory` and `trajectory_msgs/JointTrajectory`, and the path of one.
 
 **Points.** A point is at its time after the start. The path begins where the joints are when the goal begins, at rest or moving.
-A first point at time 0 only says where the client thinks that they are; it is refused if a joint is farther off than START. From
+A first point at time 0 only says where the client thinks that they are; it is refused if a joint is farther off than
+`start_tolerance`. From
 there a polynomial of degree 5 leads from point to point, through every position exactly: through velocities and accelerations if
 the points have them, else those of the smoothest curve. The last point is at rest.
 
@@ -25,7 +26,7 @@ from canopen_proto.trajectory import Path, PathPoint, Segment
 from canopen_proto.trajectory.interpolation import quintic, spline_velocities
 
 START: Final = 0.01
-"""Radians, or metres, that a joint may be off a first point at time 0: as MoveIt's `allowed_start_tolerance`."""
+"""Radians, or metres, by which a motion may begin off a joint (`start_tolerance`): as MoveIt's `allowed_start_tolerance`."""
 LATE: Final = 0.5
 """Seconds: a message with a start so short ago was on its way. A path begins late then; it never catches up."""
 REST: Final = 1e-3
@@ -162,19 +163,22 @@ def checked(goal: TrajectoryGoal, names: Sequence[str], now: int) -> list[JointP
     return points
 
 
-def path_of(points: Sequence[JointPoint], start: PathPoint, names: Sequence[str], scales: Sequence[float]) -> Path:
+def path_of(
+    points: Sequence[JointPoint], start: PathPoint, names: Sequence[str], scales: Sequence[float], tolerance: float = START
+) -> Path:
     """Return the path of a goal, in the joints' own units. start: where the joints are and how they move, in these units.
 
-    scales: radians, or metres, in one unit of each joint. Raises GoalRefused; PathError for values that make no path.
+    scales: radians, or metres, in one unit of each joint. tolerance: how far, in these, a joint may be off a first point at time
+    0. Raises GoalRefused; PathError for values that make no path.
     """
     first = points[0]
     if first.time <= 0.0:
         for name, wanted, position, scale in zip(names, first.positions, start.positions, scales, strict=True):
             here = position * scale
-            if wanted is not None and abs(wanted - here) > START:
+            if wanted is not None and abs(wanted - here) > tolerance:
                 raise _invalid(
                     f"{name} is at {here:.6g} at 0 s, and the trajectory begins at {wanted:.6g}: {abs(wanted - here):.3g} away, "
-                    f"{START:g} are allowed. Try: a trajectory from where the joints are, or a first point at a later time"
+                    f"{tolerance:g} are allowed. Try: a trajectory from where the joints are, or a first point at a later time"
                 )
         points = points[1:]
     for name, wanted, velocity in zip(names, first.positions, start.velocities, strict=True):

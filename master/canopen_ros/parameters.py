@@ -13,6 +13,7 @@
     simulate           true: simulated devices on virtual buses, in the process of the node
     velocity_watchdog  seconds within which the next velocity has to come (0.1)
     goal_time          seconds behind a trajectory until the joints have to be within the goal's tolerances (1.0)
+    start_tolerance    rad or m that a joint may be off where a source of motion begins (0.01); see take_over.py
     joint_states       the topic of the joint states; joint_states_rate: in Hz, 0 for each SYNC
     diagnostics_period seconds between two diagnostics if nothing changes (1.0)
 
@@ -35,6 +36,7 @@ from canopen_master.machine_file.reader import machine_of_tables
 from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_ros.goals import START
 from canopen_ros.names import NO_FILE
 
 BAD_PARAMETERS: Final = "CO324"
@@ -62,6 +64,7 @@ class NodeParameters:
     simulate: bool = False
     velocity_watchdog: float = 0.1
     goal_time: float = 1.0
+    start_tolerance: float = START
     joint_states: str = "joint_states"
     joint_states_rate: float = 0.0
     diagnostics_period: float = 1.0
@@ -106,7 +109,7 @@ def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
     return both
 
 
-_POSITIVE: Final = ("velocity_watchdog", "goal_time", "diagnostics_period")
+_POSITIVE: Final = ("velocity_watchdog", "goal_time", "start_tolerance", "diagnostics_period")
 
 
 def _own(name: str, value: object, problems: list[str]) -> object:

@@ -23,13 +23,16 @@ SILENT: Final = 0.1
 """Seconds without a new position after which its velocity counts as 0: the joints then hold the position itself."""
 
 
-def braking_way(speed: float, limits: JointLimits) -> float:
-    """Return the way on which a joint brakes from a speed to rest, within the limits of a stream."""
+def braking_way(velocity: float, limits: JointLimits) -> float:
+    """Return the way, with its sign, on which a joint brakes from a velocity to rest, within the limits of a stream."""
+    speed = abs(velocity)
+    if not speed:
+        return 0.0
     acceleration = (limits.acceleration or math.inf) * (1 - RESERVE)
     jerk = (limits.jerk or math.inf) * (1 - RESERVE)
     if speed * jerk <= acceleration * acceleration:
-        return speed * math.sqrt(speed / jerk)
-    return 0.5 * speed * (speed / acceleration + acceleration / jerk)
+        return math.copysign(speed * math.sqrt(speed / jerk), velocity)
+    return math.copysign(0.5 * speed * (speed / acceleration + acceleration / jerk), velocity)
 
 
 class _TopicMotion:
@@ -136,7 +139,7 @@ class Streaming(_TopicMotion):
         """Aim at the positions; with velocities, at where joints that brake there come to rest, so that none lags behind."""
         aims = [self._given.get(place, position) for place, position in enumerate(self._positions)]
         for place, velocity in self._velocities.items():
-            aims[place] += math.copysign(braking_way(abs(velocity), self.chain.path_limits[place]), velocity)
+            aims[place] += braking_way(velocity, self.chain.path_limits[place])
         targets.aim_at(aims)
 
     async def _move(self) -> None:

@@ -80,8 +80,18 @@ class Cell:
         reply = await self.arm.call(service)
         assert reply.success, reply.message
 
+    def let_go(self) -> None:
+        """Give zeros, as a joystick does that nobody touches: velocities are taken from then on."""
+        self.arm.command_velocities([0.0] * len(self.arm.joints))
+
+    def hold(self) -> None:
+        """Give the positions where the joints are, as a controller does that has just begun: positions are taken from then on."""
+        sample = self.bridge.sample()
+        self.arm.command_positions(sample.names, sample.positions)
+
     async def keep_jogging(self) -> None:
         """Give velocities as a joystick does, until `stop_feeding`."""
+        self.let_go()
         while self._is_fed:
             self.arm.command_velocities([0.3, -0.2])
             await trio.sleep(0.05)

@@ -73,6 +73,7 @@ async def test_a_service_behind_the_end_of_the_node_is_refused() -> None:
 async def test_leaving_takes_the_power_away() -> None:
     async with cell() as world:
         await world.ask("init")
+        world.hold()
         world.arm.command_positions(["joint1"], [0.8])
         await trio.sleep(0.8)
         assert world.is_moving
@@ -101,6 +102,7 @@ async def test_nothing_that_comes_with_a_shutdown_gives_power_back() -> None:
 async def test_halt_twice_at_once() -> None:
     async with cell() as world:
         await world.ask("init")
+        world.hold()
         world.arm.command_positions(["joint1"], [0.8])
         await trio.sleep(0.8)
         replies: list[Reply] = []

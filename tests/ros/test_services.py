@@ -44,6 +44,7 @@ async def jogging(world: Cell) -> None:
 
 async def streaming(world: Cell) -> None:
     await world.ask("init")
+    world.hold()
     world.arm.command_positions(["joint1"], [0.8])
     await trio.sleep(0.8)
     assert world.is_moving

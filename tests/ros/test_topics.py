@@ -39,6 +39,7 @@ async def reports(world: Cell) -> list[str]:
 async def test_velocities_move_the_joints_and_silence_brakes_them() -> None:
     async with cell(sync_interval=10) as world:
         await world.ask("init")
+        world.let_go()
         await feed(world, [0.2, -0.1], 1.5)
         assert world.arm.state == "moving"
         assert world.bridge.sample().velocities == pytest.approx((0.2, -0.1), abs=0.01)
@@ -56,6 +57,7 @@ async def test_velocities_move_the_joints_and_silence_brakes_them() -> None:
 async def test_the_watchdog_is_a_parameter() -> None:
     async with cell(velocity_watchdog=0.5) as world:
         await world.ask("init")
+        world.let_go()
         await feed(world, [0.2, -0.1], 1.5, period=0.4)
         assert world.bridge.sample().velocities[0] == pytest.approx(0.2, abs=0.01)
 
@@ -88,6 +90,7 @@ async def test_a_joystick_takes_over_from_a_goal() -> None:
 
         world.nursery.start_soon(follow)
         await trio.sleep(1.5)
+        world.let_go()
         await feed(world, [-0.2, 0.0], 2.0)
         assert [each.outcome for each in results] == [Outcome.PREEMPTED]
         assert world.bridge.sample().velocities[0] == pytest.approx(-0.2, abs=0.01)
@@ -108,6 +111,8 @@ async def test_a_halt_stays_in_force_whatever_the_joystick_says() -> None:
         assert any("the halt is in force" in text and "arm/recover" in text for text in told)
         assert len(told) <= 4  # and not one for each message
         await world.ask("recover")
+        await world.assert_all_stand()
+        world.let_go()
         await trio.sleep(1.0)
         assert world.is_moving
 
@@ -164,6 +169,7 @@ async def test_what_is_wrong_is_refused_as_a_whole_and_reported() -> None:
 async def test_a_wrong_message_among_good_ones_changes_nothing() -> None:
     async with cell() as world:
         await world.ask("init")
+        world.let_go()
         await feed(world, [0.2, 0.0], 1.0)
         world.arm.command_velocities([math.nan, 0.0])
         await feed(world, [0.2, 0.0], 0.5)
@@ -175,6 +181,7 @@ async def test_positions_are_held_in_silence_and_joints_that_are_not_named_stay(
     async with cell() as world:
         await world.ask("init")
         await world.ask("home")
+        world.hold()
         for step in range(1, 41):  # a controller at 50 Hz
             world.arm.command_positions(["joint2"], [0.01 * step])
             await trio.sleep(0.02)
@@ -232,6 +239,7 @@ async def test_a_position_beyond_a_limit_counts_as_the_limit() -> None:
     async with cell(joints={"joint1": {"unit": "radian", "max_position": 0.3}}) as world:
         await world.ask("init")
         await world.ask("home")
+        world.hold()
         world.arm.command_positions(["joint1"], [0.5])
         await trio.sleep(5.0)
         assert world.bridge.sample().positions[0] == pytest.approx(0.3, abs=EXACT)
@@ -242,12 +250,14 @@ async def test_velocities_end_when_sync_does() -> None:
     """The watchdog counts SYNCs: without one it would wait for ever, and the joints would be said to move."""
     async with cell(sync_interval=10) as world:
         await world.ask("init")
+        world.let_go()
         await feed(world, [0.2, -0.1], 0.5)
         world.bridge.master.sync_stop()
         await trio.sleep(3.0)
         assert world.arm.state == "halted"
         await world.assert_all_stand()
         await world.ask("recover")
+        world.let_go()
         await feed(world, [0.2, -0.1], 0.5)
         assert world.is_moving
 
@@ -256,6 +266,7 @@ async def test_velocities_end_when_sync_does() -> None:
 async def test_positions_end_when_sync_does() -> None:
     async with cell(sync_interval=10) as world:
         await world.ask("init")
+        world.hold()
         world.arm.command_positions(["joint1"], [0.3])
         await trio.sleep(0.3)
         assert world.arm.state == "moving"
@@ -270,6 +281,7 @@ async def test_a_position_counts_at_any_moment_about_the_end_of_the_one_before()
     """Joints that stand are no longer led a while behind their last position; one that comes just then is not lost."""
     async with cell(sync_interval=10) as world:
         await world.ask("init")
+        world.hold()
         for number in range(12):
             world.arm.command_positions(["joint1"], [0.0001 * (number % 2)])
             await trio.sleep(QUIET + 0.005 * number)

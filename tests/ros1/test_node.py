@@ -88,6 +88,7 @@ def test_services_say_why_they_refuse(client: Client) -> None:
 
 def test_velocities_end_with_their_client(ros: Ros, arm: Client) -> None:
     """Killed, so that it can send no zeros: the watchdog brakes."""
+    ros.run("rostopic pub -1 /arm/command_vel std_msgs/Float64MultiArray '{data: [0, 0, 0, 0, 0, 0]}'")
     sender = ros.start("exec rostopic pub -r 20 /arm/command_vel std_msgs/Float64MultiArray '{data: [0.1, 0, 0, 0, 0, -0.1]}'")
     until(lambda: arm.positions["joint1"] > MOVED, "joint 1 moves", sender.must_live)
     sender.kill()
@@ -99,8 +100,14 @@ def test_velocities_end_with_their_client(ros: Ros, arm: Client) -> None:
 
 
 def test_positions_of_ros2_control_in_any_order(ros: Ros, arm: Client) -> None:
-    message = "{name: [joint6, joint1], position: [0.1, 0.05]}"
-    ros.run(f"rostopic pub -1 /arm/joint_commands sensor_msgs/JointState '{message}'")
+    """Taken only from a controller that begins where the joints are."""
+    command = "rostopic pub -1 /arm/joint_commands sensor_msgs/JointState '{name: [joint6, joint1], position: [%s]}'"
+    before = arm.positions
+    ros.run(command % "0.1, 0.05")
+    until(lambda: "they begin 0.1 away from joint6" in ros.printed, "the log tells of it")
+    assert arm.positions == pytest.approx(before, abs=1e-6)
+    ros.run(command % "0.0, 0.0")
+    ros.run(command % "0.1, 0.05")
     goal = {**dict.fromkeys(arm.positions, 0.0), "joint6": 0.1, "joint1": 0.05}
     until(lambda: arm.positions == pytest.approx(goal, abs=NOISE), "they are there")
 

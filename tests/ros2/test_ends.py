@@ -20,6 +20,8 @@ def all_move(client: Client, arm: Arm) -> None:
 
 
 def keep_moving(client: Client, arm: Arm) -> None:
+    six_velocities(client, 0.0)  # only then are velocities taken
+
     def moving() -> bool:
         six_velocities(client, 0.05)
         return arm.moving == 6

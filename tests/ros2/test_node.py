@@ -129,6 +129,7 @@ def test_a_trajectory_with_an_unknown_joint_is_refused_and_logged(ready: Client,
 
 def test_velocities_move_until_they_stop_coming(ready: Client) -> None:
     before = position(ready, 0)
+    ready.publish(Float64MultiArray, "/arm/command_vel", Float64MultiArray(data=[0.0] * 6))
     command = Float64MultiArray(data=[0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def send_and_look() -> bool:
@@ -146,9 +147,17 @@ def test_too_few_velocities_are_refused_and_logged(ready: Client, node: NodeProc
     assert stands_at(ready, before)
 
 
-def test_joint_commands_as_ros2_control_sends_them(ready: Client) -> None:
-    """All joints by name; sent until the arm is there, and then no more: it holds its place."""
-    goal = [position + 0.02 for position in ready.joints().position]
+def test_joint_commands_as_ros2_control_sends_them(ready: Client, node: NodeProcess) -> None:
+    """All joints by name; sent until the arm is there, and then no more: it holds its place.
+
+    Taken only from where the joints are.
+    """
+    before = list(ready.joints().position)
+    goal = [position + 0.02 for position in before]
+    ready.publish(JointState, "/arm/joint_commands", JointState(name=JOINTS, position=goal))
+    ready.until(lambda: "they begin 0.02 away from joint" in node.output(), "the log")
+    assert stands_at(ready, before)
+    ready.publish(JointState, "/arm/joint_commands", JointState(name=JOINTS, position=before))
     command = JointState(name=JOINTS, position=goal)
 
     def send_and_look() -> bool:

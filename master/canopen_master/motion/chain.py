@@ -162,7 +162,10 @@ class Chain(ChainView, Moving):
         """
         await self._require_standing("home")
         self._end_following(ChainState.READY)
-        await self._for_all("home", lambda device: home_if_needed(device.axis) if if_needed else home(device.axis))
+        try:
+            await self._for_all("home", lambda device: home_if_needed(device.axis) if if_needed else home(device.axis))
+        finally:
+            self.interruptions += 1  # the joints stand elsewhere, and count from another zero
 
     async def enable_interpolated_position(self) -> None:
         """Do as `follow`, for a chain whose mode is ip: the manual's name. Raises ChainError for a chain with another mode."""
@@ -416,6 +419,8 @@ class Chain(ChainView, Moving):
         return [chain for chain in self._chains if chain is not self and chain.state is not ChainState.OFF]
 
     def _end_following(self, state: ChainState) -> None:
+        if not (state is self.state is ChainState.READY):  # else it is about to follow set-points, from where it stands
+            self.interruptions += 1
         self.state = state
         self._set_points.end()
         self._supervision.end_following()

@@ -34,7 +34,8 @@ class ChainState(enum.Enum):
 class ChainView:
     """See this module's text. name: of the chain. devices: its joints, in the order of the file.
 
-    changed: woken when `state` or `motion` changes.
+    changed: woken when `state` or `motion` changes. interruptions: how often it was initialised, homed, halted, shut down or
+    stopped by a fault: once this number has changed, set-points that were thought of before may be far from the joints.
     """
 
     def __init__(self, name: str, devices: Sequence[Device], settings: ChainSettings) -> None:
@@ -42,6 +43,7 @@ class ChainView:
         self.devices = tuple(devices)
         self.settings = settings
         self.changed = trio.lowlevel.ParkingLot()
+        self.interruptions = 0
         self._state = ChainState.OFF
         self._motion: Motion | None = None
         self._set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)

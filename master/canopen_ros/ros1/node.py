@@ -20,7 +20,6 @@ from canopen_proto.machine import SECOND
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.chain_bridge import ChainBridge
 from canopen_ros.diagnostics import Diagnostic
-from canopen_ros.goals import Outcome, TrajectoryGoal
 from canopen_ros.names import (
     COMMAND_VELOCITIES,
     DIAGNOSTICS,
@@ -115,7 +114,7 @@ class Node:
         self._portal.post(chain.command_positions, tuple(message.name), values(message.position), values(message.velocity))
 
     def _trajectory(self, chain: ChainBridge, message: Message) -> None:
-        self._portal.submit(self._follow, chain, trajectory_goal(message))
+        self._portal.submit(chain.command_trajectory, trajectory_goal(message))
 
     # ---- in trio's thread ----
 
@@ -144,11 +143,6 @@ class Node:
     async def _publish_reports(self) -> None:
         async for report in self._bridge.reports():
             self._outgoing.put(rospy().logwarn, "%s: %s", report.chain, report.text)
-
-    async def _follow(self, chain: ChainBridge, goal: TrajectoryGoal) -> None:
-        result = await chain.follow(goal)
-        if result.outcome is not Outcome.SUCCEEDED:
-            self._outgoing.put(rospy().logwarn, "%s: the trajectory was %s: %s", chain.name, result.outcome.value, result.text)
 
     # ---- in the publisher's thread ----
 

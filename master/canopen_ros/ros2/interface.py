@@ -34,7 +34,6 @@ from canopen_ros import names
 from canopen_ros.bridge import Bridge
 from canopen_ros.chain_bridge import ChainBridge
 from canopen_ros.diagnostics import Diagnostic
-from canopen_ros.goals import GoalResult, Outcome
 from canopen_ros.reply import COMMAND_ERRORS, Reply
 from canopen_ros.ros2 import messages
 from canopen_ros.ros2.rcl import (
@@ -144,7 +143,7 @@ class Interface:
             self._portal.post(chain.command_positions, *of_joints)
 
         def trajectory(message: JointTrajectory) -> None:
-            self._portal.submit(chain.follow, messages.goal(message)).add_done_callback(self._followed(chain.name))
+            self._portal.submit(chain.command_trajectory, messages.goal(message)).add_done_callback(self._tell_failure)
 
         self._subscribe(Float64MultiArray, names.COMMAND_VELOCITIES.of(chain.name), velocities, NEWEST)
         self._subscribe(JointStateType, names.JOINT_COMMANDS.of(chain.name), positions, NEWEST)
@@ -242,26 +241,12 @@ class Interface:
     def _log_error(self, text: str) -> None:  # rclpy allows one severity for each line that logs
         self._logger.error(text)
 
-    def _log_info(self, text: str) -> None:
-        self._logger.info(text)
-
     # ---- commands that nobody waits for ----
 
-    def _followed(self, chain: str) -> Callable[[Future[GoalResult]], None]:
-        def tell(future: Future[GoalResult]) -> None:
-            if self._tell_failure(future):
-                return
-            result = future.result()
-            log = self._log_error if result.outcome in (Outcome.ABORTED, Outcome.REJECTED) else self._log_info
-            self._outgoing.put(log, f"{chain}: trajectory {result.outcome.value}: {result.text}")
-
-        return tell
-
-    def _tell_failure(self, future: Future[Any]) -> bool:
+    def _tell_failure(self, future: Future[Any]) -> None:
         error = future.exception()
         if error is not None and not isinstance(error, MasterClosed):  # the node ends: no news
             self._outgoing.put(self._log_error, f"{error}")
-        return error is not None
 
 
 def _parts(name: str) -> tuple[str, str]:
