@@ -19,12 +19,15 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Final, NamedTuple
+from weakref import WeakSet
 
 import trio
 
 from canopen_master.errors import MasterError
 from canopen_master.machine_file import MachineFile
 from canopen_master.master import Master
+from canopen_master.motion.device import Device
+from canopen_master.node import Node
 from canopen_master.session import open_master
 from canopen_proto.sync import SyncSent
 from canopen_ros import diagnostics, objects
@@ -74,12 +77,14 @@ class Bridge:
         self._reported: dict[tuple[str, str], float] = {}
         self._has_report = trio.lowlevel.ParkingLot()
         self._changed = trio.lowlevel.ParkingLot()
+        self._readers: WeakSet[Samples] = WeakSet()
         self.chains: Mapping[str, ChainBridge] = {
             name: ChainBridge(
                 chain,
                 nursery,
                 self._report,
                 wall,
+                self._wake,
                 watchdog=parameters.velocity_watchdog,
                 goal_time=parameters.goal_time,
                 start_tolerance=parameters.start_tolerance,
@@ -88,6 +93,26 @@ class Bridge:
         }
         for chain in self.chains.values():
             nursery.start_soon(self._watch, chain)
+            for device in chain.chain.devices:
+                nursery.start_soon(self._locate, chain, device)
+        nursery.start_soon(self._offer_samples)
+
+    async def _wake(self, node: Node) -> None:
+        await self.master.nmt_enter_pre_operational(node.node_id, bus=node.bus)
+
+    async def _locate(self, chain: ChainBridge, device: Device) -> None:
+        """Ask a joint without power for its position, so that controllers and planners know where to begin."""
+        while True:
+            await chain.locate(device)
+            await trio.sleep(self.parameters.look_period)
+
+    async def _offer_samples(self) -> None:
+        """Let readers have samples while no SYNC is sent."""
+        while True:
+            if not self.master.sync_period:
+                for reader in tuple(self._readers):
+                    reader.offer()
+            await trio.sleep(self.parameters.look_period)
 
     async def _watch(self, chain: ChainBridge) -> None:
         async for _ in chain.states():
@@ -101,8 +126,13 @@ class Bridge:
         return sample_of(devices, self.master.now(), self._wall())
 
     def samples(self) -> Samples:
-        """A sample for each SYNC, or as often as `joint_states_rate` says, as an async iterator; none while no SYNC is sent."""
-        return Samples(self)
+        """A sample for each SYNC, or as often as `joint_states_rate` says, as an async iterator.
+
+        While no SYNC is sent, one for each `look_period`, as far as the drives answer.
+        """
+        samples = Samples(self)
+        self._readers.add(samples)
+        return samples
 
     def diagnostics(self) -> list[Diagnostic]:
         """Each bus, chain and joint, as far as it is known. Never raises; also for a master that has failed."""
@@ -171,14 +201,21 @@ class Samples:
         self._watcher = master.watch((SyncSent,), self._take, master.bus(next(iter(master.buses))))
 
     def _take(self, sync: SyncSent) -> None:
+        self.offer()
+
+    def offer(self) -> None:
+        """Let the reader have the present sample, if it is time for one, and if it has a joint."""
         now, rate = trio.current_time(), self._bridge.parameters.joint_states_rate
         if rate and now - self._last < 1 / rate - EARLY:
+            return
+        sample = self._bridge.sample()
+        if not sample.names:
             return
         self._last = now
         if len(self._waiting) == MOST_SAMPLES:
             self._waiting.popleft()
             self.dropped += 1
-        self._waiting.append(self._bridge.sample())
+        self._waiting.append(sample)
         self._news.unpark_all()
 
     def __aiter__(self) -> Samples:

@@ -28,6 +28,8 @@ from canopen_master.errors import ChainError, SetPointRefused
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_errors import not_now
 from canopen_master.motion.chain_view import ChainState
+from canopen_master.motion.device import Device
+from canopen_master.node import Node
 from canopen_proto.cia402.modes import short_name
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
@@ -41,6 +43,8 @@ from canopen_ros.topic_motions import Jogging, Streaming, braking_way
 
 WATCHDOG: Final = 0.1
 """Seconds within which the next velocity has to come."""
+ROUNDED: Final = 1e-9
+"""By which share a velocity may exceed its limit: conversions of units round."""
 GOAL_TIME: Final = 1.0
 """Seconds behind the end of a trajectory until the joints have to be within the tolerances of the goal."""
 
@@ -58,13 +62,14 @@ class ChainBridge:
         nursery: trio.Nursery,
         report: Callable[[str, str], object],
         wall: Callable[[], int],
+        wake: Callable[[Node], Awaitable[object]],
         *,
         watchdog: float = WATCHDOG,
         goal_time: float = GOAL_TIME,
         start_tolerance: float = START,
     ) -> None:
         """nursery: for what moves the chain on behalf of topics. report: called with the name of the chain and the text of an
-        error of a command that has no answer. wall: the time in ns since 1970.
+        error of a command that has no answer. wall: the time in ns since 1970. wake: lets a node be pre-operational.
         """
         self.chain = chain
         self.name = chain.name
@@ -74,9 +79,12 @@ class ChainBridge:
         self.start_tolerance = start_tolerance
         self._take_over = TakeOver(chain, start_tolerance)
         self.failure: Exception | None = None
+        self._services = 0  # that run
         self._nursery = nursery
+        self._is_down = False  # shut down by this bridge, and nothing was asked of it since
         self._report = report
         self._wall = wall
+        self._wake = wake
         self._goals: list[GoalMotion] = []  # that wait for their start, or run
         self._jogging: Jogging | None = None
         self._streaming: Streaming | None = None
@@ -118,6 +126,17 @@ class ChainBridge:
         self.failure = error
         self.chain.changed.unpark_all()
 
+    async def locate(self, device: Device) -> None:
+        """Ask a joint of a chain without power where it is (0x6064), once. With power PDOs tell it.
+
+        While a service runs nothing comes in between. A joint that does not answer is left out of the samples.
+        """
+        if self.failure is None and self.chain.state is ChainState.OFF and not self._services:
+            try:
+                await self.chain.locate(device)
+            except COMMAND_ERRORS:
+                return  # the diagnostics of the bus and the joint tell of it
+
     # ---- services ----
 
     async def call(self, service: str) -> Reply:
@@ -132,7 +151,11 @@ class ChainBridge:
         try:
             self._check_open()
             self._drop_waiting_goals(service)
-            return Reply(True, await command())
+            self._services += 1
+            try:
+                return Reply(True, await command())
+            finally:
+                self._services -= 1
         except COMMAND_ERRORS as error:
             return Reply(False, text_of(error, self.name))
         finally:
@@ -148,6 +171,7 @@ class ChainBridge:
         for device in self.chain.devices:
             if is_unit_missing(device.axis.settings):  # that is certain before the drive is asked for its scale
                 si_per_unit(device)
+        self._is_down = False
         await self.chain.initialise()
         self._scales()
         return f"chain {self.name} is ready"
@@ -165,18 +189,24 @@ class ChainBridge:
         return f"chain {self.name} is {self.chain.state.value}"
 
     async def _halt(self) -> str:
-        is_down = [device.nmt_state is NmtState.STOPPED and not device.may_move for device in self.chain.devices]
-        if self.chain.state is ChainState.OFF and all(is_down):  # nobody would answer a halt
+        if self._has_no_power():
             return f"chain {self.name} is off: its joints have no power"
         await self.chain.halt()
         return f"chain {self.name} stands"
 
     async def _shut_down(self) -> str:
-        stopped = all(device.nmt_state is NmtState.STOPPED for device in self.chain.devices)
-        if self.chain.state is ChainState.OFF and stopped:  # a node in this state answers nothing
+        if self._has_no_power():
             return f"chain {self.name} is off already"
         await self.chain.shut_down()
+        for node in dict.fromkeys(device.node for device in self.chain.devices):
+            if node.nmt_state is NmtState.STOPPED:  # it answers nothing there, and its position is still asked for
+                await self._wake(node)
+        self._is_down = True
         return f"chain {self.name} is off"
+
+    def _has_no_power(self) -> bool:
+        """Return whether it was shut down, and no drive has been given power since."""
+        return self._is_down and self.chain.state is ChainState.OFF and not any(each.may_move for each in self.chain.devices)
 
     def _mode(self, mode: str) -> Callable[[], Awaitable[str]]:
         async def follow() -> str:
@@ -243,6 +273,7 @@ class ChainBridge:
         try:
             self._require_movable(what)
             velocities = self._in_units("velocity", values)
+            self._check_speeds(velocities, values)
         except COMMAND_ERRORS as error:
             self._tell(error)
             return
@@ -287,6 +318,13 @@ class ChainBridge:
             self._take_over.begins(Source.POSITIONS)
             self._streaming = Streaming(self.chain, self._tell, partial(self._require_movable, what), targets, speeds)
             self._nursery.start_soon(self._streaming.run)
+
+    def _check_speeds(self, velocities: Sequence[float], values: Sequence[float]) -> None:
+        """Raise SetPointRefused for a velocity beyond the limit of its joint. values: the same in rad/s or m/s."""
+        for name, velocity, value, limits in zip(self.joints, velocities, values, self.chain.path_limits, strict=True):
+            if limits.speed is not None and abs(velocity) > limits.speed * (1 + ROUNDED):
+                limit = abs(value) * limits.speed / abs(velocity)
+                raise SetPointRefused(f"the velocity of {name} is beyond its limit of {limit:.6g}", name, f"{value:.6g}")
 
     def _is_refused(self, source: Source, error: ChainError | None) -> bool:
         """Return whether a source is not taken over; tell so, once."""

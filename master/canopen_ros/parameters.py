@@ -16,6 +16,7 @@
     start_tolerance    rad or m that a joint may be off where a source of motion begins (0.01); see take_over.py
     joint_states       the topic of the joint states; joint_states_rate: in Hz, 0 for each SYNC
     diagnostics_period seconds between two diagnostics if nothing changes (1.0)
+    look_period        seconds between two questions for the positions of joints without power (0.2)
 
 A key with dots means a table in a table, as in ROS 2: "joints.joint1.unit".
 """
@@ -68,6 +69,7 @@ class NodeParameters:
     joint_states: str = "joint_states"
     joint_states_rate: float = 0.0
     diagnostics_period: float = 1.0
+    look_period: float = 0.2
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> NodeParameters:
@@ -109,7 +111,7 @@ def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
     return both
 
 
-_POSITIVE: Final = ("velocity_watchdog", "goal_time", "start_tolerance", "diagnostics_period")
+_POSITIVE: Final = ("velocity_watchdog", "goal_time", "start_tolerance", "diagnostics_period", "look_period")
 
 
 def _own(name: str, value: object, problems: list[str]) -> object:

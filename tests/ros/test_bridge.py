@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import pytest
+from dataclasses import replace
 
+import pytest
+import trio
+
+from canopen_ros.bridge import open_bridge
 from canopen_ros.diagnostics import Level
 from canopen_ros.goals import Feedback, Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.parameters import NodeParameters
+from canopen_ros.simulated import on_virtual_buses, simulated_machine
 from tests.master.world import virtual_time
-from tests.ros.ros_world import bridge_of, ready_arm
+from tests.ros.ros_world import bridge_of, chain_text, ready_arm
 
 
 @virtual_time
@@ -47,3 +53,38 @@ async def test_a_trajectory_by_names_in_any_order() -> None:
         assert len(seen) > 200
         assert bridge.sample().names == ("joint1", "joint2")
         assert bridge.sample().positions == pytest.approx((0.2, 0.3), abs=2e-5)
+
+
+@virtual_time
+async def test_positions_are_told_without_power_too() -> None:
+    """A controller and a planner have to know where the joints are before anything moves."""
+    async with bridge_of() as (bridge, arm):
+        samples = bridge.samples()
+
+        async def count(seconds: float) -> int:
+            found = 0
+            with trio.move_on_after(seconds):
+                async for sample in samples:
+                    assert sample.names == ("joint1", "joint2")
+                    found += 1
+            return found
+
+        assert 4 <= await count(1.0) <= 6
+        before = bridge.sample().positions
+        assert (await arm.call("init")).success
+        assert await count(1.0) >= 90
+        assert (await arm.call("shutdown")).success
+        await count(1.0)  # of the time before
+        assert 4 <= await count(1.0) <= 6
+        assert bridge.sample().positions == before
+        assert (await arm.call("init")).success
+
+
+@virtual_time
+async def test_a_joint_that_is_not_there_holds_up_no_other_one() -> None:
+    given = NodeParameters.from_mapping({"chains": chain_text(2)})
+    machine = on_virtual_buses(given.machine)
+    nodes = {name: node for name, node in machine.nodes.items() if node.node_id == 3}
+    async with simulated_machine(replace(machine, nodes=nodes)), open_bridge(replace(given, machine=machine)) as bridge:
+        await trio.sleep(3.0)
+        assert bridge.sample().names == ("joint1",)

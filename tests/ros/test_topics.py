@@ -289,3 +289,16 @@ async def test_a_position_counts_at_any_moment_about_the_end_of_the_one_before()
             await trio.sleep(1.0)
             assert world.bridge.sample().positions[0] == pytest.approx(0.01, abs=EXACT), number
         assert await reports(world) == []
+
+
+@virtual_time
+async def test_a_velocity_beyond_the_limit_is_refused_and_reported() -> None:
+    async with cell(joints={"joint1": {"unit": "radian", "max_speed": 0.25}}) as world:
+        await world.ask("init")
+        world.let_go()
+        before = world.positions
+        await feed(world, [0.26, 0.0], 0.5)
+        assert world.positions == before
+        assert "the velocity of joint1 is beyond its limit of 0.25" in (await reports(world))[0]
+        await feed(world, [-0.25, 0.0], 0.5)
+        assert world.is_moving

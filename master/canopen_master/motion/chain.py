@@ -58,6 +58,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.gap_guard import GapGuard
 from canopen_master.motion.joint_procedures import (
     JointFailed,
+    find,
     follow,
     meet,
     mode_of,
@@ -154,6 +155,13 @@ class Chain(ChainView, Moving):
             participant.sync_start(settings.cycle_time)
         await self._for_all("initialise", reset_and_enable)
         self.state, self._supervision.is_on = ChainState.READY, True
+
+    async def locate(self, device: Device) -> None:
+        """Ask one of its joints where it is, which unit it has and of which make it is, by SDO. It needs no power, and gets none.
+
+        `device.position` has it. A joint that does not answer, or refuses, keeps what was heard last.
+        """
+        await self._participant.run(quietly(device, find(device)))
 
     async def home(self, *, if_needed: bool = False) -> None:
         """Home all joints, side by side, from where they stand. If one fails, or the task is cancelled, all are halted.

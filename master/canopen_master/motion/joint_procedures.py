@@ -169,12 +169,16 @@ def meet(device: Device, settings: ChainSettings) -> Procedure[None]:
 def _meet(device: Device, settings: ChainSettings, is_planned: bool) -> Procedure[None]:
     device.last_look = None
     yield from awake(device.node)
-    yield from identify(device.axis)
-    # Where it stands; PDOs keep it up to date from the first one on
-    yield from read_if_present(device.axis.node, objects.POSITION_ACTUAL_VALUE)
+    yield from find(device)  # PDOs keep the position up to date from the first one on
     if is_planned:
         device.modes = yield from read_modes(device.axis.node)
         plan_joint(device, settings)
+
+
+def find(device: Device) -> Procedure[None]:
+    """Identify the joint, and read where it is."""
+    yield from identify(device.axis)
+    yield from read_if_present(device.axis.node, objects.POSITION_ACTUAL_VALUE)
 
 
 def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) -> Procedure[None]:
