@@ -22,6 +22,9 @@ from canopen_ros.configurations.unit_expression import Exact
 from canopen_ros.configurations.yaml_text import Value
 
 BUS: Final = "can0"
+CAUTIOUS: Final = {"radian": 0.5, "millimetre": 100.0}
+"""Speed limits, by the unit, of joints of which no limit is known. Half a metre from a joint the first is 250 mm/s, which
+ISO 10218-1 calls reduced speed."""
 CHAIN: Final = "chain1"
 """The manual's; a configuration of ros2_canopen names no chain."""
 STATES: Final = {2: "switch on disabled", 3: "ready to switch on", 4: "switched on", 5: "operation enabled"}
@@ -160,6 +163,14 @@ class Draft:
                         self.report.not_needed(limit, f"{has} is not true")
             own.close()
         limits.close()
+        for name, joint in self.joints.items():
+            if "unit" in joint and "max_speed" not in joint:
+                joint["max_speed"] = CAUTIOUS[joint["unit"]]
+                self.report.missing(
+                    f"joint_limits.{name}",
+                    f"nothing says how fast {name} may go: max_speed = {joint['max_speed']:g} ({joint['unit']}s per second) is a "
+                    "cautious guess. Give your own: a joint_limits.yaml beside this file, or max_speed in the machine file",
+                )
 
     def _take_limit(self, value: Value, key: str, joint: dict[str, Any]) -> None:
         if "unit" not in joint:

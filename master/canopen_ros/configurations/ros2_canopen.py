@@ -60,7 +60,12 @@ def take_ros2_canopen(top: Section, keys: Mapping[str, Value], draft: Draft) -> 
     options.close()
     master = section_of(top.take("master"), report)
     consumer = master.take("heartbeat_consumer")
-    watch = Watch(multiplier, consumer is None or consumer.truth())
+    is_watched = True
+    if consumer is not None and consumer.kind != "bool":
+        report.left_out(consumer, f"true or false is expected, not {consumer} ({consumer.kind}): it counts as true")
+    elif consumer is not None:
+        is_watched = consumer.truth()
+    watch = Watch(multiplier, is_watched)
     _take_master(master, draft)
     take_network(master, draft)
     master.close()

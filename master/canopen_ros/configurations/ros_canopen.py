@@ -189,15 +189,21 @@ def _take_joint(name: str, value: Value, node: Section, draft: Draft, *, is_driv
     """Take over what makes a node a joint. A device that is no drive is none."""
     if not is_drive:
         node.not_needed(
-            dict.fromkeys((*DEFAULTS, *_EFFORTS, "switching_state", "homing_timeout_seconds"), "the device is no drive")
+            dict.fromkeys((*DEFAULTS, *_EFFORTS, "joint", "switching_state", "homing_timeout_seconds"), "the device is no drive")
         )
         draft.report.assumed(value.place, "a node, and no joint: its file has no controlword (0x6040)")
         return
     joint: dict[str, Any] = {}
-    _take_scale(node, joint, draft, is_linear=name in draft.choices.linear)
+    named, wanted = node.take("joint"), name
+    if named is not None:  # as motor_chain.cpp has it: the name in the URDF and in /joint_states
+        wanted = draft.name(named, named.string())
+        draft.report.taken(named, f"the name of the joint, of the node {name!r}")
+    _take_scale(node, joint, draft, is_linear=bool(draft.choices.linear & {name, wanted}))
     draft.take_switching_state(node, joint)
     draft.take_homing_timeout(node, joint)
-    draft.add_joint(value, name, joint)
+    if wanted != name:
+        joint["node"] = name
+    draft.add_joint(value, wanted, joint)
     node.not_needed(dict.fromkeys(_EFFORTS, TORQUE))
 
 
