@@ -203,7 +203,7 @@ async def test_samples_come_with_each_sync_and_slow_readers_lose_the_oldest() ->
 
 @virtual_time
 async def test_a_joint_that_is_silent_leaves_the_sample() -> None:
-    async with cell() as world:
+    async with cell(look_period=60.0) as world:
         await world.ask("init")
         await trio.sleep(0.5)
         assert world.bridge.sample().names == ("joint1", "joint2")

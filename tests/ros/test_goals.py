@@ -133,7 +133,7 @@ async def test_a_new_goal_blends_and_the_one_before_is_preempted() -> None:
     async with cell(sync_interval=10) as world:
         await world.ask("init")
         await world.ask("home")
-        results = await two_goals(world, goal(P([-0.1, 0.3], time_from_start=2.0)))
+        results = await two_goals(world, goal(P([-0.1, 0.3], time_from_start=2.2)))
         assert [result.outcome for result in results] == [Outcome.PREEMPTED, Outcome.SUCCEEDED]
         assert world.bridge.sample().positions == pytest.approx((-0.1, 0.3), abs=EXACT)
 
