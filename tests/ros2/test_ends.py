@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -20,10 +21,10 @@ def all_move(client: Client, arm: Arm) -> None:
 
 
 def keep_moving(client: Client, arm: Arm) -> None:
-    six_velocities(client, 0.0)  # only then are velocities taken
+    velocities = itertools.chain([0.0] * 10, itertools.repeat(0.05))  # they are taken once they were 0
 
     def moving() -> bool:
-        six_velocities(client, 0.05)
+        six_velocities(client, next(velocities))
         return arm.moving == 6
 
     client.until(moving, "six drives move")
