@@ -50,6 +50,8 @@ _TURNS: Final = 5
 """Changes of a state without a reason that only two nodes can make: A, B, A, B, A, B."""
 _PAIRS: Final = 5
 """Intervals in a row that only two nodes can make: a short one and a long one in turn, together the heartbeat time."""
+_SAME_TOGGLES: Final = 7
+"""Guarding answers in a row with the same toggle bit that no loss makes: each time an odd number of answers would be missing."""
 COPY: Final = 5 * MILLISECOND
 """The same heartbeat within this time is a copy, or was held back."""
 _TOGGLE: Final = 0x80
@@ -59,8 +61,8 @@ class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
     __slots__ = (
-        "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_odd", "is_reset", "is_said", "is_told", "is_up",
-        "last", "limit", "pairs", "period", "since", "state", "suspect", "suspected", "toggle", "turns",
+        "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_reset", "is_said", "is_told", "is_up", "last",
+        "limit", "pairs", "period", "same_toggles", "since", "state", "suspect", "suspected", "toggle", "turns",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -80,7 +82,7 @@ class _View:
         self.suspected: Time = 0  # when that was
         self.guarded: Time = -NEVER  # its last guarding answer
         self.guard_time: Time = NEVER  # the least time between two of them
-        self.is_odd = False  # the last one did not alternate
+        self.same_toggles = 0  # answers in a row that did not alternate
         self.is_asked = False  # by a guarding request
         self.is_up = False  # it has sent something since it booted
         self.is_reset = False  # it was told to boot
@@ -209,23 +211,28 @@ class NodeRules:
     def _answered(self, node_id: int, view: _View, byte: int, now: Time, found: list[Finding]) -> None:
         """Look whether an answer to a guarding request has the toggle bit of the one before.
 
-        A request and an answer may be missing between them. It is told once two in a row came in the time of one request.
+        A request and an answer may be missing between them. It is told once many in a row came, each in the time of one request.
         """
         view.is_asked = False
         last, view.toggle = view.toggle, byte & _TOGGLE
         interval, view.guarded = now - view.guarded, now
+        is_early = interval < COPY or (view.guard_time < NEVER and interval * 4 < view.guard_time * 3)
+        is_in_time = interval * 2 < view.guard_time * 3
+        text = "its guarding answers do not alternate the toggle bit"
+        if view.toggle == last and is_early:
+            self._gaps.copied(node_id, f"{text}: one is there twice", now, found)
+            return
+        if interval >= COPY:
+            view.guard_time = min(view.guard_time, interval)
         if view.toggle == last:
-            text = "its guarding answers do not alternate the toggle bit"
-            if interval * 4 < view.guard_time * 3:
-                self._gaps.copied(node_id, f"{text}: one is there twice", now, found)
-            elif interval * 2 < view.guard_time * 3 and view.guard_time < NEVER and view.is_odd:
+            view.same_toggles = view.same_toggles + 1 if is_in_time else 0
+            if view.same_toggles == _SAME_TOGGLES:
+                view.same_toggles = 0
                 found.append(Finding("toggle", node_id, f"{text}: it sends heartbeats instead, or two nodes have one ID"))
             else:
                 self._gaps.missing(node_id, text, now, found)
-            view.is_odd = True
         else:
-            view.is_odd = False
-            view.guard_time = min(view.guard_time, interval)
+            view.same_toggles = 0
 
     def sdo(self, node_id: int, now: Time, found: list[Finding], *, is_answer: bool) -> None:
         """Take note of an SDO frame."""

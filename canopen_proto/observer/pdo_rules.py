@@ -26,6 +26,8 @@ EVENT_DRIVEN: Final = 254
 
 EARLY: Final = 3
 """So often in a row a PDO comes too soon until that is told: a frame may wait for the bus, and the next one not."""
+_TWICE: Final = 5
+"""So often in a row a PDO comes twice behind one SYNC until that is told: a SYNC may be missing, and a PDO late."""
 BURST: Final = 2 * MILLISECOND
 """What comes closer together may have been held back, and be handed over at once."""
 
@@ -35,7 +37,7 @@ class _Timing:
 
     __slots__ = (
         "at_sync", "data", "deadline", "early", "event_timer", "extra", "inhibit", "is_sent", "kind", "last", "name",
-        "node_id",
+        "node_id", "twice_at",
     )  # fmt: skip
 
     def __init__(self, node_id: int, name: str, is_sent: bool) -> None:
@@ -54,7 +56,8 @@ class _Timing:
         self.at_sync = -1  # the number of the last SYNC when it came
         self.deadline: Time = NEVER
         self.early = 0  # in a row, that came too soon
-        self.extra = 0  # that came a second time behind one SYNC
+        self.extra = 0  # in a row, that came a second time behind one SYNC
+        self.twice_at = -1  # the number of the last SYNC when it came a second time
 
 
 class PdoRules:
@@ -123,8 +126,8 @@ class PdoRules:
         if timing.is_sent and 0 <= timing.kind <= MAX_CYCLIC:
             if timing.at_sync == self._syncs > 0:
                 self._twice(timing, data, interval, now, found)
-            elif timing.at_sync < self._syncs - max(timing.kind, 1):
-                timing.extra = 0  # one may have been late
+            elif timing.twice_at != timing.at_sync:
+                timing.extra = 0
         timing.last, timing.at_sync, timing.data = now, self._syncs, data
         if timing.event_timer and timing.kind >= EVENT_DRIVEN:
             timing.deadline = now + timing.event_timer * 3 // 2
@@ -138,10 +141,11 @@ class PdoRules:
         elif self._cycle == NEVER or interval * 2 >= self._cycle:
             self._gaps.missing(timing.node_id, text, now, found)
         else:
-            timing.extra += 1
-            if timing.extra == EARLY:
+            timing.extra += timing.twice_at != self._syncs
+            timing.twice_at = self._syncs
+            if timing.extra == _TWICE:
                 timing.extra = 0
-                found.append(Finding("synchronous pdo", timing.node_id, f"{text}, for the third time"))
+                found.append(Finding("synchronous pdo", timing.node_id, f"{text}, {_TWICE} times in a row"))
 
     def sync(self, now: Time, found: list[Finding]) -> None:
         """Take note of a SYNC. found: takes the PDOs that were due behind the last two of theirs; each one once."""

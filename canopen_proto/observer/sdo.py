@@ -478,13 +478,16 @@ class SdoFollower:
         if command & TOGGLE != self._toggle:
             self._odd = self._odd or f"the toggle bit of a segment's {what} does not alternate"
 
-    def _check_size(self) -> None:
-        """Look at the size of a transfer that is over. It proves whether a segment is missing."""
+    def _check_size(self, *, is_complete: bool = False) -> None:
+        """Look at the size of a transfer that is over. It proves whether a segment is missing.
+
+        is_complete: the CRC is right. Even then the size may have been announced for another transfer, whose rest is missing.
+        """
         announced, length = self._announced, self._length
         is_odd, self._odd = self._odd, ""
         if announced is not None and length != announced:
             self._is_sound = False
-            if self._is_paused or abs(announced - length) >= _SEGMENT:
+            if (self._is_paused and not is_complete) or abs(announced - length) >= _SEGMENT:
                 self._lost(f"{name_of(self._place)} was announced with {announced} bytes, and has {length}")
                 return
             text = f"{name_of(self._place)} was announced with {announced} bytes, and has {length}"
@@ -631,14 +634,9 @@ class SdoFollower:
             if is_wrong and (self._announced is None or self._is_paused):
                 self._lost("the CRC of a block does not fit, and its size does not prove that all of it is there")
                 return self._step(": not all of it was heard")
-            if self._has_crc and not is_wrong and self._announced not in (None, self._length):
-                text = f"{name_of(self._place)} was announced with {self._announced} bytes, and has {self._length}"
-                self._say("size", text)
-                self._is_sound = False
-                return self._value()
             if is_wrong and self._announced == self._length:
                 self._say("crc", f"the CRC of {name_of(self._place)} is said to be 0x{said:04X}, and is 0x{self._crc:04X}")
-            self._check_size()
+            self._check_size(is_complete=self._has_crc and not is_wrong)
         return self._value()
 
     # ---- all ----

@@ -136,9 +136,10 @@ class ServiceRules:
         if data == last:
             self._gaps.copied(0, "the same LSS answer is there twice, or two devices give it", now, found)
             return
-        self._lss_rivals += 1
         text = "two answers to one LSS request: two devices are in LSS configuration state"
-        if self._lss_rivals == EARLY:
+        is_same_service = data[:1] == last[:1]  # else its own request is missing
+        self._lss_rivals += is_same_service
+        if is_same_service and self._lss_rivals == EARLY:
             self._lss_rivals = 0
             found.append(Finding("double id", 0, text, is_certain=False))
         else:

@@ -168,7 +168,7 @@ STOP = [(1, "000#8063")]
 def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, str]]]]:
     """Each rule, with what breaks it, and with the like that does not."""
     guarded = ["763#R1", RUNS, "763#R1", "763#85"]
-    yield "toggle", every(9, *guarded, *guarded[2:] * 2), every(9, *guarded, *guarded[:2])
+    yield "toggle", every(9, *guarded, *guarded[2:] * 7), every(9, *guarded, *guarded[:2])
     block = every(1, "663#C600200003000000", "5E3#A40020007F000000", "663#8161626300000000", "5E3#A2017F0000000000")
     yield "crc", [*block, (1, "663#D100000000000000")], [*block, *every(1, "663#D1D69D0000000000", "5E3#A100000000000000")]
     begin, end = ["5E3#6000200000000000", "663#0761626364000000"], "5E3#2000000000000000"
@@ -194,7 +194,7 @@ def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, st
     cycles = [*cyclic, *every(0, "080#", PDO, "080#", PDO), *STOP]
     yield "late pdo", [*cyclic, *every(0, PDO, "080#", "080#", "080#")], cycles
     twice = [(20, "080#"), (1, PDO), (1, "1E3#3703")]
-    yield "synchronous pdo", [*cyclic, *twice * 4], cycles
+    yield "synchronous pdo", [*cyclic, *twice * 6], cycles
     ready, halted = (60, "763#7F"), (60, "763#04")
     yield "not operational", [*TIMED, ready, (200, PDO), ready], [*TIMED, ready, (200, PDO), (10, RUNS)]
     yield "stopped", [halted, (200, READ), halted], [halted, ready, (200, READ), ready]

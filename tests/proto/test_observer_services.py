@@ -78,19 +78,25 @@ def test_syncs_of_two_producers() -> None:
 
 
 @pytest.mark.parametrize(
-    ("answers", "is_found"),
+    ("answers", "found"),
     [
-        (["05", "85", "05", "85"], False),
-        (["05", "85", "85", "85"], True),
-        (["05", "85", "05", "05", "05"], True),
-        (["7F", "FF", "00", "7F", "FF"], False),  # it has booted
+        (["05", "85", "05", "85"], []),
+        (["05", "85", *["85"] * 6], ["missing"]),  # the recording may lack the one between, each time
+        (["05", "85", *["85"] * 7], ["missing", "toggle"]),
+        (["05"] * 8, ["missing", "toggle"]),
+        (["05", "85", *["85"] * 6, "05", "05"], ["missing"]),
+        (["7F", "FF", "00", "7F", "FF"], []),  # it has booted
+        (["00", "FF"], ["missing"]),  # the first answer behind a boot-up has 0
     ],
 )
-def test_the_toggle_bit_of_guarding_answers(answers: list[str], is_found: bool) -> None:
+def test_the_toggle_bit_of_guarding_answers(answers: list[str], found: list[str]) -> None:
     heard = Bus().hear_all(*(text for answer in answers for text in ("705#R1", f"705#{answer}")))
-    words = "its guarding answers do not alternate the toggle bit: it sends heartbeats instead, or two nodes have one ID"
-    lacking = "missing 5: frames are missing here: its guarding answers do not alternate the toggle bit"
-    assert heard == ([lacking, f"toggle 5: {words}"] if is_found else [])
+    words = "its guarding answers do not alternate the toggle bit"
+    texts = {
+        "missing": f"missing 5: frames are missing here: {words}",
+        "toggle": f"toggle 5: {words}: it sends heartbeats instead, or two nodes have one ID",
+    }
+    assert heard == [texts[each] for each in found]
     assert Bus().hear_all(*(f"705#{answer}" for answer in answers)) == [], "requests that are not in the recording"
     assert Bus().hear_all("705#05", "705#R1", "707#05", "707#R1", "705#85", "707#85") == []
 
@@ -122,6 +128,13 @@ def test_heartbeats_that_were_held_back_are_no_second_node() -> None:
         "copied 5: heartbeats come at once: they are there twice, or were held back"
     ]
     assert bus.hear_all(*["705#05"] * 9, after=100 * MILLISECOND) == []
+
+
+def test_answers_of_two_lss_services_are_two_requests() -> None:
+    bus = Bus()
+    for _ in range(9):
+        (lacking,) = bus.hear_all("7E5#5A00000000000000", "7E4#5A01000000000000", "7E4#5B02000000000000", after=SECOND)
+        assert lacking.startswith("missing 0: ")
 
 
 def test_two_answers_to_one_lss_request() -> None:
@@ -183,15 +196,19 @@ def test_the_event_timer() -> None:
 
 @pytest.mark.parametrize("kind", [1, 3])
 def test_synchronous_pdos(kind: int) -> None:
-    twice = "synchronous pdo 5: TPDO 1 comes a second time behind one SYNC, for the third time"
+    twice = "synchronous pdo 5: TPDO 1 comes a second time behind one SYNC, 5 times in a row"
     missing = f"late pdo 5: TPDO 1 does not come, at a SYNC and at the next one; its transmission type is {kind}"
     bus = Bus()
     syncs = ["080#"] * kind
     assert bus.hear_all(*written(5, 0x1800, 2, kind, 1), "705#05", *syncs, TPDO, *syncs, TPDO) == []
     assert bus.hears(TPDO) == ["copied 5: TPDO 1 comes a second time behind one SYNC"]
-    for number in range(3):
+    for number in range(5):
         assert bus.hear_all(*syncs, f"185#3702100000{number + 1:02X}") == []
-        assert bus.hears(TPDO, after=MILLISECOND) == ([twice] if number == 2 else [])
+        assert bus.hears(TPDO, after=MILLISECOND) == ([twice] if number == 4 else [])
+    for number in range(9):
+        again = [TPDO] * (number % 4 != 0)  # never five times in a row
+        assert bus.hear_all(*syncs, "185#370210000001") == []
+        assert [each for text in again for each in bus.hears(text, after=MILLISECOND)] == []
     assert bus.hear_all(*syncs, "080#", TPDO) == [], "it was late"
     assert bus.hear_all(*syncs, "080#", "080#", TPDO) == [missing]
     assert bus.hear_all(*syncs, "000#8005", "705#7F", "080#", "080#", "080#", "080#") == []
