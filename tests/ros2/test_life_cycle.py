@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
 from std_srvs.srv import Trigger
 
 from tests.ros2.arm import Arm
@@ -73,6 +75,38 @@ def test_a_failed_configure_says_why_and_can_be_repeated(tmp_path: Path, client:
         assert not client.change_state(CONFIGURE)
         assert client.state() == "unconfigured"
         client.until(lambda: "simulat" in node.output() and "simulate" in node.output(), "the log")
+
+
+def test_a_parameter_is_refused_unless_it_has_an_effect(tmp_path: Path, client: Client) -> None:
+    def put(name: str, value: ParameterValue) -> str:
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=value)])
+        result = client.call(SetParameters, "/ros_canopen/set_parameters", request).results[0]
+        assert result.successful == (not result.reason)
+        return str(result.reason)
+
+    def topic() -> str:
+        request = GetParameters.Request(names=["joint_states"])
+        return str(client.call(GetParameters, "/ros_canopen/get_parameters", request).values[0].string_value)
+
+    here, there = (ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=each) for each in ("here", "there"))
+    yes = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+    arguments = parameters(chains='"arm joint1 can0 3"', simulate="true", autostart="false", joint_states="here")
+    with running(tmp_path, *arguments):
+        assert client.change_state(CONFIGURE)
+        for _ in ("inactive", "active"):
+            assert "cleanup" in put("joint_states", there)
+            assert "nonsense is read-only" in put("nonsense", there)
+            assert topic() == "here"
+            client.change_state(ACTIVATE)
+        assert "when the node starts" in put("autostart", yes)
+        assert client.change_state(DEACTIVATE)
+        assert client.change_state(CLEANUP)
+        assert "clock" in put("use_sim_time", yes)
+        assert put("joint_states", there) == ""
+        assert "when the node starts" in put("autostart", yes)
+        assert client.change_state(CONFIGURE)
+        client.until(lambda: client.node.get_publishers_info_by_topic("/there"), "the topic of the new parameter")
+        assert "cleanup" in put("joint_states", here)
 
 
 def test_a_deactivate_that_cannot_stop_the_drives_is_an_error_and_the_node_can_begin_again(

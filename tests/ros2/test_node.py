@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -129,11 +130,10 @@ def test_a_trajectory_with_an_unknown_joint_is_refused_and_logged(ready: Client,
 
 def test_velocities_move_until_they_stop_coming(ready: Client) -> None:
     before = position(ready, 0)
-    ready.publish(Float64MultiArray, "/arm/command_vel", Float64MultiArray(data=[0.0] * 6))
-    command = Float64MultiArray(data=[0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    velocities = itertools.chain([0.0] * 10, itertools.repeat(0.05))  # they are taken once they were 0
 
     def send_and_look() -> bool:
-        ready.publish(Float64MultiArray, "/arm/command_vel", command)
+        ready.publish(Float64MultiArray, "/arm/command_vel", Float64MultiArray(data=[next(velocities), 0.0, 0.0, 0.0, 0.0, 0.0]))
         return position(ready, 0) > before + 0.02
 
     ready.until(send_and_look, "joint1 moves")
@@ -157,13 +157,12 @@ def test_joint_commands_as_ros2_control_sends_them(ready: Client, node: NodeProc
     ready.publish(JointState, "/arm/joint_commands", JointState(name=JOINTS, position=goal))
     ready.until(lambda: "they begin 0.02 away from joint" in node.output(), "the log")
     assert stands_at(ready, before)
-    ready.publish(JointState, "/arm/joint_commands", JointState(name=JOINTS, position=before))
-    command = JointState(name=JOINTS, position=goal)
+    positions = itertools.chain([before] * 10, itertools.repeat(goal))
 
     def send_and_look() -> bool:
         if sum(abs(is_at - wanted) for is_at, wanted in zip(ready.joints().position, goal, strict=True)) < 1e-5:
             return True
-        ready.publish(JointState, "/arm/joint_commands", command)
+        ready.publish(JointState, "/arm/joint_commands", JointState(name=JOINTS, position=next(positions)))
         return stands_at(ready, goal)
 
     ready.until(send_and_look, "the arm is there")

@@ -8,8 +8,10 @@
 - deactivate halts all joints, and shuts their drives down.
 - cleanup and shutdown close the buses; so does an error. Leaving the master halts drives that still move.
 
-A transition that fails says why in the log. With `autostart` (a parameter, true by default) the node configures and activates
-itself, and ends with exit status 1 if it cannot; set it to false for a manager of life cycles.
+A transition that fails says why in the log. A parameter that would have no effect cannot be set: see `_refuse_parameters`.
+
+With `autostart` (a parameter, true by default) the node configures and activates itself, and ends with exit status 1 if it
+cannot; set it to false for a manager of life cycles.
 
 **Threads.** trio has the main thread, and gets the signals: SIGINT and SIGTERM halt the drives, shut them down, and end the node.
 The executor spins in a thread of its own. The transitions block it; they move nothing, or stop what moves.
@@ -23,6 +25,7 @@ from typing import Final
 
 import rclpy
 import trio
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
@@ -35,14 +38,18 @@ from canopen_ros.chain_bridge import ChainBridge
 from canopen_ros.parameters import NodeParameters
 from canopen_ros.reply import COMMAND_ERRORS
 from canopen_ros.ros2.interface import Interface
-from canopen_ros.ros2.rcl import Executor
+from canopen_ros.ros2.rcl import Executor, NamedParameter
 from canopen_ros.threads import Outgoing, Portal, open_portal, until_stopped
 
 NAME: Final = "ros_canopen"
 
 AUTOSTART: Final = "autostart"
-OF_ROS: Final = ("use_sim_time", "start_type_description_service", AUTOSTART)
-"""Parameters of the node that say nothing about the machine."""
+OF_ROS: Final = {
+    "use_sim_time": "has no effect: stamps are those of this computer's clock",
+    "start_type_description_service": "is read once, when the node starts",
+    AUTOSTART: "is read once, when the node starts",
+}
+"""Parameters of the node that say nothing about the machine, and why they cannot be set later."""
 
 PATIENCE: Final = 2.0
 """Seconds for the executor's last callbacks at the end of the node, and for its thread."""
@@ -110,6 +117,7 @@ class CanopenNode(LifecycleNode):
         super().__init__(NAME, automatically_declare_parameters_from_overrides=True, allow_undeclared_parameters=True)
         if not self.has_parameter(AUTOSTART):
             self.declare_parameter(AUTOSTART, True)
+        self.add_on_set_parameters_callback(self._refuse_parameters)
         self.has_failed = False
         self._arguments = arguments
         self._executor_of_node = executor
@@ -156,6 +164,15 @@ class CanopenNode(LifecycleNode):
         return self._step(self._close, TransitionCallbackReturn.FAILURE)
 
     # ---- what they do ----
+
+    def _refuse_parameters(self, parameters: Sequence[NamedParameter]) -> SetParametersResult:
+        """Refuse what would have no effect: configure reads the parameters of the machine, the start reads the others."""
+        is_configured = "is read-only while the node is configured; cleanup, set it, then configure (ros2 lifecycle set)"
+        for each in parameters:
+            why = OF_ROS.get(each.name, is_configured if self._bridge is not None else "")
+            if why:
+                return SetParametersResult(successful=False, reason=f"{each.name} {why}")
+        return SetParametersResult(successful=True)
 
     def _step(self, step: Callable[[], None], failed: TransitionCallbackReturn) -> TransitionCallbackReturn:
         try:

@@ -135,6 +135,14 @@ class Parameter(Protocol):
         """Its value."""
 
 
+class NamedParameter(Parameter, Protocol):
+    """The same as rclpy/Parameter, with its name."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+
 class Node(Protocol):
     """A node with a life cycle."""
 
