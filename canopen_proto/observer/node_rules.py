@@ -48,7 +48,7 @@ _COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
 _STATES: Final = frozenset(int(state) for state in NmtState)
 _TURNS: Final = 5
 """Changes of a state without a reason that only two nodes can make: A, B, A, B, A, B."""
-_PAIRS: Final = 5
+_PAIRS: Final = 11
 """Intervals in a row that only two nodes can make: a short one and a long one in turn, together the heartbeat time."""
 _SAME_TOGGLES: Final = 7
 """Guarding answers in a row with the same toggle bit that no loss makes: each time an odd number of answers would be missing."""

@@ -11,7 +11,8 @@ that is given up without an abort is no fault of its own.
 
 Whatever a missing frame can look like is told as that, once (gaps.py). A fault needs a proof:
 
-    toggle        of a segment: all bytes are there that were announced, so no segment is missing; or the server says so itself
+    toggle        of a segment: all bytes are there that were announced, so no segment is missing; or the server says so itself.
+                  It is likely only where a copy of the frame before, in the place of the right one, would look the same
     size          the difference is less than a segment; it is likely only
     crc           the announced size is there
     two masters   another client's transfer inside of one that has all its bytes; or _REPEATED times, a second apart, answers to
@@ -124,8 +125,8 @@ class SdoFollower:
     __slots__ = (
         "_acknowledgement", "_announced", "_answer", "_answered", "_before", "_block_size", "_copies", "_crc", "_data",
         "_dictionary", "_echo", "_found", "_gaps", "_has_crc", "_held", "_is_client", "_is_doubtful", "_is_intruded",
-        "_is_judged", "_is_lost", "_is_odd_request", "_is_paused", "_is_sound", "_is_upload", "_is_whole", "_last",
-        "_last_answer", "_last_request", "_least", "_length", "_now", "_odd", "_pending", "_phase", "_place",
+        "_is_judged", "_is_lost", "_is_odd_proven", "_is_odd_request", "_is_paused", "_is_sound", "_is_upload", "_is_whole",
+        "_last", "_last_answer", "_last_request", "_least", "_length", "_now", "_odd", "_pending", "_phase", "_place",
         "_request", "_rival_at", "_rivals", "_sent", "_since", "_superseded", "_tail", "_toggle", "_twins", "_verb",
         "_was_final", "aborted", "node_id", "settled",
     )  # fmt: skip
@@ -177,6 +178,7 @@ class SdoFollower:
         self._is_whole: bool = True  # all that the receiver has taken was heard
         self._is_sound = True  # its size and its CRC are right
         self._odd = ""  # a toggle bit was wrong, in words
+        self._is_odd_proven = True  # no copy of the frame before would look the same
         self._echo = b""  # a request for a segment that is a copy, or has a wrong toggle bit
         self._is_intruded = False  # another transfer was inside of this one
         self._is_paused = False  # the end of this transfer, and the beginning of another one, may be missing
@@ -444,6 +446,7 @@ class SdoFollower:
             echo, self._echo = self._echo, b""
             if answer[0] & TOGGLE == self._toggle:
                 self._odd = "the toggle bit of a segment's request does not alternate"
+                self._is_odd_proven = False
                 self._phase = _Phase.SEGMENT_ANSWER
                 if not is_upload:
                     self._segment(echo)
@@ -455,6 +458,8 @@ class SdoFollower:
         if self._is_odd_request and answer[0] & TOGGLE != self._toggle:
             self._lost("a segment and its answer")
             return alone
+        if answer[0] & TOGGLE != self._toggle and answer == self._last_answer:
+            self._is_odd_proven = False
         self._last_answer = answer
         self._check_toggle(answer[0], "answer")
         self._toggle ^= TOGGLE
@@ -491,10 +496,9 @@ class SdoFollower:
                 self._lost(f"{name_of(self._place)} was announced with {announced} bytes, and has {length}")
                 return
             text = f"{name_of(self._place)} was announced with {announced} bytes, and has {length}"
-            if self._is_judged:
-                self._found.append(Finding("size", self.node_id, text, is_certain=False))
+            self._say("size", text, is_certain=False)
         if is_odd and announced == length:
-            self._say("toggle", f"{is_odd}, and no segment is missing")
+            self._say("toggle", f"{is_odd}, and no segment is missing", is_certain=self._is_odd_proven)
         elif is_odd:
             self._is_sound = False
             self._lost(is_odd)
@@ -704,9 +708,9 @@ class SdoFollower:
         is_held = data is not None and self.settled is not None
         return SdoStep(self._dictionary, self.node_id, self._place, self._verb, after, data, is_held).say
 
-    def _say(self, rule: str, text: str) -> None:
+    def _say(self, rule: str, text: str, *, is_certain: bool = True) -> None:
         if self._is_judged:
-            self._found.append(Finding(rule, self.node_id, text))
+            self._found.append(Finding(rule, self.node_id, text, is_certain=is_certain))
 
 
 class _Held(NamedTuple):

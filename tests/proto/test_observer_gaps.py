@@ -27,9 +27,10 @@ def test_nothing_is_found_in_a_clean_recording(number: int) -> None:
 @given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))
 @examples(300)
 def test_a_damaged_recording_shows_that_it_is_damaged_and_nothing_else(number: int, seed: int) -> None:
+    """But for a size or a toggle bit that is said to be likely: the loss of most of two transfers can look like one of these."""
     session = damaged(clean(number), seed)
     accused = [each for each in findings(session) if each.rule not in OF_THE_RECORDER]
-    assert accused == []
+    assert [each for each in accused if each.is_certain or each.rule not in ("size", "toggle")] == []
 
 
 @given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))

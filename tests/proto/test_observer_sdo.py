@@ -101,6 +101,15 @@ def test_a_toggle_bit_that_does_not_alternate_is_found(up: bool, size: int, plac
     assert rules(planted)[0] == "toggle"
 
 
+@pytest.mark.parametrize(("up", "number", "is_certain"), [(False, 4, True), (False, 5, False), (True, 4, False), (True, 5, True)])
+def test_a_wrong_toggle_bit_that_a_late_copy_would_have_is_likely_only(up: bool, number: int, is_certain: bool) -> None:
+    """A frame without data is then the same as the one before of its side."""
+    session = transfer(100, up=up, block=False)
+    data = session[number][1].data
+    (found,) = findings(with_data(session, number, bytes([data[0] ^ TOGGLE]) + data[1:]))
+    assert (found.rule, found.is_certain) == ("toggle", is_certain)
+
+
 @pytest.mark.parametrize("up", [False, True])
 @given(size=st.integers(8, 1500), place=st.integers(0, 10**6), bit=st.integers(0, 55), block_size=BLOCK_SIZES)
 @examples(60)

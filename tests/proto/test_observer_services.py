@@ -116,7 +116,7 @@ def test_heartbeats_of_two_nodes_with_one_state() -> None:
 
 
 def _in_turn(bus: Bus) -> list[str]:
-    return [found for each in (30, 70) * 4 for found in bus.hears("705#05", after=each * MILLISECOND)]
+    return [found for each in (30, 70) * 7 for found in bus.hears("705#05", after=each * MILLISECOND)]
 
 
 def test_heartbeats_that_were_held_back_are_no_second_node() -> None:
