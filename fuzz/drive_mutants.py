@@ -140,6 +140,14 @@ DRIVE_MUTANTS: Final = tuple(
             STOP_FIRST,
         ),
         (
+            "disturbed_stop_sent_once",
+            "drive/controlword.py",
+            "not in (AbortOrigin.TIMEOUT, AbortOrigin.CONTESTED) or not left",
+            "is not AbortOrigin.TIMEOUT or not left",
+            "one frame of another SDO client keeps a drive running that was told to stop",
+            STOP_FIRST,
+        ),
+        (
             "unknown_drive_only_asked",
             _HALTING,
             "            yield from insist(axis, int(Command.QUICK_STOP))\n        raise",

@@ -78,8 +78,8 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "both_writes_mix",
             _SDO_CLIENT,
-            "elif transfer.in_blocks or not transfer.first[0] & EXPEDITED_BIT:  # before",
-            "elif False:  # before",
+            "elif transfer.first[0] & (SPECIFIER | EXPEDITED_BIT) != INITIATE_DOWNLOAD | EXPEDITED_BIT:",
+            "elif False:",
             "a write that another client's segments meet is not broken off",
             CONTENTION,
         ),
@@ -118,9 +118,25 @@ SERVICE_MUTANTS: Final = tuple(
         (
             "own_late_answer_confirms",
             _SDO_CLIENT,
-            "return name in self._queue.overdue or (is_near and name in self.other.unfinished)",
+            "return is_near and (now < self._queue.overdue.get(name, -NEVER) or name in self.other.unfinished)",
             "return False",
             "an urgent write is confirmed by the late answer to the write before",
+            CONTENTION,
+        ),
+        (
+            "doubts_for_ever",
+            _SDO_CLIENT,
+            "return is_near and (now < self._queue.overdue.get(name, -NEVER) or name in self.other.unfinished)",
+            "return name in self._queue.overdue or (is_near and name in self.other.unfinished)",
+            "after one lost answer no later write of the object is ever confirmed",
+            CONTENTION,
+        ),
+        (
+            "size_is_expedited",
+            _SDO_CLIENT,
+            "elif transfer.first[0] & (SPECIFIER | EXPEDITED_BIT) != INITIATE_DOWNLOAD | EXPEDITED_BIT:",
+            "elif not transfer.first[0] & EXPEDITED_BIT:",
+            "a server is left in a block write that another client disturbed",
             CONTENTION,
         ),
         (

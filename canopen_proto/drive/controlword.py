@@ -13,14 +13,15 @@ from canopen_proto.drive.failures import accounted, is_loss_of, node_lost
 from canopen_proto.machine import MILLISECOND, Event
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
-from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, current_time
+from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, current_time, sleep
+from canopen_proto.sdo.contention import SPREAD
 from canopen_proto.sync import SyncReceived, SyncSent
 
 SYNC_ALIVE: Final = 500 * MILLISECOND
 """SYNC counts as running if one was sent or heard within this time. A command waits no longer than this for the next one."""
 
 TRIES: Final = 2
-"""How often a word that stops is sent to a drive that does not answer. Each try takes one SDO time-out."""
+"""How often a word that stops is sent to a drive that does not confirm it. Each try takes at most one SDO time-out."""
 
 STAYS: Final = {
     State.SWITCH_ON_DISABLED: Command.DISABLE_VOLTAGE,
@@ -35,18 +36,22 @@ STAYS: Final = {
 
 @accounted
 def insist(axis: Axis, controlword: int) -> Procedure[None]:
-    """Send a controlword that stops the drive, as `command` does; without an answer send it again, TRIES times in all.
+    """Send a controlword that stops the drive, as `command` does; if it is not confirmed send it again, TRIES times in all.
 
-    A write that is not confirmed is otherwise never repeated. A word that stops may be: it does no more the second time. By SDO
-    it goes before all queued requests of the node.
+    A write that is not confirmed is otherwise never repeated. A word that stops may be: it does no more the second time. Another
+    SDO client that disturbs it may keep the drive from hearing it, too; so its exchange gets SPREAD to end before the next try.
+    By SDO the word goes before all queued requests of the node.
     """
     for left in reversed(range(TRIES)):
         try:
             yield from command(axis, controlword, urgent=True)
             return
         except SdoFailed as failed:
-            if failed.origin is not AbortOrigin.TIMEOUT or not left:
+            if failed.origin not in (AbortOrigin.TIMEOUT, AbortOrigin.CONTESTED) or not left:
                 raise
+            is_disturbed = failed.origin is AbortOrigin.CONTESTED
+        if is_disturbed:
+            yield from sleep(SPREAD)
 
 
 @accounted

@@ -59,6 +59,7 @@ from canopen_proto.sdo.codec import (
     ABORT,
     EXPEDITED_BIT,
     INITIATE,
+    INITIATE_DOWNLOAD,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
@@ -484,7 +485,8 @@ class SdoClient(ChannelEnd):
         transfer.is_given_up = True
         if not transfer.is_download:
             self._abandoned = transfer
-        elif transfer.in_blocks or not transfer.first[0] & EXPEDITED_BIT:  # before the server stores what both have sent
+        elif transfer.first[0] & (SPECIFIER | EXPEDITED_BIT) != INITIATE_DOWNLOAD | EXPEDITED_BIT:
+            # before the server stores what both have sent
             self.send(INITIATE.pack(ABORT, transfer.index, transfer.subindex, AbortCode.GENERAL_ERROR))
         if transfer.state is INITIATED and not transfer.is_answered:
             self._queue.expect_late(transfer.first[1:4], now + self.late_guard + spread(now))
@@ -598,7 +600,7 @@ class SdoClient(ChannelEnd):
     def _awaits_other(self, name: bytes, now: Time) -> bool:
         """Return whether an answer to another write of the object may still come, of ours or of a stranger."""
         is_near = now < self.other.heard_at + self.contest_limit
-        return name in self._queue.overdue or (is_near and name in self.other.unfinished)
+        return is_near and (now < self._queue.overdue.get(name, -NEVER) or name in self.other.unfinished)
 
     def _follow(self, transfer: Transfer, now: Time) -> None:
         """Do what the transfer under way wants now: wait for its deadline, or go on without it."""

@@ -18,6 +18,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.client import (
     CONTEST_LIMIT,
+    LATE_GUARD,
     TIMEOUT,
     Block,
     SdoAborted,
@@ -460,3 +461,49 @@ def test_a_client_that_asks_without_a_pause_does_not_keep_us_out() -> None:
     bench.other(FOREIGN_READ)
     bench.hear("4F 01 10 00 05 00 00 00")
     assert bench.frames() == ["60C#8000100000000008", "60C#4000100000000000"]
+
+
+@pytest.mark.parametrize("urgent", [False, True])
+@examples(100, least=20)
+@given(data=st.data())
+def test_what_was_lost_is_no_reason_to_doubt_for_ever(urgent: bool, data: st.DataObject) -> None:
+    """Whatever a stranger once did and whatever was lost: a write that is alone again, and is answered, is confirmed."""
+    bench = Shared()
+    name = "40 60 00"
+    frames = ["40 08 10 00", "40 40 60 00", "2B 40 60 00", "21 40 60 00", "80 40 60 00", "60 00 00 00", "C6 40 60 00"]
+    pauses = st.sampled_from([0, SPREAD, TIMEOUT, SECOND, 3600 * SECOND])
+    bench.other(data.draw(st.sampled_from(frames)) + " 00 00 00 00")
+    for step in data.draw(st.lists(st.sampled_from(["stranger", "write", "answer", "refusal"]), max_size=6)):
+        bench.wait(data.draw(pauses))
+        if step == "stranger":
+            bench.other(data.draw(st.sampled_from(frames)) + " 00 00 00 00")
+        elif step == "write":
+            bench.client.download(0x6040, 0, b"\x0f\0", bench.now, urgent=data.draw(st.booleans()))
+        else:
+            bench.hear(f"{'60' if step == 'answer' else '80'} {name} 00 00 04 05")
+    while bench.client.busy:  # nobody answers any more
+        bench.wait(max(0, bench.client.deadline - bench.now))
+    bench.wait(max(CONTEST_LIMIT, LATE_GUARD + SPREAD))
+    bench.outcomes()
+    bench.frames()
+    for _ in range(2):
+        bench.client.download(0x6040, 0, b"\x02\0", bench.now, urgent=urgent)
+        assert bench.frames() == ["60C#2B40600002000000"]
+        bench.hear(f"60 {name} 00 00 00 00")
+        (end,) = bench.outcomes()
+        assert isinstance(end, SdoDownloaded)
+        bench.wait(SPREAD)
+
+
+@pytest.mark.parametrize(("size", "block", "answer"), [(100, True, "A4"), (100, False, "60"), (0, False, "60")])
+def test_a_contested_write_of_more_than_one_frame_leaves_no_server_in_it(size: int, block: bool, answer: str) -> None:
+    """It went out beside a stranger's request, so that its answer is in doubt: the server may have begun it."""
+    bench = Shared()
+    bench.other(FOREIGN_READ)
+    bench.client.download(0x1F50, 1, bytes(size), bench.now, urgent=True, block=block)
+    bench.frames()
+    bench.hear(f"{answer} 50 1F 01 7F 00 00 00")
+    assert bench.frames() == ["60C#80501F0100000008"]
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)

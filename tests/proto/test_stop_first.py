@@ -14,13 +14,15 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import Command, ControlBit, State
 from canopen_proto.drive.axis import Axis
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox
 from canopen_proto.network import Network
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
+from tests.examples import examples
 from tests.proto.bus import Fate
 from tests.proto.rig import MILLIDEGREES, Rig
 
@@ -131,4 +133,47 @@ def test_a_stop_without_an_answer_is_sent_again_and_is_urgent(name: str) -> None
     assert isinstance(rig.outcome(network.run(stop(axis), rig.bus.now)), ProcedureFinished)
     times = [time for time, frame in rig.bus.sent[sent:] if frame.data[:6] == bytes((0x2B, 0x40, 0x60, 0, word, 0))]
     assert times[1] - began <= axis.node.sdo.timeout + 2 * MILLISECOND  # it does not wait for the late answer to the first one
+    assert rig.drive.state is not State.OPERATION_ENABLED
+
+
+STRANGERS: Final = ("4008100000000000", "6000000000000000", "0001020304050607", "8008100000000405", "A408100002000000")
+
+
+@pytest.mark.parametrize("name", [*STOPS, "halt"])
+@examples(60, least=12)
+@given(request=st.sampled_from(STRANGERS), after=st.integers(0, 2000), is_lost=st.booleans())
+def test_one_frame_of_another_sdo_client_keeps_no_drive_running(name: str, request: str, after: int, is_lost: bool) -> None:
+    """after: us from the stop to that frame. is_lost: the server does not hear the first word, as many do in a transfer."""
+    stop = drive.halt if name == "halt" else STOPS[name][0]
+    rig = running()
+    deliver = rig.bus._deliver
+    lost: list[Frame] = []
+
+    def deaf(receiver: Outbox, frame: Frame) -> None:
+        if is_lost and not lost and frame.data[:4] == b"\x2b\x40\x60\x00":
+            lost.append(frame)
+        else:
+            deliver(receiver, frame)
+
+    rig.bus._deliver = deaf  # type: ignore[method-assign]
+    asked = rig.master.run(stop(rig.axis), rig.bus.now)
+    rig.bus.run(after * MICROSECOND)
+    rig.bus.send(f"605#{request}")
+    rig.outcome(asked)
+    rig.bus.run(3 * SECOND)
+    rig.drive.refresh(rig.bus.now)
+    assert rig.drive.state is not State.OPERATION_ENABLED if name in STOPS else rig.drive._servo.velocity == 0
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_another_client_of_long_ago_makes_no_stop_doubtful(name: str) -> None:
+    """A stranger once read an object; much later the answer to the first word is lost."""
+    stop, _ = STOPS[name]
+    rig = running()
+    rig.bus.send("605#4008100000000000")
+    rig.bus.run(60 * SECOND)
+    rig.bus._fates = iter([Fate.DELIVERED, Fate.LOST])
+    for _ in range(2):
+        assert isinstance(rig.outcome(rig.master.run(stop(rig.axis), rig.bus.now)), ProcedureFinished)
+        rig.bus.run(5 * SECOND)
     assert rig.drive.state is not State.OPERATION_ENABLED
