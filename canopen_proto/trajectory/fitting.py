@@ -5,8 +5,12 @@ such numbers has a jerk of thousands, which is in no motion: it comes from the r
 within half a unit of each sample whose jerk, squared and summed, is least. The first and the last position stay as they are, and
 the path is at rest there, as that of `cubic`.
 
-Samples that say more than their rounding hides are left as they are: those of which half the third differences are larger than
-rounding can make them. Waypoints with seconds between them are such.
+Only samples of a motion are smoothed: at most SPARSE apart, evenly to a factor of UNEVEN, over MANY units of the last decimal.
+Everything else are waypoints, and these are meant as they are. Samples that say more than their rounding hides are left as well:
+those of which half the third differences are larger than rounding can make them.
+
+A value that stays for HOLD is a hold, and is meant: its rows stay exactly there, but for SETTLING at its ends, where the motion
+that comes to rest is still within its rounding.
 
 It is a quadratic program with a band for each sample, solved by an interior point: a barrier keeps each position inside its band,
 and is lowered until it no longer counts. Each step of Newton's method solves a system with seven diagonals, so that the whole
@@ -15,6 +19,7 @@ takes a time that grows with the count of samples only. Nothing is random.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Final
@@ -23,6 +28,18 @@ FEWEST: Final = 8
 """With fewer samples there is nothing to smooth."""
 MAX_SMOOTHED: Final = 20_000
 """More samples than this would take minutes."""
+SPARSE: Final = 0.05
+"""Rows that are further apart than this, in s, are waypoints, and no samples of a motion."""
+UNEVEN: Final = 10.0
+"""The longest step of samples is at most so many times the shortest one."""
+MANY: Final = 50
+"""Positions over fewer units of the last decimal than this were chosen one by one."""
+HOLD: Final = 0.5
+"""A value that stays for so long, in s, is a hold."""
+SETTLING: Final = 0.1
+"""At the ends of a hold, for so long in s, a motion may still be within its rounding."""
+_TOLERANCE: Final = 1e-9
+"""A part of a step or unit that does not count in these comparisons: times and positions are sums and differences of floats."""
 _NOTHING: Final = 1e-6
 """A roughness of less than this part of the rounding is none: there is nothing to smooth."""
 _LOWER: Final = 0.1
@@ -39,6 +56,9 @@ def is_rounded(steps: Sequence[float], positions: Sequence[float], resolution: f
     """Return whether rounding to multiples of `resolution` may have made most of what is rough in these samples."""
     if len(positions) < FEWEST or not resolution > 0.0:
         return False
+    enough = 1.0 + _TOLERANCE
+    if max(steps) > min(SPARSE, UNEVEN * min(steps)) * enough or (max(positions) - min(positions)) * enough < MANY * resolution:
+        return False
     shares = sorted([
         abs(a * p + b * q + c * r + d * s) / (abs(a) + abs(b) + abs(c) + abs(d))
         for (a, b, c, d), p, q, r, s in zip(
@@ -47,6 +67,18 @@ def is_rounded(steps: Sequence[float], positions: Sequence[float], resolution: f
     ])  # fmt: skip
     half = resolution / 2.0
     return shares[-1] > _NOTHING * half and shares[len(shares) // 2] <= half
+
+
+def held(steps: Sequence[float], positions: Sequence[float]) -> list[int]:
+    """Return the samples that stay as they are: the first, the last, and those of a hold that are not near its ends."""
+    kept, begin, last = {0, len(positions) - 1}, 0, len(positions) - 1
+    times = [0.0, *itertools.accumulate(steps)]
+    for i, position in enumerate(positions):
+        if i == last or positions[i + 1] != position:
+            if (times[i] - times[begin]) * (1.0 + _TOLERANCE) >= HOLD:
+                kept.update(k for k in range(begin, i + 1) if min(times[k] - times[begin], times[i] - times[k]) >= SETTLING)
+            begin = i + 1
+    return sorted(kept)
 
 
 def smoothed(steps: Sequence[float], positions: Sequence[float], resolution: float) -> list[float]:
@@ -68,11 +100,12 @@ class _Problem:
     Each row has four coefficients for positions k - 1 to k + 2 of the samples; those outside are 0.
     """
 
-    __slots__ = ("_bands", "_half", "_positions", "_rest", "_rows", "_z")
+    __slots__ = ("_bands", "_half", "_held", "_positions", "_rest", "_rows", "_z")
 
     def __init__(self, steps: Sequence[float], positions: Sequence[float], half: float) -> None:
         self._half = half
         self._positions = list(positions)
+        self._held = held(steps, positions)
         self._rows = _jerk_rows(steps)
         # The jerk of the samples themselves, and what a step of half a unit adds to it, both by the same measure
         scale = max(max(map(abs, row)) for row in self._rows)
@@ -97,6 +130,12 @@ class _Problem:
                 for j in range(i, 4):
                     if one and row[j]:
                         bands[j - i][k - 1 + i] += one * row[j]
+        for i in self._held:  # its unknown stands alone
+            bands[0][i] = 1.0
+            for apart in (1, 2, 3):
+                bands[apart][i] = 0.0
+                if i >= apart:
+                    bands[apart][i - apart] = 0.0
         return bands
 
     def solve(self) -> None:
@@ -129,6 +168,8 @@ class _Problem:
             gradient[k + 1] += jerk * c
             if d:
                 gradient[k + 2] += jerk * d
+        for i in self._held:
+            gradient[i] = 0.0
         diagonal = self._bands[0][:]
         for i, each in enumerate(z):
             left = 1.0 - each * each

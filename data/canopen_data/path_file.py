@@ -9,8 +9,9 @@ The path passes the positions with the velocities (polynomials of degree 3), or 
 Without velocities it is a spline, at rest at both ends, or straight lines. All joints have the same columns.
 
 **Positions with few decimals.** A spline through them would tremble: 0.01 degrees of rounding at 10 ms are a jerk of 40,000
-degrees/s³. So if the samples of a joint are no rougher than their rounding, the spline goes through the smoothest positions
-within half a unit of the last decimal of its column (canopen_proto.trajectory.fitting); the first and the last one stay.
+degrees/s³. So if the rows are samples of a motion (50 ms or less apart, with a decimal at least), no rougher than their rounding,
+the spline goes through the smoothest positions within half a unit of the last decimal of the column
+(canopen_proto.trajectory.fitting); the first one, the last one, and holds stay. Everything else is taken as it is.
 
 Commas, semicolons or tabs separate columns, whichever the header has; quotes around a cell are left out. Blank lines are skipped,
 and lines that begin with `#`. Numbers have a decimal point. The times rise, and may begin anywhere.
@@ -20,9 +21,11 @@ One DictionaryError holds all errors of a file, each with line and column. This 
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import itertools
 import math
+import operator
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -41,6 +44,10 @@ MAX_ROWS: Final = 1_000_000
 """More rows than 1 kHz gives in a quarter of an hour are a recording that was chosen by mistake, and would fill the memory."""
 _FINEST: Final = 1e-10
 """Numbers with more decimals are those of a computer: nobody has rounded them."""
+_COARSEST: Final = 0.1
+"""Whole numbers are meant: a person has chosen them."""
+_MOST_DECIMALS: Final = 400
+"""No float has more."""
 _SEPARATORS: Final = ",;\t"
 _BYTE_ORDER_MARK: Final = "\ufeff"
 
@@ -55,13 +62,18 @@ class Between(StrEnum):
 class Rounding(NamedTuple):
     """How exactly a file gives the positions of a joint.
 
-    unit: of the last decimal, in the unit of the joint. step: the shortest time from row to row, in s. is_smoothed: whether the
-    path goes through the smoothest positions within half a unit.
+    unit: of the last decimal, in the unit of the joint. step: the shortest time from row to row, in s. moved: how many rows the
+    path passes within half a unit, instead of exactly, to be smooth.
     """
 
     unit: float
     step: float
-    is_smoothed: bool
+    moved: int
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether the path goes through the smoothest positions within half a unit."""
+        return self.moved > 0
 
     @property
     def jerk(self) -> float:
@@ -239,7 +251,7 @@ def _decimals(text: str) -> int:
     """Return the place of the last decimal of a number; 0 for what is none."""
     mantissa, _, exponent = text.lower().partition("e")
     try:
-        return len(mantissa.partition(".")[2]) - int(exponent or 0)
+        return min(len(mantissa.partition(".")[2]) - int(exponent or 0), _MOST_DECIMALS)
     except ValueError:
         return 0
 
@@ -250,10 +262,14 @@ def _smooth(times: list[float], rows: list[list[float]], units: list[float], is_
     found = []
     for joint, unit in enumerate(units):
         column = [row[joint] for row in rows]
-        smooth = smoothed(steps, column, unit) if is_spline and unit >= _FINEST else column
+        smooth = column
+        if is_spline and _FINEST <= unit <= _COARSEST:
+            with contextlib.suppress(ArithmeticError, ValueError):  # beyond what floats can be: the samples stay
+                smooth = smoothed(steps, column, unit)
+        moved = sum(map(operator.ne, smooth, column))
         for row, position in zip(rows, smooth, strict=True):
             row[joint] = position
-        found.append(Rounding(unit, min(steps), smooth != column))
+        found.append(Rounding(unit, min(steps), moved))
     return tuple(found)
 
 

@@ -15,7 +15,7 @@ from canopen_cli.courses import courses_of_record
 from canopen_cli.demo_view import DemoView, JointView, Step
 from canopen_cli.failures import problem_of
 from canopen_cli.motion_plot import write_motion_plot
-from canopen_cli.move_plan import Legs, check_before_power, legs_of, targets_of, told_legs
+from canopen_cli.move_plan import Legs, check_before_power, legs_of, smoothed_text, targets_of, told_legs
 from canopen_cli.move_rehearsal import rehearse_move
 from canopen_cli.new_files import check_new_file
 from canopen_cli.options import FiniteRange, Settings, commanding, common, enabling
@@ -89,6 +89,8 @@ def move(
     if len(chosen.names) > 1 and (record is not None or plot is not None):
         raise usage("CO123", "a recording, and a picture of it, is of one chain", tries=("the same without --record and --plot",))
     path = None if path_name is None else read_path(_text(path_name), path_name, joints=chosen.joints)
+    if path is not None and (smoothed := smoothed_text(path)):
+        screen.say(escape(smoothed))
     targets = None if to is None else targets_of(to, chosen.joints)
     if targets is not None:
         load_ruckig("planning a motion")  # told before anything has power

@@ -92,6 +92,16 @@ async def _check(arm: Group, path: PathFile, limits: Sequence[JointLimits]) -> N
         raise
 
 
+def smoothed_text(path: PathFile) -> str:
+    """Return in a line what of a path was smoothed; "" if it goes through all positions as they were written."""
+    moved = [
+        f"{name}: {each.moved} rows by up to {each.unit / 2:g}"
+        for name, each in zip(path.joints, path.roundings, strict=True)
+        if each.moved
+    ]
+    return f"smoothed within the rounding of the file: {'; '.join(moved)}" if moved else ""
+
+
 def _rounding_text(rounding: Rounding, limit: float) -> str:
     given = f"its file gives positions in steps of {rounding.unit:g} and {rounding.step:g} s"
     if rounding.is_smoothed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from canopen_data.findings import DictionaryError
 from canopen_data.path_file import PathFile, read_path
 from canopen_proto.trajectory.fitting import MAX_SMOOTHED, is_rounded, smoothed
 from canopen_proto.trajectory.limit_check import demands_of
@@ -30,6 +32,10 @@ JERK = 10.0 * (2.0 * math.pi / (COUNT * PERIOD)) ** 3
 def text_of(decimals: int, *, times: list[float] | None = None) -> str:
     rows = times or [number * PERIOD for number in range(COUNT + 1)]
     return "time,a\n" + "".join(f"{time!r},{position(time):.{decimals}f}\n" for time in rows)
+
+
+def waypoints(positions: str, step: float = 1.0) -> str:
+    return "time,a\n" + "".join(f"{number * step!r},{each}\n" for number, each in enumerate(positions.split()))
 
 
 def jerk_of(file: PathFile) -> float:
@@ -63,12 +69,39 @@ def test_numbers_that_nobody_rounded_and_waypoints_are_passed_exactly() -> None:
         "time,a\n" + "".join(f"{number * 0.5},{value}\n" for number, value in enumerate([0, 7, 3, 9, 2, 8, 1, 5, 0, 6])),
         "time,a\n" + "".join(f"{number},{number * 10}\n" for number in range(20)),
         "time,a\n0,0.0\n0.01,0.1\n0.02,0.1\n0.03,0.0\n",
+        waypoints("0 1 0 1 0 1 0 1 0 1 0 1 0 0"),
+        waypoints("0 1 2 3 3 3 3 3 3 3 2 1 0 0"),
+        waypoints("0.0 0.1 0.2 0.3 0.4 0.4 0.4 0.4 0.4 0.4 0.2 0.0", 2.0),
+        waypoints(" ".join(["90"] * 25 + ["91", "95", "105", "120", "140"] + ["150"] * 10), 0.1),
+        waypoints(" ".join(f"{number / 10:.1f}" for number in [*range(40), *[40] * 20]), 0.01),  # too few units
+        waypoints(" ".join(str(number) for number in [*range(100), *[100] * 20]), 0.01),  # whole numbers
+        waypoints(" ".join(f"{number / 10:.1f}" for number in [*range(100), *[100] * 20]), 0.06),  # too far apart
     ):
         file = read_path(text)
         assert not file.roundings[0].is_smoothed
         for line in text.splitlines()[1:]:
             time, value = map(float, line.split(","))
             assert file.path.at(time).positions[0] == pytest.approx(value, abs=1e-12)
+
+
+def test_a_hold_stays_exactly_where_it_is_written_and_the_way_to_it_is_smooth() -> None:
+    out = [f"{position(number * PERIOD):.2f}" for number in range(COUNT // 2 + 1)]
+    dwell = 60
+    file = read_path(waypoints(" ".join(out + [out[-1]] * dwell + out[::-1]), PERIOD))
+    assert 0 < file.roundings[0].moved < 2 * len(out) + 12
+    for number in range(len(out) + 5, len(out) + dwell - 5):
+        assert file.path.at(number * PERIOD).positions[0] == 20.0
+    assert (
+        jerk_of(file) < 10.0 * JERK
+    )  # through the samples: 100 times as much; half of the cosine ends with a jump of acceleration
+
+
+@pytest.mark.parametrize("step", ["e-120", "e-60", "e-9", "e120", "e300"])
+def test_times_at_the_end_of_what_floats_can_be_never_end_in_an_error_of_arithmetic(step: str) -> None:
+    for unit in ("", ".5", f".{'0' * 8}1", "e-400", f"e-{'9' * 400}"):
+        text = "time,a\n" + "".join(f"{number}{step},{number % 2 * 77}{unit}\n" for number in range(12))
+        with contextlib.suppress(DictionaryError):
+            assert read_path(text).roundings[0].moved == 0
 
 
 def test_what_rounding_can_make_is_known() -> None:
@@ -80,13 +113,13 @@ def test_what_rounding_can_make_is_known() -> None:
 
 
 @given(
-    samples=st.lists(st.integers(-30, 30), min_size=8, max_size=60),
-    steps=st.lists(st.floats(0.001, 0.1), min_size=59, max_size=59),
+    samples=st.lists(st.integers(-60, 60), min_size=8, max_size=60),
+    steps=st.lists(st.floats(0.005, 0.05), min_size=59, max_size=59),
     unit=st.sampled_from([1.0, 0.1, 0.01, 1e-4]),
     is_sloped=st.booleans(),
 )
-@example([0] * 10 + [1] * 10, [0.01] * 59, 0.1, False)
-@example([-30, 30] * 5, [0.001] * 59, 1.0, False)
+@example([0] * 8 + [60] * 50, [0.01] * 59, 0.1, False)
+@example([-30, 30] * 5, [0.005] * 59, 1.0, False)
 @examples(40)
 def test_no_position_leaves_its_band_whatever_the_samples(
     samples: list[int], steps: list[float], unit: float, is_sloped: bool
