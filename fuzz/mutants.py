@@ -28,6 +28,7 @@ from fuzz.flash_mutants import FLASH_MUTANTS
 from fuzz.lss_mutants import LSS_MUTANTS
 from fuzz.master_mutants import MASTER_MUTANTS
 from fuzz.mutant import Mutant
+from fuzz.observer_mutants import OBSERVER_MUTANTS
 from fuzz.service_mutants import SERVICE_MUTANTS
 from fuzz.trajectory_mutants import TRAJECTORY_MUTANTS
 from fuzz.transport_mutants import TRANSPORT_MUTANTS
@@ -413,6 +414,7 @@ WINGS: Final = {
     "transports": TRANSPORT_MUTANTS,
     "master": MASTER_MUTANTS,
     "data": DATA_MUTANTS,
+    "observer": OBSERVER_MUTANTS,
 }
 MUTANTS: Final = tuple(mutant for wing in WINGS.values() for mutant in wing)
 

@@ -163,6 +163,10 @@ def test_the_inhibit_time_of_emergencies() -> None:
     assert bus.hear_all(error, error, after=40 * MILLISECOND) == []
     assert bus.hears(error, after=40 * MILLISECOND) == [f"inhibit time 5: {words}"]
     assert bus.hear_all("705#00", error, error, after=MILLISECOND) == []
+    assert bus.hear_all("705#00", *written(5, 0x1015, 0, 1000, 2)) == []
+    assert bus.hears(error) == []
+    assert bus.hear_all(error, error, after=40 * MILLISECOND) == [], "the first one is measured from nothing"
+    assert bus.hears(error, after=40 * MILLISECOND) == [f"inhibit time 5: {words}"]
 
 
 TPDO = "185#370210000000"
@@ -212,7 +216,8 @@ def test_synchronous_pdos(kind: int) -> None:
     assert bus.hear_all(*syncs, "080#", TPDO) == [], "it was late"
     assert bus.hear_all(*syncs, "080#", "080#", TPDO) == [missing]
     assert bus.hear_all(*syncs, "000#8005", "705#7F", "080#", "080#", "080#", "080#") == []
-    assert bus.hear_all(*syncs, "705#00", "705#05", TPDO, TPDO) == []
+    assert bus.hear_all(*syncs, TPDO, "705#00", "705#05", *syncs * 4) == [], "its type is not known any more"
+    assert bus.hear_all("705#00", "705#05", TPDO, TPDO) == []
 
 
 def test_a_pdo_at_some_syncs_only() -> None:

@@ -1,0 +1,123 @@
+"""Planted bugs of the observer: what it keeps behind a boot-up, and what it takes for a gap of the recording, or for a fault."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from fuzz.mutant import Mutant
+
+SERVICES: Final = ("tests/proto/test_observer_services.py",)
+SDO: Final = ("tests/proto/test_observer_sdo.py",)
+FRAMES: Final = ("tests/proto/test_observer.py",)
+GAPS: Final = ("tests/proto/test_observer_gaps.py",)
+
+_GAPS: Final = "observer/gaps.py"
+_NODES: Final = "observer/node_rules.py"
+_PDOS: Final = "observer/pdo_rules.py"
+_SERVICES: Final = "observer/service_rules.py"
+_SDO: Final = "observer/sdo.py"
+
+OBSERVER_MUTANTS: Final = tuple(
+    Mutant(*each, in_corpus=False)
+    for each in (
+        # ---- behind a boot-up ----
+        (
+            "observer_emcy_time_survives_boot",
+            _SERVICES,
+            "        self._emergencies[node_id] = -NEVER\n",
+            "",
+            "the first emergency behind a boot-up is measured from one before it",
+            SERVICES,
+        ),
+        (
+            "observer_pdo_cyclic_survives_boot",
+            _PDOS,
+            "            del self._timings[key]\n        self._choose()",
+            "            del self._timings[key]",
+            "a PDO is expected at each SYNC, by a parameter that a boot-up has reset",
+            SERVICES,
+        ),
+        # ---- gaps ----
+        (
+            "observer_gap_told_for_each_sign",
+            _GAPS,
+            "if now - self.last > QUIET:",
+            "if now >= self.last:",
+            "one gap is told as often as it shows itself",
+            SERVICES,
+        ),
+        (
+            "observer_copies_told_each",
+            _GAPS,
+            "if now - self._copied > QUIET:",
+            "if now >= self._copied:",
+            "each frame of a burst is told",
+            SERVICES,
+        ),
+        (
+            "observer_burst_of_heartbeats_judged",
+            _NODES,
+            "elif data[0] == view.byte and now - view.last < COPY:",
+            "elif data[0] == view.byte and now < view.last:",
+            "heartbeats that were held back count as heartbeats at that time",
+            SERVICES,
+        ),
+        # ---- evidence ----
+        (
+            "observer_guarding_judged_sooner",
+            _NODES,
+            "_SAME_TOGGLES: Final = 7",
+            "_SAME_TOGGLES: Final = 2",
+            "two lost guarding answers accuse a node",
+            SERVICES,
+        ),
+        (
+            "observer_lss_services_as_rivals",
+            _SERVICES,
+            "        self._lss_rivals += is_same_service\n        if is_same_service and self",
+            "        self._lss_rivals += 1\n        if self",
+            "lost LSS requests are told as two devices",
+            SERVICES,
+        ),
+        (
+            "observer_pdos_twice_not_in_a_row",
+            _PDOS,
+            "elif timing.twice_at != timing.at_sync:",
+            "elif timing.twice_at > timing.at_sync:",
+            "SYNCs that are lost now and then add up to a fault",
+            SERVICES,
+        ),
+        (
+            "observer_state_without_proof",
+            _NODES,
+            "if suspect is not None and state == view.state and now - view.suspected > LATE:",
+            "if suspect is not None:",
+            "a lost NMT command accuses a node that has obeyed it",
+            (*FRAMES, *GAPS),
+        ),
+        (
+            "observer_rival_client_at_once",
+            _SDO,
+            "if self._rivals == _REPEATED:",
+            "if self._rivals:",
+            "one lost answer is told as a second client",
+            SDO,
+        ),
+        (
+            "observer_twin_at_once",
+            _SDO,
+            "if twins >= _REPEATED:",
+            "if twins:",
+            "one lost request is told as a second node",
+            SDO,
+        ),
+        (
+            "observer_late_copy_as_proof",
+            _SDO,
+            "if answer[0] & TOGGLE != self._toggle and answer == self._last_answer:",
+            "if answer[0] & TOGGLE != self._toggle and answer is self._before:",
+            "a copy that comes late is a certain fault of the toggle bit",
+            SDO,
+        ),
+    )
+)
