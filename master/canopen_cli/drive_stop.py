@@ -132,35 +132,60 @@ def _carry_out(settings: Settings, way: Stop) -> None:
 def tell(node: Node, axes: list[Axis], way: Stop, screen: Screen) -> Procedure[None]:
     """Send the command to all axes of a node, by every way that is left. Raises a Problem if nobody confirms it."""
     outcomes = yield from all_of(*(_told(axis, way) for axis in axes))
-    silent = [axis for axis, failed in zip(axes, outcomes, strict=True) if failed is not None and _is_silence(failed)]
+    silent = _unheard(axes, outcomes)
     if silent and node.nmt_state in (None, NmtState.STOPPED):
         state = "it may be in" if node.nmt_state is None else "it is in"
         screen.say(
-            f"[yellow]{silent[0].title} does not answer the {way.name}: {state} NMT state Stopped, where it takes no command. "
+            f"[yellow]{_seen(*silent[0])}: {state} NMT state Stopped, where it takes no command. "
             f"NMT 'enter pre-operational' is sent to node {node.node_id}, and the {way.name} again[/]"
         )
+        axes = [axis for axis, _ in silent]
         yield from act(lambda now: node.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, now))
-        outcomes = yield from all_of(*(_told(axis, way) for axis in silent))
-        silent = [axis for axis, failed in zip(silent, outcomes, strict=True) if failed is not None and _is_silence(failed)]
+        outcomes = yield from all_of(*(_told(axis, way) for axis in axes))
+        silent = _unheard(axes, outcomes)
     if silent:
         screen.say(
-            f"[yellow]{silent[0].title} does not answer. The last way: NMT 'stop' is sent to node {node.node_id}, "
+            f"[yellow]{_seen(*silent[0])}. The last way: NMT 'stop' is sent to node {node.node_id}, "
             "to which a drive reacts as its 0x6007 says[/]"
         )
         yield from act(lambda now: node.send_nmt(NmtCommand.STOP, now))
-        raise _not_confirmed(silent[0], f"the {way.name} was sent, and NMT 'stop' too, and nothing confirms that it has arrived")
+        axis, last = silent[0]
+        reason = f"the {way.name} was sent, and NMT 'stop' too, and nothing confirms that it has arrived"
+        raise _not_confirmed(axis, reason, last)
     for failed in outcomes:
         if failed is not None and failed.abort_code not in ABSENT:  # what is no drive is told by `look_at_drive`
             raise failed
 
 
 def _told(axis: Axis, way: Stop) -> Procedure[SdoFailed | None]:
-    """Send the command to an axis; return how it failed. One axis keeps no other from being told."""
-    try:
-        yield from insist(axis, int(way.word))
-    except SdoFailed as failed:
-        return failed
+    """Send the command to an axis; return how it failed. One axis keeps no other from being told.
+
+    If another SDO client disturbs it, that is no silence of the drive. The drive is asked then, which waits for the end of the
+    other's exchange, and told again if it answers. In the end `_see` tells whether it has stopped.
+    """
+    for _ in range(LOOKS):
+        try:
+            yield from insist(axis, int(way.word))
+            return None
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.CONTESTED:
+                return failed
+        try:
+            yield from read_statusword(axis)
+        except SdoFailed as failed:
+            return failed
     return None
+
+
+def _unheard(axes: list[Axis], outcomes: list[SdoFailed | None]) -> list[tuple[Axis, SdoFailed]]:
+    """Return the axes that may not have the command, and why that is not known."""
+    return [(axis, failed) for axis, failed in zip(axes, outcomes, strict=True) if failed is not None and _is_silence(failed)]
+
+
+def _seen(axis: Axis, failed: SdoFailed) -> str:
+    if failed.origin is AbortOrigin.CONTESTED:
+        return f"{axis.title} cannot be understood: another SDO client on its channel {failed.aborted.others_doing}"
+    return f"{axis.title} does not answer"
 
 
 def _is_silence(failed: SdoFailed) -> bool:
@@ -195,8 +220,8 @@ def _see(axis: Axis, way: Stop) -> Procedure[None]:
             if not _is_silence(failed):
                 raise
             if not left:
-                reason = f"the {way.name} was confirmed, and the drive does not show whether it has stopped"
-                raise _not_confirmed(axis, reason) from failed
+                reason = f"the {way.name} was sent, and the drive does not show whether it has stopped"
+                raise _not_confirmed(axis, reason, failed) from failed
 
 
 def _view(axis: Axis) -> Procedure[DriveView]:
@@ -207,13 +232,17 @@ def _view(axis: Axis) -> Procedure[DriveView]:
         return axis.view()
 
 
-def _not_confirmed(axis: Axis, failed: str) -> Problem:
+def _not_confirmed(axis: Axis, failed: str, last: SdoFailed) -> Problem:
+    """last: how the last try to hear of the drive failed."""
     number = axis.node.node_id
+    cause = "wrong node-ID, no power, a loose cable, another bit rate; or only its answers are lost"
+    if last.origin is AbortOrigin.CONTESTED:
+        cause = f"another SDO client on its channel {last.aborted.others_doing}: end that program"
     return Problem(
         ExitCode.NO_ANSWER,
         "CO411",
         f"{axis.title}: {failed}. IT MAY STILL MOVE",
-        cause="wrong node-ID, no power, a loose cable, another bit rate; or only its answers are lost",
+        cause=cause,
         tries=(
             "press the emergency stop if it moves",
             f"canopen drive {number} stop    again",

@@ -22,9 +22,11 @@ from canopen_master.session import open_master
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
+from canopen_proto.frame import Frame
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import Shape
+from canopen_transports import VirtualTransport
 from tests.cli.cli_support import Run, runner
 from tests.examples import examples
 from tests.master.world import Link
@@ -122,6 +124,42 @@ def test_a_node_that_is_not_there(run: Run, monkeypatch: pytest.MonkeyPatch) -> 
     assert outcome.status == ExitCode.NO_ANSWER
     assert sent(made[1])[0][1] == "663#2B40600002000000"
     assert "nothing confirms that it has arrived. IT MAY STILL MOVE" in " ".join(outcome.err.split())
+
+
+@pytest.mark.parametrize(("until", "status"), [(0.3, ExitCode.OK), (30.0, ExitCode.NO_ANSWER)])
+def test_another_sdo_client_is_no_silence_of_the_drive(
+    run: Run, monkeypatch: pytest.MonkeyPatch, until: float, status: ExitCode
+) -> None:
+    """until: how long it sends requests on the channel of the drive, in s."""
+    made: list[Any] = []
+
+    async def stranger() -> None:
+        while len(made) < 2:
+            await trio.sleep(0)
+        line = VirtualTransport(made[1].locator.removeprefix("link:"))
+        begun = trio.current_time()
+        while trio.current_time() < begun + until:
+            await line.send(Frame.parse("603#6000000000000000"))
+            await trio.sleep(0.005)
+        await line.aclose()
+
+    def prepare(node: DriveNode) -> None:
+        runs(node)
+        trio.lowlevel.spawn_system_task(stranger)
+
+    made = lossy(monkeypatch, lambda: False, prepare)
+    outcome = run("drive", "3", "stop", *DEMO)
+    drive, bus = made
+    said = " ".join(outcome.err.split())
+    assert outcome.status == status
+    assert sent(bus)[0][1] == WORDS["stop"]
+    assert drive.drive.state in (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
+    assert "does not answer" not in said
+    if status == ExitCode.OK:
+        assert not [frame for _, frame in sent(bus) if frame.startswith("000#")]
+    else:
+        assert "another SDO client on its channel asked for a segment of a read: end that program" in said
+        assert "IT MAY STILL MOVE" in said
 
 
 @pytest.mark.parametrize("since", [0.05, 0.5])
