@@ -14,6 +14,7 @@ class Member:
 
     started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. watched_since: when
     it last got its full time again, after an outage of the bus. beats: when its heartbeats came, while they are not watched yet.
+    sends_none_until: so long its word counts that it sends none.
     reset: how it is reset when it is heard again. is_missed: it was lost, and has not booted since.
     """
 
@@ -27,6 +28,7 @@ class Member:
         self.absent_since: Time = NEVER
         self.watched_since: Time = -NEVER
         self.beats: list[Time] = []
+        self.sends_none_until: Time = -NEVER
         self.is_booting = False
         self.is_running = False
         self.is_requested = False

@@ -18,7 +18,9 @@ it is started runs without its settings until its boot-up is heard; then it is r
 
 **Watched is whoever sends heartbeats.** A node without a consumer time and without guarding is watched by the time in its 0x1017.
 A node that begins to send heartbeats later is watched from then on (`NodeSupervised`): by its 0x1017, or, if it does not answer,
-by the longest of the first intervals. `BootReport.unsupervised` names the nodes whose loss nobody would notice.
+by the longest of the first intervals. Such a node is lost only if it does not answer either: when its heartbeats stop, its 0x1017
+is read. If it answers, it is watched by its new time, or no longer, until its next heartbeat.
+`BootReport.unsupervised` names the nodes whose loss nobody would notice.
 
 **A bus above its nodes.** While the driver says that no frames pass (`Network.outage`), no node is lost, and nothing is reset or
 stopped for it. Once the bus is back, each node has its full time again.
@@ -39,14 +41,15 @@ from itertools import pairwise
 from typing import Final
 
 from canopen_proto import indices
+from canopen_proto.abort import AbortOrigin
 from canopen_proto.boot.commands import NmtCommands
-from canopen_proto.boot.entry import CONSUMER_FACTOR, MAX_HEARTBEAT, NetworkEntry
+from canopen_proto.boot.entry import CONSUMER_FACTOR, NetworkEntry
 from canopen_proto.boot.member import Member
 from canopen_proto.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node, watch_by
 from canopen_proto.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
-from canopen_proto.machine import MILLISECOND, NEVER, Event, LocalProtocolError, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.network import Network, OutageChanged
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
 from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, all_of, current_time, upload
@@ -56,6 +59,8 @@ ROUNDS: Final = 3
 """How often `start` boots a node that boots again while others are not ready yet."""
 
 
+ASKED_AGAIN: Final = 1 * SECOND
+"""After so long, a node that says that it sends no heartbeats, and seems to, is asked again."""
 MEASURED: Final = 3
 """Intervals of heartbeats from which a period is taken that the node does not tell: an adapter may hold single frames back."""
 LEAST_MEASURED: Final = 100 * MILLISECOND
@@ -99,7 +104,10 @@ class NetworkStarted(Event):
 
 
 class NodeSupervised(Event):
-    """The heartbeats of a node that nobody watched are watched from now on. timeout: its consumer time, ns."""
+    """The heartbeats of a node, which the master was not told to watch, are watched from now on. timeout: its consumer time, ns.
+
+    timeout 0: no longer, since it answers and sends none.
+    """
 
     __slots__ = ("timeout",)
     __match_args__ = ("node_id", "timeout")
@@ -439,7 +447,8 @@ class NetworkBoot:
             elif member.node.boots != member.boots:
                 yield from self._on_boot_up(member)
             elif member.is_lost:
-                yield from self._on_lost(member)
+                if member.entry.consumer_time or not member.node.heartbeat.lost or not (yield from self._answers(member)):
+                    yield from self._on_lost(member)
             elif member.has_come_back:
                 yield from self._reset_and_boot(member)
             else:
@@ -458,22 +467,48 @@ class NetworkBoot:
     def _learn(self, member: Member) -> Procedure[None]:
         """Watch a node that has begun to send heartbeats, as soon as its period is known."""
         node = member.node
-        member.beats.append((yield from current_time()))
+        now = yield from current_time()
+        if now < member.sends_none_until:
+            return
+        member.beats.append(now)
         timeout: Time = 0
         if len(member.beats) == 1:
             try:
                 period = yield from upload(node.sdo, indices.PRODUCER_HEARTBEAT_TIME, 0)
             except (SdoFailed, LocalProtocolError):  # it does not say, or other requests fill its queue: then it is measured
                 period = b""
-            if member.is_ready:
+            if period and not any(period):  # it has answered another master's guarding
+                member.beats.clear()
+                member.sends_none_until = now + ASKED_AGAIN
+            elif member.is_ready:
                 timeout = yield from act(lambda now: watch_by(node, period, now))
         elif len(member.beats) > MEASURED:
             longest = max(after - before for before, after in pairwise(member.beats))
-            timeout = min(max(CONSUMER_FACTOR * longest, LEAST_MEASURED), MAX_HEARTBEAT)
+            timeout = max(CONSUMER_FACTOR * longest, LEAST_MEASURED)
             yield from act(lambda now: node.heartbeat.set_timeout(timeout, now))
         if timeout:
             member.beats.clear()
             yield from act(lambda now: node.out.events.append(NodeSupervised(node.node_id, timeout)))
+
+    def _answers(self, member: Member) -> Procedure[bool]:
+        """Return whether a node whose heartbeats have stopped is there all the same: it answers, or is heard meanwhile."""
+        node, standing, period = member.node, member.node.heartbeat.timeout, b""
+        try:
+            period = yield from upload(node.sdo, indices.PRODUCER_HEARTBEAT_TIME, 0)
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                return not member.is_lost or member.is_suspended or self._is_unheard(member) or node.boots != member.boots
+        except LocalProtocolError:  # other requests fill its queue, and none of them is answered
+            return False
+        if member.is_lost and not member.is_suspended and node.boots == member.boots:
+            member.beats.clear()
+            yield from act(lambda now: node.heartbeat.set_timeout(0, now))
+            timeout = yield from act(lambda now: watch_by(node, period, now))
+            if timeout == standing:  # it does not do what its 0x1017 says
+                timeout = 0
+                yield from act(lambda now: node.heartbeat.set_timeout(0, now))
+            yield from act(lambda now: node.out.events.append(NodeSupervised(node.node_id, timeout)))
+        return True
 
     def _on_boot_up(self, member: Member) -> Procedure[None]:
         """Boot a node that has booted. If a start command has passed its boot-up, it runs without its settings: it is reset."""

@@ -31,7 +31,7 @@ from typing import Final, TypeAlias
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.boot.commands import NmtCommands
-from canopen_proto.boot.entry import CONSUMER_FACTOR, MAX_HEARTBEAT, BootEntry
+from canopen_proto.boot.entry import CONSUMER_FACTOR, BootEntry
 from canopen_proto.boot.outcome import BootLetter, BootOutcome, BootStep, Shown
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, LocalProtocolError, Time
@@ -110,9 +110,10 @@ def watch_by(node: RemoteNode, period: bytes, now: Time) -> Time:
     """Watch the heartbeats of a node by its producer heartbeat time (0x1017, as it was read), from now on.
 
     Returns the consumer time, ns; 0: it sends none. The node is known to send them, so the first one is awaited too.
+    The time is no entry of 0x1016, so it may be longer than one could hold.
     """
     known = int.from_bytes(period, "little") * MILLISECOND if len(period) == PERIOD_SIZE else 0
-    timeout = min(CONSUMER_FACTOR * known, MAX_HEARTBEAT)
+    timeout = CONSUMER_FACTOR * known
     if timeout:
         node.heartbeat.set_timeout(timeout, now, begun=True)
     return timeout

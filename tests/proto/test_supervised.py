@@ -20,6 +20,8 @@ from tests.proto.boot_bench import HEARTBEAT, MANDATORY, OPTIONAL, SETTING, Answ
 NODES: Final = (3, 6, 9)
 STOP_ALL: Final = 1 | 1 << 6
 PERIODS: Final = (0, 50, 200, 1000)
+ASKED: Final = 2 * SECOND
+"""Within this time, a node whose heartbeats have stopped was asked once more."""
 QUIET: Final = {"consumer_time": 0, "configuration": ((*SETTING, b"\x34\x12"),)}
 """As `net init` once wrote it: nobody is told to send a heartbeat."""
 
@@ -68,7 +70,7 @@ def test_a_lost_node_is_told_in_its_time_or_was_named(
     node.switch_off()
     node.boot_delay = 3600 * SECOND
     limit = (CONSUMER_FACTOR + 1) * period * MILLISECOND
-    bench.bus.run(limit + MILLISECOND)
+    bench.bus.run(limit + ASKED)
     told = [each.node_id for each in losses(bench)]
     assert told == ([victim] if was_watched else [])
 
@@ -93,7 +95,10 @@ def test_a_period_that_the_node_does_not_tell_is_measured(period: int, held: lis
     assert boot.report(bench.bus.now).unsupervised == ()
     supervised = [event for event in bench.bus.events if isinstance(event, NodeSupervised)]
     assert len(supervised) == 1
-    bench.bus.run(supervised[0].timeout)
+    bench.bus.run(supervised[0].timeout - MILLISECOND)
+    bench.node.switch_off()
+    bench.node.boot_delay = 3600 * SECOND
+    bench.bus.run(ASKED)
     assert [each.node_id for each in losses(bench)] == [6]
 
 
@@ -146,6 +151,65 @@ def test_who_is_not_to_be_watched_is_not_watched() -> None:
     boot = bench.network_boot(1, entry(6, MANDATORY, **QUIET, learns=False))
     bench.supervise(boot, SECOND)
     bench.node.switch_off()
+    bench.bus.run(10 * SECOND)
+    assert not losses(bench)
+    assert boot.report(bench.bus.now).unsupervised == (6,)
+
+
+@pytest.mark.parametrize("now", [0, 200, 1000, 65535])
+@pytest.mark.parametrize("before", [50, 200, 40000, 65535])
+def test_a_node_that_answers_is_not_lost_whatever_its_heartbeats_do(before: int, now: int) -> None:
+    """before, now: its 0x1017, ms, of which the master is not told that it has changed; what it sends changes with it."""
+    bench = BootBench(NODES)
+    for node_id in NODES:
+        sends(bench.nodes[node_id], before)
+    boot = bench.network_boot(STOP_ALL, *(entry(node_id, MANDATORY, **QUIET) for node_id in NODES))
+    assert bench.run(boot.start()).unsupervised == ()
+    bench.master.run(boot.supervise(), bench.bus.now)
+    bench.bus.disturb(delay=(100_000, 3_000_000))
+    bench.bus.run(3 * before * MILLISECOND)
+    node = bench.nodes[6]
+    node.table[HEARTBEAT] = now.to_bytes(2, "little")
+    node._begin_heartbeat(bench.bus.now)
+    node._rearm()
+    bench.bus.run(5 * max(before, now) * MILLISECOND)
+    assert not losses(bench)
+    assert boot.report(bench.bus.now).running == NODES
+    assert boot.report(bench.bus.now).unsupervised == (() if now else (6,))
+    node.switch_off()
+    node.boot_delay = 3600 * SECOND
+    bench.bus.run((CONSUMER_FACTOR + 1) * max(before, now) * MILLISECOND + ASKED)
+    assert [each.node_id for each in losses(bench)] == ([6] if now else [])
+
+
+def test_a_node_that_never_sends_what_its_0x1017_says_is_not_reset_but_named() -> None:
+    bench = BootBench(NODES)
+    for node_id in NODES:
+        sends(bench.nodes[node_id], 200)
+    bench.nodes[6]._begin_heartbeat = lambda now: None  # type: ignore[method-assign]
+    boot = bench.network_boot(STOP_ALL, *(entry(node_id, MANDATORY, **QUIET) for node_id in NODES))
+    bench.run(boot.start())
+    bench.master.run(boot.supervise(), bench.bus.now)
+    bench.bus.run(20 * SECOND)
+    assert not losses(bench)
+    assert boot.report(bench.bus.now).unsupervised == (6,)
+    assert [event.timeout for event in bench.bus.events if isinstance(event, NodeSupervised)] == [0]
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_answers_to_another_masters_guarding_make_no_loss(tells: bool) -> None:
+    bench = BootBench((6,))
+    sends(bench.node, 0)
+    if not tells:
+        bench.node.table[HEARTBEAT] = bench.node.defaults[HEARTBEAT] = 0x0602_0000
+    boot = bench.network_boot(STOP_ALL, entry(6, MANDATORY, **QUIET))
+    bench.run(boot.start())
+    bench.master.run(boot.supervise(), bench.bus.now)
+    for number in range(30):
+        bench.bus.send(f"706#{5 | number % 2 << 7:02X}")
+        bench.bus.run(100 * MILLISECOND)
+    if tells:
+        assert not any(isinstance(event, NodeSupervised) for event in bench.bus.events)
     bench.bus.run(10 * SECOND)
     assert not losses(bench)
     assert boot.report(bench.bus.now).unsupervised == (6,)
