@@ -54,7 +54,7 @@ DRIVE_MUTANTS: Final = tuple(
         (
             "always_in_time",
             "drive/axis.py",
-            "return max(self._settings.reaction_time, 2 * (self.answer_time or 0))",
+            "return max(self._settings.reaction_time, 2 * (self.answer_time or self._was_answer_time))",
             "return self._settings.reaction_time",
             "a drive that answers late is not given its time, and an old end is believed",
             HOMED,

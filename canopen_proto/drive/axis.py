@@ -25,7 +25,7 @@ has no reference to lose.
 **A drive may act late.** A command that was not answered in time may still act at any later moment. The axis remembers that
 (`unanswered`), and `settle` ends it: the drive is led to another state, and has to show it. A drive obeys its commands in their
 order, so none is left from before then. While none is left, `answer_time` is the time that the drive took to show the state that
-it was last led to, and a drive that takes long is given more time: `reaction_time`.
+it was last led to, and a drive that takes long is given more time: `reaction_time`. It keeps that time while something is left.
 
 Events: `AxisStateChanged` when a statusword shows another state, or when the node boots (the state is UNKNOWN then).
 
@@ -84,8 +84,8 @@ class Axis:
 
     __slots__ = (
         "_direction", "_given", "_heard_at", "_is_homed", "_offset", "_position", "_scale", "_set_points", "_settings",
-        "_shown", "_store", "_was_homed", "answer_time", "commanded_at", "grip", "has_opened_brake", "has_scale",
-        "is_identified", "node", "number", "occupancy", "remote", "selected_at", "selected_mode", "set_points_given",
+        "_shown", "_store", "_was_answer_time", "_was_homed", "answer_time", "commanded_at", "grip", "has_opened_brake",
+        "has_scale", "is_identified", "node", "number", "occupancy", "remote", "selected_at", "selected_mode", "set_points_given",
         "started_at", "state", "unanswered", "units",
     )  # fmt: skip
 
@@ -106,6 +106,7 @@ class Axis:
         self.started_at: Time = OBEYED
         self.unanswered = ""
         self.answer_time: Time | None = None
+        self._was_answer_time: Time = 0  # the last one that was known
         self.selected_mode: int | None = None
         self.commanded_at: Time | None = None
         self.selected_at: Time | None = None
@@ -142,10 +143,11 @@ class Axis:
     @property
     def reaction_time(self) -> Time:
         """ns until what the drive shows answers the last command: that of the settings, or more for a drive that answers late."""
-        return max(self._settings.reaction_time, 2 * (self.answer_time or 0))
+        return max(self._settings.reaction_time, 2 * (self.answer_time or self._was_answer_time))
 
     def leave_unanswered(self, what: str) -> None:
         """Remember that the drive did not answer this in time. What was left before counts on."""
+        self._was_answer_time = self.answer_time or self._was_answer_time
         self.unanswered, self.answer_time = self.unanswered or what, None
 
     @property
@@ -511,7 +513,7 @@ class Axis:
             self.is_homed = False
         self._shown = self.selected_mode = self.commanded_at = self.selected_at = None
         self.has_opened_brake = False
-        self.unanswered, self.answer_time = "", None
+        self.unanswered, self.answer_time, self._was_answer_time = "", None, 0
         self._enter(State.UNKNOWN)
 
     def _enter(self, state: State) -> None:

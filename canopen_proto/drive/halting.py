@@ -75,12 +75,13 @@ def halt(axis: Axis) -> Procedure[None]:
     awaited. So a drive that does not show its state by PDO is asked for it first. If it was enabled when it was last heard, or
     was commanded to enable, and does not answer within 100 ms, it gets bit 8 all the same. Any other drive that does not answer
     gets a quick stop, which gives power to no drive. A drive that was commanded to enable, and is not enabled yet, is watched for
-    `reaction_time`: it may obey late. An RPDO that the drive holds for a SYNC is replaced:
-    by the halt, or by a word that keeps a disabled drive in its state. Any later command without bit 8 ends the halt. The wait
-    lasts as long as the drive slows down (0x606C, else 0x6064). In torque modes, where bit 8 may only take the torque away, a
-    drive that moves on gets a quick stop, and most drives have no power then. Raises StepTimeout if the drive still moves and did
-    not become slower within a step, or if it shows no state for `reaction_time`; SdoFailed, NodeLost. A halt that is cancelled is
-    not taken back: it begins again, as the clean-up.
+    `reaction_time`: it may obey late. If it is not enabled by then, it gets the command that leaves it in its state: a drive that
+    obeys even later disables itself again. A drive in Quick stop active, which such a command would enable again, gets a quick
+    stop at once. An RPDO that the drive holds for a SYNC is replaced: by the halt, or by a word that keeps a disabled drive in
+    its state. Any later command without bit 8 ends the halt. The wait lasts as long as the drive slows down (0x606C, else
+    0x6064). In torque modes, where bit 8 may only take the torque away, a drive that moves on gets a quick stop, and most drives
+    have no power then. Raises StepTimeout if the drive still moves and did not become slower within a step, or if it shows no
+    state for `reaction_time`; SdoFailed, NodeLost. A halt that is cancelled is not taken back: it begins again, as the clean-up.
     """
     try:
         yield from _stop(axis)
@@ -98,22 +99,16 @@ def _stop(axis: Axis) -> Procedure[None]:
         if not is_told and failed.origin is not AbortOrigin.LOCAL:  # a drive that has booted has no power
             yield from insist(axis, int(Command.QUICK_STOP))
         raise
-    if state_of(statusword) is State.UNKNOWN:
-        yield from ask_for_time(axis.settings.reaction_time + SECOND)
-        statusword = yield from wait_for_statusword(
-            axis,
-            lambda word: state_of(word) is not State.UNKNOWN,
-            axis.settings.reaction_time,
-            "a statusword that shows a state",
-            accept_fault=True,
-            looks=False,
-        )
     state = state_of(statusword)
+    if state is State.UNKNOWN:
+        state = yield from _next_state(axis)
     if state in _CAN_BE_ENABLED and may_be_enabled(axis):
         state = yield from _late_state(axis)
     if state is State.OPERATION_ENABLED:
         if not is_told:
             yield from insist(axis, _halt_word(axis))
+    elif state is State.QUICK_STOP_ACTIVE and may_be_enabled(axis):
+        yield from insist(axis, int(Command.QUICK_STOP))
     else:
         yield from command_held(axis, STAYS.get(state, _halt_word(axis)))
         if state not in POWERED:
@@ -164,14 +159,33 @@ def may_be_enabled(axis: Axis) -> bool:
 
 
 def _late_state(axis: Axis) -> Procedure[State]:
-    """Wait for a drive that may be on its way to Operation enabled, at most `reaction_time`; return its state."""
+    """Wait for a drive that may be on its way to Operation enabled, at most `reaction_time`; return its state.
+
+    A drive that is still in its state then is told to stay there. It obeys in order: the command to enable is not its last one.
+    """
     goal = "operation enabled, as commanded"
+    yield from ask_for_time(axis.reaction_time + SECOND)
     try:
         word = yield from wait_for_statusword(
             axis, lambda word: state_of(word) in POWERED, axis.reaction_time, goal, accept_fault=True, looks=False
         )
     except StepTimeout:
-        return axis.state
+        yield from insist(axis, int(STAYS.get(axis.state, Command.DISABLE_VOLTAGE)))
+        return (yield from _next_state(axis))  # it may have been enabled just before
+    return state_of(word)
+
+
+def _next_state(axis: Axis) -> Procedure[State]:
+    """Return the state that the drive shows next; raise StepTimeout if it shows none for `reaction_time`."""
+    yield from ask_for_time(axis.settings.reaction_time + SECOND)
+    word = yield from wait_for_statusword(
+        axis,
+        lambda word: state_of(word) is not State.UNKNOWN,
+        axis.settings.reaction_time,
+        "a statusword that shows a state",
+        accept_fault=True,
+        looks=False,
+    )
     return state_of(word)
 
 
@@ -220,14 +234,17 @@ def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Proced
 
 def _wait_for_standstill(axis: Axis) -> Procedure[None]:
     timeout = axis.settings.reaction_time + axis.settings.halt_time
+    began = yield from current_time()
     before: float | None = None
     while True:
         yield from ask_for_time(timeout + SECOND)  # as long as the drive answers and slows down
-        judge = _Standstill(axis)
+        judge = _Standstill(axis, began)
         try:
             yield from judge.watch.until(judge.judge, timeout)
             return
         except StepTimeout:
+            if judge.may_obey_late:
+                continue
             if before is None:
                 before = judge.top_speed  # not the speed at the beginning: the drive may just have accelerated
             now = yield from _speed(axis)
@@ -245,7 +262,8 @@ class _Standstill:
     that it moves, or `reaction_time` after the halt: bit 10 may be left from before (as "target velocity reached").
     """
 
-    def __init__(self, axis: Axis) -> None:
+    def __init__(self, axis: Axis, began: Time) -> None:
+        """began: when the drive was told to halt."""
         reads = {
             objects.MODES_OF_OPERATION_DISPLAY: FRESH,
             objects.POSITION_ACTUAL_VALUE: STANDSTILL_LOOK,
@@ -256,7 +274,9 @@ class _Standstill:
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
         self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present, looks=False)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
+        self.may_obey_late = False  # its bits show that it stands, and it is too soon to believe them
         self._axis = axis
+        self._began = began
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._was_moving = False  # as its bits showed
         self._looked_at: Time = -NEVER
@@ -265,6 +285,7 @@ class _Standstill:
     def judge(self, statusword: int, heard_at: Time) -> bool | None:
         """Return True if the drive stands, None if it is not certain."""
         self._look()
+        self.may_obey_late = False
         state = state_of(statusword)
         if state is State.UNKNOWN:
             return None  # the next statusword will show a state
@@ -287,8 +308,9 @@ class _Standstill:
         if not stands:
             self._was_moving = True
             return None
-        since = self._axis.started_at if has_position else self.watch.began
+        since = self._axis.started_at if has_position else self._began
         has_obeyed = self._was_moving or heard_at - since >= self._axis.reaction_time
+        self.may_obey_late = not has_obeyed and not has_position
         return (has_obeyed and (not has_position or self._is_at_one_place())) or None
 
     def _knows(self, mux: Mux) -> bool:

@@ -125,6 +125,31 @@ def test_a_drive_that_goes_on_as_before_is_told_within_reaction_and_halt_time() 
     assert speed_of(rig) == pytest.approx(SPEED)
 
 
+@pytest.mark.parametrize("is_refused", [False, True])
+@pytest.mark.parametrize("speed", [0, SPEED])
+@pytest.mark.parametrize("reaction", [0, 600, 1_300, 2_900])
+def test_a_drive_without_a_position_is_halted_however_late_it_acts(reaction: int, speed: int, is_refused: bool) -> None:
+    """Its bit 10 may be left from before the halt: as long as the drive may take to obey, it proves nothing.
+
+    is_refused: the drive's dictionary has a position, and the drive refuses to have it read.
+    """
+    settings = DriveSettings(reaction=reaction * MILLISECOND, track=ENDLESS)
+    complete = Rig(Shape.STANDARD, pdos=False).node.dictionary
+    rest = ObjectDictionary([each for index, each in complete.objects.items() if index not in (0x6063, 0x6064)])
+    rig = Rig(Shape.STANDARD, pdos=False, drive=settings, dictionary=rest)
+    if is_refused:
+        rig.master.detach(rig.remote)
+        rig.remote = RemoteNode(rig.master.out, 5, complete)
+        rig.master.attach(rig.remote)
+        rig.axis = Axis(rig.remote)
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(drive.enable(rig.axis))
+    rig.run(write(rig.remote, "0x60FF", speed))
+    rig.bus.run(5 * SECOND)
+    rig.run(drive.halt(rig.axis))
+    assert speed_of(rig) == 0
+
+
 def test_a_quick_stop_by_somebody_else_is_waited_for_too() -> None:
     """A drive that is not enabled is not commanded; one that brakes moves all the same."""
     rig = Rig(Shape.STANDARD, pdos=False)

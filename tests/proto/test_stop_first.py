@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto import drive
@@ -14,12 +14,13 @@ from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import Command, ControlBit, State
 from canopen_proto.drive.axis import Axis
+from canopen_proto.drive.halting import halt_after
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.objects import write
-from canopen_proto.procedures.runner import ProcedureFinished
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFinished
+from canopen_proto.procedures.steps import Cancelled, Procedure, sleep
 from canopen_proto.remote_node import FRESH, RemoteNode
 from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
 from tests.examples import examples
@@ -177,3 +178,53 @@ def test_another_client_of_long_ago_makes_no_stop_doubtful(name: str) -> None:
         assert isinstance(rig.outcome(rig.master.run(stop(rig.axis), rig.bus.now)), ProcedureFinished)
         rig.bus.run(5 * SECOND)
     assert rig.drive.state is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("before", [State.SWITCHED_ON, State.QUICK_STOP_ACTIVE])
+@given(
+    reaction=st.integers(0, 2_400).map(lambda ms: ms * MILLISECOND),
+    after=st.integers(0, 3_200).map(lambda ms: ms * MILLISECOND),
+    is_known=st.booleans(),
+    is_clean_up=st.booleans(),
+)
+@example(1_300 * MILLISECOND, 50 * MILLISECOND, True, False)
+@example(1_300 * MILLISECOND, 50 * MILLISECOND, True, True)
+@example(2_400 * MILLISECOND, 50 * MILLISECOND, False, False)
+@examples(10)
+def test_behind_a_command_to_enable_that_may_still_act_a_halt_leaves_one_that_stops(
+    before: State, reaction: Time, after: Time, is_known: bool, is_clean_up: bool
+) -> None:
+    """is_known: whether the master has seen how late the drive acts. is_clean_up: the halt is that of a cancelled motion."""
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(track=ENDLESS, reaction=reaction))
+    rig.node.values.store[objects.QUICK_STOP_OPTION_CODE] = 6
+    rig.run(drive.set_mode(rig.axis, Mode.PROFILE_VELOCITY))
+    rig.run(drive.enable(rig.axis))
+    rig.run(write(rig.remote, "0x60FF", SPEED))
+    rig.run(drive.quick_stop(rig.axis) if before is State.QUICK_STOP_ACTIVE else drive.change_state(rig.axis, before))
+    rig.bus.run(5 * SECOND)
+    if not is_known:
+        rig.master, rig.axis = another_program(rig)
+    sent = len(rig.bus.sent)
+    enables = drive.enable(rig.axis)
+    request = rig.master.run(halted_when_cancelled(rig.axis, enables) if is_clean_up else enables, rig.bus.now)
+    rig.bus.run_until(lambda: bool(words(rig, sent)), SECOND)
+    rig.bus.run(after)
+    rig.master.cancel(request, rig.bus.now)
+    ended = rig.outcome(request)
+    is_halted = isinstance(ended, ProcedureCancelled) and ended.clean_up_error is None
+    if not is_clean_up:
+        is_halted = isinstance(rig.outcome(rig.master.run(drive.halt(rig.axis), rig.bus.now)), ProcedureFinished)
+    assert is_halted
+    assert words(rig, sent)[-1] in (HALT, Command.SWITCH_ON, Command.QUICK_STOP)
+    rig.bus.run(reaction + SECOND)
+    rig.drive.refresh(rig.bus.now)
+    assert rig.drive._servo.velocity == 0
+
+
+def halted_when_cancelled(axis: Axis, motion: Procedure[None]) -> Procedure[None]:
+    try:
+        yield from motion
+        yield from sleep(60 * SECOND)
+    except Cancelled as cancelled:
+        yield from halt_after(axis, cancelled)
+        raise
