@@ -186,7 +186,8 @@ def eds_files(data: bytes) -> None:
         for value in (variable.default, variable.configured):
             assert value is None or isinstance(value, str) or variable.encode(value) is not None
         line, column = description.place_of(variable.index, variable.subindex, "DefaultValue")
-        assert line >= 1 <= column or description.device_info.compact_pdo  # which stands for whole objects
+        # Both stand for whole objects, which have no section of their own
+        assert line >= 1 <= column or description.device_info.compact_pdo or description.connected_modules
 
 
 def machine_files(data: bytes) -> None:
