@@ -445,7 +445,7 @@ class _Flashing:
     def _compare(self) -> Procedure[None]:
         """See whether the program that runs is the new one; raise if it shows itself as another."""
         so_far = self.so_far
-        identity = yield from self.objects.identity(self.limits.start)
+        identity = yield from self._running_identity()
         so_far.id_after, before = identity.program, self._before()
         is_new = bool(so_far.id_sent) and so_far.id_sent != before.program  # the device has told the sent one from the old one
         wanted = so_far.id_sent if self.expected is None and is_new else self.expected
@@ -463,6 +463,27 @@ class _Flashing:
             so_far.verified_by = f"0x1F56 shows what was written: 0x{wanted:08X}"
         elif self.state in _RUNNING:
             so_far.verified_by = before.changed_to(identity, self.stopped)
+
+    def _running_identity(self) -> Procedure[ProgramIdentity]:
+        """Return the identity of a program that still runs after it was read: a boot loader shows that of one that has ended."""
+        for _ in range(TRIES):
+            boots = self.objects.node.boots
+            identity = yield from self.objects.identity(self.limits.start)
+            try:
+                self.state = yield from self.objects.control(self.limits.start, (*_RUNNING, None))
+            except NotReached as failed:
+                if failed.is_silent:
+                    raise
+                raise self.failed(
+                    f"its new program was started, and does not run: {failed}. It has ended, and the boot loader has taken over",
+                    "a program that was tried on such a device; the same once more",
+                ) from failed
+            if self.objects.node.boots == boots:
+                return identity
+        raise self.failed(
+            f"its new program was started, and the device has booted {TRIES} times since: it does not stay",
+            "a program that was tried on such a device; the same once more",
+        )
 
     def _before(self) -> ProgramIdentity:
         """Return what told the old program from others; nothing if there was no valid one."""

@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.boot_loader import FIRST_PROGRAM, BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
+from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.program_download import (
     Limits,
     ProgramDownload,
@@ -21,6 +23,7 @@ from canopen_proto.procedures.program_download import (
 from canopen_proto.procedures.runner import ProcedureCancelled
 from canopen_proto.programs import FlashError, ProgramControl
 from canopen_proto.sdo.events import ObjectAccessPending
+from canopen_proto.sdo.server import Pending
 from tests.examples import examples, takes_all
 from tests.proto import flash_bench
 from tests.proto.block_pair import pattern
@@ -111,7 +114,7 @@ def test_each_frame_may_get_lost() -> None:
             bench.flash(IMAGE, expected_id=ID)
         assert (bench.memory.program, bench.device.runs) == (IMAGE, True), number
     assert failures == 0
-    assert total == 62
+    assert total == 64
 
 
 @examples(20)
@@ -304,6 +307,33 @@ def test_a_boot_loader_that_goes_back_to_the_old_program_is_noticed(monkeypatch:
     with pytest.raises(ProgramDownloadFailed, match="its boot loader has refused the new program") as caught:
         FlashBench().flash(IMAGE, expected_id=ID)
     assert (caught.value.is_mismatch, caught.value.so_far.step) == (True, ProgramStep.CHECK)
+
+
+class Dies(BootLoader):
+    """Its new program ends right after 0x1F51 has said that it runs; the boot loader stays."""
+
+    started = dead = False
+
+    def _run(self, command: int, now: Time) -> AbortCode | Pending | None:
+        self.started = True
+        return super()._run(command, now)
+
+    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode | Pending:
+        answer = super().read(index, subindex, now)
+        if index == indices.PROGRAM_CONTROL and self.started and self.runs and not self.dead:
+            self.dead = self._stays = True
+            self.nmt.execute(NmtCommand.RESET_NODE, now)
+        return answer
+
+
+@pytest.mark.parametrize("expected_id", [ID, None])
+def test_a_program_that_ends_right_after_its_start_is_no_success(
+    monkeypatch: pytest.MonkeyPatch, expected_id: int | None
+) -> None:
+    monkeypatch.setattr(flash_bench, "BootLoader", Dies)
+    with pytest.raises(ProgramDownloadFailed, match="was started, and does not run") as caught:
+        FlashBench().flash(IMAGE, expected_id=expected_id)
+    assert caught.value.so_far.step is ProgramStep.CHECK
 
 
 # ---- large programs, and one that is cancelled ----
