@@ -306,20 +306,30 @@ def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
     assert '"event": "lost", "node": 4, "reaction": "it was reset"' in outcome.out
 
 
-def test_watch_watches_the_heartbeats_that_nodes_send_of_their_own_and_names_the_others(run: Run, rung: Alarm) -> None:
+@pytest.mark.parametrize("answers", [False, True])
+def test_watch_watches_the_heartbeats_that_nodes_send_of_their_own_and_names_the_others(
+    run: Run, rung: Alarm, answers: bool
+) -> None:
+    """answers: the node has only ended its heartbeats, and answers SDO. Else it is silent, until it is reset."""
+
     async def silence(fleet: Fleet) -> None:
         await trio.sleep(2)
         fleet.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+        if not answers:
+            fleet.change(4, lambda drive, now: drive.execute(NmtCommand.STOP, now))
 
     rung.task = silence
     rung.set((4, signal.SIGINT))
     text = CELL.replace(', heartbeat = "100ms"', "").replace("mandatory = false", 'mandatory = false, heartbeat = "0ms"')
     Path("cell.toml").write_text(text)
     outcome = run("net", "watch", "cell.toml", "--yes", *DEMO)
-    assert "right: node 4 is lost; it was reset" in outcome.out
+    assert ("right: node 4 is lost; it was reset" in outcome.out) is not answers
+    assert ("right: it answers, but sends no heartbeats: it is not supervised now" in outcome.out) is answers
     assert "not supervised: lamp. No heartbeat and no guarding: a loss is not noticed" in " ".join(outcome.err.split())
-    assert "running: left, right\n" in outcome.err
-    assert "was started, and is not supervised, so whether it still runs is not known: lamp" in " ".join(outcome.err.split())
+    assert ("running: left, right\n" in outcome.err) is not answers
+    unknown = "right, lamp" if answers else "lamp"
+    told = f"was started, and is not supervised, so whether it still runs is not known: {unknown}"
+    assert told in " ".join(outcome.err.split())
     rung.set((1, signal.SIGINT))
     rung.task = None
     outcome = run("net", "watch", "cell.toml", "--yes", "--json", *DEMO)
