@@ -14,7 +14,7 @@ from canopen_cli.problem import ExitCode, usage
 from canopen_cli.screen import Screen, counted, escape
 
 if TYPE_CHECKING:
-    from canopen_ros.configurations import Imported, Told
+    from canopen_master.ros_configurations import Imported, Told
 
 
 @click.command("import")
@@ -53,7 +53,7 @@ def import_(
     canopen machine import bus.yml -o cell.toml --locator can0
     canopen machine import can0.yaml driver.yaml -o arm.toml --package schunk_lwa4p=src/schunk_lwa4p
     """
-    from canopen_ros.configurations import Choices, import_configuration
+    from canopen_master.ros_configurations import Choices, import_configuration
     from canopen_transports.locator import parse_locator
 
     screen = settings.screen()
@@ -95,7 +95,7 @@ def _check_slides(made: Imported, linear: tuple[str, ...]) -> None:
 
 
 def _show(settings: Settings, screen: Screen, made: Imported, output: str | None) -> None:
-    from canopen_ros.configurations import Outcome
+    from canopen_master.ros_configurations import Outcome
 
     left_out = [each for each in made.report if each.outcome is Outcome.LEFT_OUT]
     if settings.json:

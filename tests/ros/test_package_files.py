@@ -11,8 +11,8 @@ from xml.etree.ElementTree import Element
 import pytest
 
 from canopen_cli.problem import ExitCode
+from canopen_master.ros_configurations.yaml_text import Value, read_yaml
 from canopen_ros import names
-from canopen_ros.configurations.yaml_text import Value, read_yaml
 from canopen_ros.parameters import NodeParameters
 from tests.cli.cli_support import runner
 

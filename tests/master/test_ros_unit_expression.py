@@ -9,8 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_ros.configurations.scale import Contradiction, position_keys, velocity_keys
-from canopen_ros.configurations.unit_expression import MAX_DEPTH, MAX_LENGTH, ONE, ZERO, Exact, Line, NotLinear, read_expression
+from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_master.ros_configurations.unit_expression import (
+    MAX_DEPTH,
+    MAX_LENGTH,
+    ONE,
+    ZERO,
+    Exact,
+    Line,
+    NotLinear,
+    read_expression,
+)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, Final, NamedTuple
 
-from canopen_ros.configurations.unit_expression import ZERO, Exact, Line
+from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line
 
 AGREES: Final = 1e-6
 """Relative; conversions are often written with six to ten digits."""

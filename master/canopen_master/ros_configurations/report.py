@@ -8,7 +8,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from canopen_ros.configurations.yaml_text import Value
+from canopen_master.ros_configurations.yaml_text import Value
 
 
 class Outcome(StrEnum):

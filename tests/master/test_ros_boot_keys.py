@@ -9,9 +9,9 @@ from pathlib import Path
 from canopen_master.machine_file import BootSettings, LossReaction, NetworkSettings, StartOrder
 from canopen_master.machine_file.boot_entries import network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.ros_configurations import Outcome
 from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_ros.configurations import Outcome
-from tests.ros.test_configurations import Import, assert_every_key_is_told, imported, machine_of
+from tests.master.test_ros_configurations import Import, assert_every_key_is_told, imported, machine_of
 
 __all__ = ["imported"]  # the fixture
 

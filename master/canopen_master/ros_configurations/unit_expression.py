@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
 
-from canopen_ros.configurations.yaml_text import number_of
+from canopen_master.ros_configurations.yaml_text import number_of
 
 MAX_LENGTH: Final = 500
 MAX_DEPTH: Final = 30

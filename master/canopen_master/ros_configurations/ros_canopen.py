@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from canopen_data.durations import duration_text
+from canopen_master.ros_configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
+from canopen_master.ros_configurations.report import Section, section_of
+from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_master.ros_configurations.unit_expression import Line, NotLinear, read_expression
+from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.cia402.objects import CONTROLWORD, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of, mux, split_mux
-from canopen_ros.configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
-from canopen_ros.configurations.report import Section, section_of
-from canopen_ros.configurations.scale import Contradiction, position_keys, velocity_keys
-from canopen_ros.configurations.unit_expression import Line, NotLinear, read_expression
-from canopen_ros.configurations.yaml_text import Value
 
 DEFAULTS: Final = {
     "pos_to_device": "rint(rad2deg(pos)*1000)",

@@ -12,14 +12,14 @@ from typing import Any, Final, NamedTuple
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_data.durations import duration_text
+from canopen_master.ros_configurations.report import Report, Section
+from canopen_master.ros_configurations.scale import Contradiction, number_in_toml
+from canopen_master.ros_configurations.unit_expression import Exact
+from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.cia402.axes import AXIS_STEP, MAX_AXES
 from canopen_proto.cia402.objects import INTERPOLATION_TIME_UNITS
 from canopen_proto.machine import SECOND
 from canopen_proto.multiplexer import Mux, index_of
-from canopen_ros.configurations.report import Report, Section
-from canopen_ros.configurations.scale import Contradiction, number_in_toml
-from canopen_ros.configurations.unit_expression import Exact
-from canopen_ros.configurations.yaml_text import Value
 
 BUS: Final = "can0"
 CAUTIOUS: Final = {"radian": 0.5, "millimetre": 100.0}

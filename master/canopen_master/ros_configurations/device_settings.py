@@ -13,11 +13,11 @@ from canopen_data.configured import with_configured
 from canopen_data.description import Commissioning, DeviceDescription, FileKind
 from canopen_data.eds.numbers import read_value
 from canopen_data.eds.writer import encode_eds, write_eds
+from canopen_master.ros_configurations.draft import Setting
+from canopen_master.ros_configurations.report import Report
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.multiplexer import Mux, index_of, mapping_entry, mux_text, split_mux, subindex_of
-from canopen_ros.configurations.draft import Setting
-from canopen_ros.configurations.report import Report
 
 
 def configured_file(description: DeviceDescription, node_id: int, settings: list[Setting], report: Report) -> bytes | None:

@@ -10,8 +10,8 @@ import pytest
 
 from canopen_data.findings import DictionaryError
 from canopen_master.errors import PackageMissing
-from canopen_ros.configurations import yaml_text
-from canopen_ros.configurations.yaml_text import MAX_BYTES, MAX_DEPTH, Value, number_of, read_yaml
+from canopen_master.ros_configurations import yaml_text
+from canopen_master.ros_configurations.yaml_text import MAX_BYTES, MAX_DEPTH, Value, number_of, read_yaml
 
 
 def read(text: str) -> Mapping[str, Value]:

@@ -14,12 +14,12 @@ from typing import Any, Final
 
 from canopen_data import DataError, content_of
 from canopen_master.machine_file import parse_machine
-from canopen_ros.configurations.device_settings import configured_file
-from canopen_ros.configurations.draft import BUS, Choices, Draft
-from canopen_ros.configurations.report import Outcome, Report, Section, Told, section_of
-from canopen_ros.configurations.ros2_canopen import is_ros2_canopen, take_ros2_canopen
-from canopen_ros.configurations.ros_canopen import is_ros_canopen, take_ros_canopen
-from canopen_ros.configurations.yaml_text import Value, read_yaml
+from canopen_master.ros_configurations.device_settings import configured_file
+from canopen_master.ros_configurations.draft import BUS, Choices, Draft
+from canopen_master.ros_configurations.report import Outcome, Report, Section, Told, section_of
+from canopen_master.ros_configurations.ros2_canopen import is_ros2_canopen, take_ros2_canopen
+from canopen_master.ros_configurations.ros_canopen import is_ros_canopen, take_ros_canopen
+from canopen_master.ros_configurations.yaml_text import Value, read_yaml
 
 __all__ = ["Choices", "Imported", "Outcome", "Told", "import_configuration"]
 

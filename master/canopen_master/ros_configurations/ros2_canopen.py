@@ -13,16 +13,16 @@ from typing import Any, Final
 from canopen_data.describing import identified
 from canopen_data.durations import duration_text
 from canopen_master.machine_file.reader import MODES
+from canopen_master.ros_configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
+from canopen_master.ros_configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
+from canopen_master.ros_configurations.report import Report, Section, section_of
+from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line
+from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto import indices
 from canopen_proto.cia402.axes import MAX_AXES
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of, mux
-from canopen_ros.configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
-from canopen_ros.configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
-from canopen_ros.configurations.report import Report, Section, section_of
-from canopen_ros.configurations.scale import Contradiction, position_keys, velocity_keys
-from canopen_ros.configurations.unit_expression import ZERO, Exact, Line
-from canopen_ros.configurations.yaml_text import Value
 
 SCALES: Final = {
     "scale_pos_to_dev": "1000", "scale_pos_from_dev": "0.001", "scale_vel_to_dev": "1000", "scale_vel_from_dev": "0.001",

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 from canopen_data.durations import duration_text
+from canopen_master.ros_configurations.draft import Draft, Setting
+from canopen_master.ros_configurations.report import Report, Section
+from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto import indices
 from canopen_proto.machine import MICROSECOND, MILLISECOND
 from canopen_proto.multiplexer import mux
-from canopen_ros.configurations.draft import Draft, Setting
-from canopen_ros.configurations.report import Report, Section
-from canopen_ros.configurations.yaml_text import Value
 
 DEFAULT_MULTIPLIER: Final = 3
 _NMT_INHIBIT_UNIT: Final = 100 * MICROSECOND
