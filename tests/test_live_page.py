@@ -12,6 +12,9 @@ import pytest
 from click.testing import CliRunner
 
 from canopen_cli import app
+from canopen_proto.observer.observer import RULES
+from fuzz.recall import MADE, PLACES, Recall, of_made
+from tests.examples import takes_all
 from tests.docs_build import DOCS, load_build
 
 PAGE = (DOCS / "live.md").read_text(encoding="utf-8")
@@ -49,3 +52,28 @@ def test_each_option_on_the_page_exists() -> None:
             assert option in shown, f"{name} {option}"
         command = app.cli.get_command(click.Context(app.cli), name)
         assert command is not None
+
+
+RECALL: tuple[int, ...] = MADE if takes_all() else MADE[::4]
+"""Every day some of the recordings, and one place in each."""
+
+
+@pytest.fixture(scope="module")
+def recall() -> Recall:
+    return of_made(PLACES if takes_all() else 1, RECALL)
+
+
+def test_at_least_95_percent_of_the_planted_faults_are_found_and_nothing_else(recall: Recall) -> None:
+    short = {rule for rule, planted in recall.planted.items() if recall.found[rule] < 0.95 * planted}
+    assert (short, recall.false) == (set(), [])
+    assert min(recall.planted[rule] for rule in RULES) > 0, "each rule is planted"
+
+
+def test_the_table_of_planted_faults_is_what_the_program_prints(recall: Recall) -> None:
+    lines = list(recall.lines())
+    first = PAGE.index(lines[0])
+    printed = PAGE[first:].splitlines()[: len(lines)]
+    if takes_all():
+        assert printed == lines
+    assert [line.split("|")[1] for line in printed[2:-2]] == [f" `{rule}` " for rule in RULES]
+    assert printed[-1].endswith(" frames: 0 false words.")

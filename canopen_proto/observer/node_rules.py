@@ -106,6 +106,15 @@ class NodeRules:
         self._consumers.pop((node_id, subindex), None)
         if producer and time and 0 < subindex <= MAX_CONSUMERS:
             self._consumers[node_id, subindex] = (producer, time)
+        self._limit()
+
+    def no_consumers(self, node_id: int) -> None:
+        """Take note that a node's 0x1016 is not known any more."""
+        for key in [key for key in self._consumers if key[0] == node_id]:
+            del self._consumers[key]
+        self._limit()
+
+    def _limit(self) -> None:
         for number, view in enumerate(self._views):
             view.limit = min((time for each, time in self._consumers.values() if each == number), default=NEVER)
             if view.limit == NEVER:

@@ -319,6 +319,8 @@ class Observer:
             self._sequences.booted(node_id, now)
             self._services.booted(node_id)
             self._timings.booted(node_id)
+            self._nodes.no_consumers(node_id)  # it has its power-on values again
+            self._read_consumers(node_id, self._dictionaries[node_id])
             if self._parameters.booted(node_id):
                 self._renew(node_id)
         elif len(data) == 1 and data[0] & _TOGGLE:

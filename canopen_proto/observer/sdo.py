@@ -219,9 +219,13 @@ class SdoFollower:
         return Meaning("SDO", self.node_id, once_more, frame)
 
     def _lost(self, text: str) -> None:
-        """Take a sign that frames are missing: nothing of this transfer is judged any more, up to the next request."""
+        """Take a sign that frames of this transfer are missing."""
         if self._is_judged:
             self._gaps.missing(self.node_id, text, self._now, self._found)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Judge nothing any more, up to the next request."""
         self._phase, self._is_judged, self._is_lost = _Phase.UNKNOWN, False, True
         self._rivals = self._twins = 0
         self._held = None
@@ -244,6 +248,7 @@ class SdoFollower:
         request = complete(data, LEAST_REQUEST)
         if request is None:
             self._found.append(Finding("sdo", self.node_id, "an SDO request is too short for its command"))
+            self._forget()  # what it asked for is not known, so neither is its answer
             return too_short
         specifier = request[0] & SPECIFIER
         if specifier == ABORT:

@@ -12,16 +12,12 @@ from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.observer.observer import RULES
 from tests.examples import takes_all
 from tests.interop.cct_session import SESSION
-from tests.interop.faults import CHANGES, DEVICES, SCENES, Found, Session, found_in
+from tests.interop.faults import CHANGES, KNOWN, SCENES, Found, Session, found_in
 from tests.interop.recorded import FOLDER, Line, load, needs_recordings
 
 pytestmark = needs_recordings
 
 SESSIONS = sorted(path.stem for path in FOLDER.glob("*.log")) or ["none"]
-KNOWN = {
-    # The session was made for this: the device's own emergency (0x8130) says the same in the same frame
-    "canopennode-heartbeat-consumer-emcy": ["late heartbeat", "boot-up"],  # a node that the tool plays boots again
-}
 PLACES = 4 if takes_all() else 1
 SHARE = 1 if takes_all() else 6
 """Every day each session has one in so many scenes."""
@@ -52,25 +48,20 @@ def test_a_changed_frame_is_found(name: str) -> None:
     for change in CHANGES:
         places = change.places(session)
         for at in random.sample(places, min(PLACES, len(places))):
-            found = [each.rule for each in found_in(change.plant(session, at)) if each not in known_in(name)]
+            found = [each.rule for each in change.found(session, at, known_in(name))]
             assert found[:1] == [change.rule], f"{change.rule} at frame {at}: {session[at].text}"
 
 
 @pytest.mark.parametrize("name", SESSIONS)
 def test_faults_of_two_further_devices_are_found_and_nothing_else(name: str) -> None:
     random, session = Random(name), session_of(name)
-    end = session[-1].time
     has_sync = any(line.frame.can_id == SYNC for line in session)
     for scene in SCENES[SESSIONS.index(name) % SHARE :: SHARE]:
         if has_sync and scene.has_sync:
             continue  # two producers
         for _ in range(PLACES):
             begin = scene.begin_in(session, random)
-            found = found_in(scene.within(session, begin))
-            for known in known_in(name):
-                found.remove(known)
-            # Behind the end of the recording its own nodes are silent, and so late; and for SYNCs that they have not heard
-            found = [each for each in found if each.node_id in DEVICES or (each.line.time <= end and not scene.has_sync)]
+            found = scene.found(session, begin, known_in(name))
             if scene.is_faulty:
                 assert scene.rule in {each.rule for each in found}, f"{scene.rule} from {begin} on"
                 assert all(each.line.time >= begin for each in found)

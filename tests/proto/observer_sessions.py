@@ -13,6 +13,8 @@ from tests.proto.bus import Bus
 
 Session = list[tuple[Time, Frame]]
 NODE = 12
+CLEAN = 60
+"""Clean recordings: see `clean`."""
 OF_THE_RECORDER = frozenset(("missing", "copied", "late heartbeat", "late pdo", "boot-up"))
 """What may be told of a clean recording that was damaged; "boot-up" only if the reset command is among what was lost."""
 

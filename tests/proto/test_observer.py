@@ -126,6 +126,27 @@ def test_a_heartbeat_that_is_late() -> None:
     assert bus.hear_all("607#2316100100000000", "587#6016100100000000", "080#", after=SECOND)[1:] == [], "it is switched off"
 
 
+def test_a_heartbeat_that_is_late_by_a_consumers_time_that_was_read() -> None:
+    read = ("607#4016100100000000", "587#43161001C8000500")  # node 7 listens to node 5, for 200 ms
+    bus = Bus()
+    assert bus.hear_all(*read, "705#05") == []
+    assert bus.hears("080#", after=150 * MILLISECOND) == [], "it still has time"
+    assert bus.hears("080#", after=60 * MILLISECOND) == [
+        "late heartbeat 5: no heartbeat for more than 200 ms, which node 7 allows"
+    ]
+    bus = Bus()
+    assert bus.hear_all(*read, "707#00", "705#05") == [], "behind its boot-up node 7 has the entry that it has stored, or none"
+    assert bus.hears("080#", after=SECOND) == []
+
+
+def test_a_boot_up_leaves_the_consumers_of_a_devices_file() -> None:
+    dictionary = ObjectDictionary([obj(0x1016, (U8, 1), (U32, 0x0005_0064))])
+    observer = Observer(lambda node_id: dictionary if node_id == 9 else None)
+    for text in ("609#2316100100000000", "589#6016100100000000", "000#8109", "709#00", "705#05"):
+        assert observer.observe(Frame.parse(text), 0).findings == ()
+    assert [each.rule for each in observer.observe(Frame.parse("080#"), SECOND).findings] == ["late heartbeat"]
+
+
 def test_consumers_of_a_devices_file() -> None:
     dictionary = ObjectDictionary([obj(0x1016, (U8, 1), (U32, 0x0005_0064))])
     observer = Observer(lambda node_id: dictionary if node_id == 9 else None)

@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.observer import Observer
 from tests.examples import examples
-from tests.proto.observer_sessions import OF_THE_RECORDER, Session, clean, damaged
-
-CLEAN = 60
+from tests.proto.observer_sessions import CLEAN, OF_THE_RECORDER, Session, clean, damaged
 
 
 def findings(session: Session) -> list[Finding]:

@@ -268,3 +268,8 @@ def test_the_objects_of_the_standard_have_names_and_types_without_a_file() -> No
     shown = [observer.observe(frame, now).meaning.objects[0] for now, frame in session]
     assert [each.name for each in shown] == ["program_software_identification:program_1"] * 2 + ["program_control:program_1"] * 2
     assert (shown[1].value, shown[2].value) == (0x12345678, 3)
+
+
+def test_the_answer_to_a_request_that_is_too_short_is_not_told_again() -> None:
+    session = frames("60C#4018100100000000", "58C#4318100101000000", "60C#4018", "58C#4318100201000000", "60C#4018100300000000")
+    assert rules(session) == ["sdo"]
