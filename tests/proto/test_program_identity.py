@@ -241,6 +241,22 @@ def test_a_reset_before_the_confirmation_is_noticed() -> None:
     assert so_far.left == "it shows the identification of its old program, and runs"
 
 
+def test_a_boot_between_the_first_looks_is_no_evidence_for_a_new_program() -> None:
+    """It ran a program on trial, and goes back to its old one behind the first look at its version: that is not our doing."""
+    with bench_of(Ways(identity="absent", version="running", has_status=False, drops=True)) as bench:
+        bench.memory.content[:] = b"on trial"
+        so_far = ProgramDownload(len(IMAGE))
+        bench.begin(IMAGE, so_far, unverified=True)
+        bench.bus.run_until(lambda: "606#4018100300000000" in bench.to_device())
+        bench.power_off()
+        bench.memory.content[:] = FIRST_PROGRAM
+        bench.power_on()
+        bench.outcome()
+        assert bench.memory.program == FIRST_PROGRAM
+        assert so_far.is_done
+        assert (so_far.verified_by, NOT_VERIFIED in so_far.remark) == ("", True)
+
+
 def test_a_master_that_does_not_poll_waits_for_the_answer_to_clear() -> None:
     """Lely's master sends the program as soon as "clear" is answered: the flash has to be erased by then."""
     for holds in (False, True):

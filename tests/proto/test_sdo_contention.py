@@ -415,6 +415,20 @@ def test_an_urgent_write_is_not_confirmed_by_the_late_answer_to_the_write_before
     assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
 
 
+def test_nor_by_the_late_answer_to_a_write_that_timed_out_though_the_strangers_exchange_is_over() -> None:
+    bench = Shared()
+    bench.client.download(0x6040, 0, b"\x0f\0", bench.now)
+    bench.wait(TIMEOUT)
+    bench.other(FOREIGN_READ)
+    bench.hear("4F 01 10 00 05 00 00 00")
+    bench.outcomes()
+    bench.client.download(0x6040, 0, b"\x07\0", bench.now, urgent=True)
+    bench.hear("60 40 60 00 00 00 00 00")
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
+
+
 def test_an_acknowledgement_of_the_segment_before_is_not_the_last_one() -> None:
     bench = Shared()
     bench.other("21 00 20 00 08 00 00 00", "00 01 02 03 04 05 06 07", "1D 08 00 00 00 00 00 00")
