@@ -6,6 +6,7 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
+COMPARISON: Final = ("tests/proto/test_boot_comparison.py",)
 ONE: Final = ("tests/proto/test_boot_node.py",)
 SUPERVISED: Final = ("tests/proto/test_supervised.py",)
 ALL: Final = ("tests/proto/test_boot_network.py", "tests/proto/test_boot_moments.py")
@@ -265,6 +266,30 @@ BOOT_MUTANTS: Final = tuple(
             "        if False:",
             "no node is said to run, while one that is kept alive and wrong runs on",
             WORDS,
+        ),
+        (
+            "late_node_waits_for_ever",
+            _NETWORK,
+            "if not self.startup.start_all or self.is_started:",
+            "if not self.startup.start_all:",
+            "a node that comes when the network runs is not started",
+            ALL,
+        ),
+        (
+            "lost_twice",
+            _NETWORK,
+            "        member.node.heartbeat.set_timeout(0, now)  # guarding",
+            "        pass  # guarding",
+            "a node that is reset since it was lost is lost once more",
+            ALL,
+        ),
+        (
+            "absent_pdo_has_a_can_id",
+            "boot/comparison.py",
+            "    return COB_ID_INVALID - 1 if cob_id & COB_ID_INVALID else _WITHOUT_RTR",
+            "    return _WITHOUT_RTR",
+            "the CAN-ID of a PDO that does not exist makes a configuration a different one",
+            COMPARISON,
         ),
     )
 )

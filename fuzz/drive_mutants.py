@@ -6,6 +6,8 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
+LIMITS: Final = ("tests/proto/test_limits.py", "tests/proto/test_move_limits.py")
+FOLLOWING: Final = ("tests/proto/test_following.py", "tests/master/test_following.py")
 ANY_SITUATION: Final = ("tests/proto/test_drive_stateful.py",)
 TABLES: Final = ("tests/proto/test_cia402_tables.py",)
 WALK: Final = ("tests/proto/test_drive_state_walk.py",)
@@ -301,6 +303,30 @@ DRIVE_MUTANTS: Final = tuple(
             "return self.node_id << 16 | 4 * self.timeout // MILLISECOND",
             "a drive that watches for its master four times too long",
             KILLS,
+        ),
+        (
+            "limit_nearly_kept",
+            "drive/limits.py",
+            "EXACT: Final = 1 + 1e-6",
+            "EXACT: Final = 1.02",
+            "a motion may exceed its limits by two hundredths",
+            LIMITS,
+        ),
+        (
+            "silent_for_longer",
+            "drive/following.py",
+            "SILENT_SYNCS: Final = 3",
+            "SILENT_SYNCS: Final = 5",
+            "a drive that falls silent is followed for two cycles more than is said",
+            FOLLOWING,
+        ),
+        (
+            "following_limit_too_late",
+            "drive/following.py",
+            "UNCERTAIN: Final = 2",
+            "UNCERTAIN: Final = 4",
+            "a drive may be four cycles of its motion behind, not two",
+            FOLLOWING,
         ),
     )
 )

@@ -13,6 +13,8 @@ STALLS: Final = ("tests/master/test_stalls.py",)
 NODE_PDOS: Final = ("tests/master/test_node_pdos.py",)
 SLOTS: Final = ("tests/master/test_procedure_slot.py",)
 
+_LATE_SYNC: Final = "canopen_master/motion/late_sync.py"
+
 MASTER_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
@@ -87,6 +89,38 @@ MASTER_MUTANTS: Final = tuple(
             "        elif False:\n            self._begin()",
             "the PDOs of a device that was Stopped are never exchanged",
             NODE_PDOS,
+        ),
+        (
+            "late_step_as_if_in_time",
+            _LATE_SYNC,
+            "(at - came_from) * periods",
+            "(at - came_from) * 0.0",
+            "how late a SYNC is does not count for the step that its drives take",
+            STALLS,
+        ),
+        (
+            "twice_the_way_unseen",
+            _LATE_SYNC,
+            "> way * _EXACT for",
+            "> 2.0 * way * _EXACT for",
+            "a joint may be sent twice as far as its speed allows before anybody looks",
+            STALLS,
+        ),
+        (
+            "back_at_full_speed",
+            _LATE_SYNC,
+            "RETURN: Final = 0.2",
+            "RETURN: Final = 1.0",
+            "a joint begins and ends its return to the path at once, at its highest speed",
+            STALLS,
+        ),
+        (
+            "back_beyond_its_limits",
+            _LATE_SYNC,
+            "            to = min(max(to, min(lowest, sent)), max(highest, sent))\n",
+            "",
+            "on its return to the path a joint leaves its range of positions",
+            STALLS,
         ),
     )
 )

@@ -9,6 +9,7 @@ from fuzz.mutant import Mutant
 SERVICES: Final = ("tests/proto/test_observer_services.py",)
 SDO: Final = ("tests/proto/test_observer_sdo.py",)
 FRAMES: Final = ("tests/proto/test_observer.py",)
+MIDLIFE: Final = ("tests/proto/test_observer_midlife.py",)
 GAPS: Final = ("tests/proto/test_observer_gaps.py",)
 
 _GAPS: Final = "observer/gaps.py"
@@ -118,6 +119,79 @@ OBSERVER_MUTANTS: Final = tuple(
             "if answer[0] & TOGGLE != self._toggle and answer is self._before:",
             "a copy that comes late is a certain fault of the toggle bit",
             SDO,
+        ),
+        (
+            "observer_any_first_toggle",
+            _NODES,
+            "view.period, view.toggle = 0, _TOGGLE",
+            "view.period, view.toggle = 0, None",
+            "a node whose first toggle bit behind its boot-up is wrong is not found",
+            SERVICES,
+        ),
+        (
+            "observer_sync_counter_backwards",
+            _SERVICES,
+            "data[0] not in (1, last + 1)",
+            "data[0] > last + 1",
+            "a counter of SYNC that goes back counts as one in order",
+            SERVICES,
+        ),
+        (
+            "observer_event_timer_twice",
+            _PDOS,
+            "timing.event_timer * 3 // 2",
+            "timing.event_timer * 5 // 2",
+            "a PDO that its event timer should have sent twice is not missed",
+            SERVICES,
+        ),
+        # ---- settings in mid-life ----
+        (
+            "observer_stored_forgotten",
+            "observer/parameters.py",
+            "        self._recorded[node_id] = dict(stored)\n",
+            "        self._recorded[node_id] = {}\n",
+            "a device that has stored its settings is taken to have lost them by its boot-up",
+            MIDLIFE,
+        ),
+        (
+            "observer_restored_in_vain",
+            "observer/parameters.py",
+            "            self._stored.pop(node_id, None)\n",
+            "            pass\n",
+            "a device that was restored to its defaults is taken to keep what it had stored",
+            MIDLIFE,
+        ),
+        (
+            "observer_stored_is_alive",
+            "observer/parameters.py",
+            "self._stored[node_id] = dict(self._recorded.get(node_id, {}))",
+            "self._stored[node_id] = self._recorded.setdefault(node_id, {})",
+            "what is written behind the storing counts as stored",
+            MIDLIFE,
+        ),
+        (
+            "observer_old_routes",
+            "observer/observer.py",
+            "            self._assigned = None\n        self._routes.clear()",
+            "            self._assigned = None\n            self._routes.clear()",
+            "a PDO that was given another CAN-ID is still named by the old one",
+            MIDLIFE,
+        ),
+        (
+            "view_counts_the_present_slot",
+            "observer/bus_view.py",
+            "        if slot - _SLOTS <= self.slot < slot:\n",
+            "        if slot - _SLOTS <= self.slot <= slot:\n",
+            "the rates are those of 1.1 s",
+            MIDLIFE,
+        ),
+        (
+            "view_commands_nodes_that_speak",
+            "observer/bus_view.py",
+            "node.state, node.is_said, node.state_at = state, False, now",
+            "node.state, node.state_at = state, now",
+            "a state that a node was told is shown as one that it has said",
+            MIDLIFE,
         ),
     )
 )

@@ -14,6 +14,9 @@ HEARTBEAT: Final = ("tests/proto/test_heartbeat.py",)
 SYNC: Final = ("tests/proto/test_sync.py",)
 LSS: Final = ("tests/proto/test_lss.py",)
 LSS_LIFE: Final = ("tests/proto/test_lss_midlife.py",)
+CHANNELS: Final = ("tests/proto/test_sdo_channels.py",)
+FAIRNESS: Final = ("tests/proto/test_sdo_fairness.py",)
+SERVER: Final = ("tests/proto/test_sdo_server.py",)
 HOST: Final = ("tests/proto/test_sdo_server_host.py",)
 
 _PRODUCER: Final = "pdo/producer.py"
@@ -302,6 +305,31 @@ SERVICE_MUTANTS: Final = tuple(
             "            self._door.ask(self)",
             "the host has less time for a further piece than for the first one",
             HOST,
+        ),
+        # ---- queues and limits ----
+        (
+            "disabled_channel_goes_on",
+            "sdo/channels.py",
+            "                self.abort_all(AbortCode.DEVICE_STATE, now)  # `send` keeps it off the bus",
+            "                pass",
+            "a device that is stopped goes on with its transfers as a client later",
+            CHANNELS,
+        ),
+        (
+            "urgent_requests_starve_others",
+            "sdo/request_queue.py",
+            "        if self._urgent_run == MAX_URGENT_RUN and self.others and",
+            "        if self._urgent_run > MAX_URGENT_RUN and self.others and",
+            "a caller that is always in a hurry keeps all others waiting",
+            FAIRNESS,
+        ),
+        (
+            "host_limit_doubled",
+            "sdo/host.py",
+            "        if refusal is None and size is not None and size > limit:",
+            "        if refusal is None and size is not None and size > 2 * limit:",
+            "a value that is too long is not refused before its data come",
+            SERVER,
         ),
     )
 )

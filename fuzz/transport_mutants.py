@@ -129,5 +129,13 @@ TRANSPORT_MUTANTS: Final = tuple(
             "a wire that nobody heard for an hour has an hour to catch up",
             ARBITRATION,
         ),
+        (
+            "lost_adapter_goes_on",
+            _PYTHON_CAN,
+            "        if peak.is_lost(status):\n            self._end(",
+            "        if False:\n            self._end(",
+            "an adapter that was pulled out is waited for without end",
+            PCAN,
+        ),
     )
 )
