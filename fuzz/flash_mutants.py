@@ -6,13 +6,14 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
+TRANSFER: Final = ("tests/proto/test_program_download.py",)
 IDENTITY: Final = ("tests/proto/test_program_identity.py",)
 
 _DOWNLOAD: Final = "procedures/program_download.py"
 _OBJECTS: Final = "procedures/program_objects.py"
 
 FLASH_MUTANTS: Final = tuple(
-    Mutant(*each, IDENTITY, in_corpus=False)
+    Mutant(*each, in_corpus=False)
     for each in (
         (
             "old_program_called_new",
@@ -20,6 +21,7 @@ FLASH_MUTANTS: Final = tuple(
             "        wanted = so_far.id_sent if self.expected is None and is_new else self.expected\n",
             "        wanted = self.expected\n",
             "without an expected identification a boot loader that has gone back to its old program is not noticed",
+            IDENTITY,
         ),
         (
             "any_program_is_verified",
@@ -27,6 +29,7 @@ FLASH_MUTANTS: Final = tuple(
             "            so_far.verified_by = before.changed_to(identity, self.stopped)\n",
             '            so_far.verified_by = "it runs"\n',
             "a program is called verified since 0x1F51 says that one runs",
+            IDENTITY,
         ),
         (
             "boot_loader_is_new_program",
@@ -34,6 +37,7 @@ FLASH_MUTANTS: Final = tuple(
             "later.version not in (self.version, stopped.version)",
             "later.version != self.version",
             "the version of the boot loader itself is taken for that of a new program",
+            IDENTITY,
         ),
         (
             "started_unverified",
@@ -41,6 +45,7 @@ FLASH_MUTANTS: Final = tuple(
             "if self.expected is None and not self.is_judged and not self.unverified:",
             "if False:",
             "a program that nothing has verified is started, and nobody has allowed it",
+            IDENTITY,
         ),
         (
             "confirmed_is_new",
@@ -48,6 +53,7 @@ FLASH_MUTANTS: Final = tuple(
             "            yield from self._compare()  # a reset",
             "            # a reset",
             "a reset before the confirmation brings the old program back, and it is called new",
+            IDENTITY,
         ),
         (
             "identity_across_a_boot",
@@ -55,6 +61,7 @@ FLASH_MUTANTS: Final = tuple(
             "            if self.node.boots == boots:\n",
             "            if True:\n",
             "what a device showed before it went back to its old program counts as evidence",
+            IDENTITY,
         ),
         (
             "silence_about_it",
@@ -62,6 +69,7 @@ FLASH_MUTANTS: Final = tuple(
             "remarks = [] if self.so_far.verified_by else [NOT_VERIFIED]",
             "remarks: list[str] = []",
             "nobody is told that nothing was verified",
+            IDENTITY,
         ),
         (
             "clear_answered_at_once",
@@ -69,6 +77,15 @@ FLASH_MUTANTS: Final = tuple(
             "self.settings.is_deaf or self.settings.holds_clear else None",
             "self.settings.is_deaf else None",
             "the answer to clear is never held, so a master that does not poll is refused",
+            IDENTITY,
+        ),
+        (
+            "lost_blocks_for_ever",
+            _DOWNLOAD,
+            "        if not lost or self.so_far.writes == WRITES - 1:",
+            "        if not lost:",
+            "a bus that loses every block transfer never gets the plain one",
+            TRANSFER,
         ),
     )
 )

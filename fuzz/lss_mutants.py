@@ -87,5 +87,13 @@ LSS_MUTANTS: Final = tuple(
             "a search through ranges forgets a device because one frame was lost",
             SCAN,
         ),
+        (
+            "two_confirm_one_node_id",
+            _ASSIGN,
+            "if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:",
+            "if reply.count > 2 and service is LssService.CONFIGURE_NODE_ID:",
+            "two devices take one node-ID, and nobody says so",
+            ASSIGN,
+        ),
     )
 )

@@ -144,6 +144,14 @@ OBSERVER_MUTANTS: Final = tuple(
             "a PDO that its event timer should have sent twice is not missed",
             SERVICES,
         ),
+        (
+            "observer_turns_one_sooner",
+            _NODES,
+            "if len(view.turns) > _TURNS:",
+            "if len(view.turns) >= _TURNS:",
+            "a node that was late is two nodes after one turn less than is said",
+            FRAMES,
+        ),
         # ---- settings in mid-life ----
         (
             "observer_stored_forgotten",

@@ -328,6 +328,18 @@ def test_a_text_has_one_verdict_in_xdd_and_eds(text: str) -> None:
     assert codes[0] == codes[1] == ([] if text == "Größe" else ["text-characters"])
 
 
-def test_that_modules_are_not_read_is_told() -> None:
-    text = xdd(var('dataType="0005" accessType="rw"')).replace(b"<CANopenObjectList", b"<moduleManagement/><CANopenObjectList", 1)
-    assert [each.code for each in read_xdd(text).findings] == ["modules"]
+@pytest.mark.parametrize(
+    ("inside", "words"),
+    [
+        ("", "this device has modules"),
+        ("<interfaceList/>", "this device has modules"),
+        ("<moduleInterface/>", "describes a module"),
+    ],
+)
+def test_that_modules_are_not_read_is_told(inside: str, words: str) -> None:
+    """CiA 311 v1.1: a device lists the interfaces for its modules; the file of a module names the one that it fits."""
+    modules = f"<moduleManagement>{inside}</moduleManagement><CANopenObjectList".encode()
+    text = xdd(var('dataType="0005" accessType="rw"')).replace(b"<CANopenObjectList", modules, 1)
+    (finding,) = read_xdd(text).findings
+    assert finding.code == "modules"
+    assert words in finding.message

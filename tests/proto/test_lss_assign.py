@@ -171,6 +171,22 @@ def test_nothing_is_written_while_another_device_is_selected_too() -> None:
     assert (bench.sent(LssService.CONFIGURE_NODE_ID), deaf.pending.node_id, bench.ids) == (0, UNCONFIGURED, [UNCONFIGURED])
 
 
+class Shy(LssSlave):
+    """A slave that does not say which node-ID it has."""
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        if frame.data[0] != LssService.INQUIRE_NODE_ID:
+            super().receive(frame, now)
+
+
+def test_a_node_id_that_two_devices_confirm_is_taken_back() -> None:
+    bench = LssBench(some(1))
+    shy = bench.bus.attach(Shy(Outbox(), some(1)[0]))
+    given = bench.run(give(bench.tool, bench.pace, some(1)[0], 10))
+    assert "two devices answered" in given.remark
+    assert (bench.ids, shy.pending.node_id, bench.sent(LssService.STORE)) == ([UNCONFIGURED], UNCONFIGURED, 0)
+
+
 def test_a_node_changes_its_id_and_no_other_does() -> None:
     addresses = some(2)
     bench = LssBench(addresses, [4, 5])

@@ -90,6 +90,7 @@ def test_an_sdo_to_a_stopped_node() -> None:
         (["705#05", "705#7F"] * 3, True),
         (["705#05", "705#05", "705#7F"] * 3, True),
         (["705#05", "705#7F", "705#05", "705#7F"], False),  # an NMT command may be missing, and another one
+        (["705#05", "705#7F", "705#05", "705#7F", "705#05"], False),  # or two of them
         (["705#05", "705#7F", "705#05"], False),  # an error, and a node that starts again by itself
         (["705#05", "705#04", "705#7F", "705#05"], False),
         (["705#05", "000#8005", "705#7F", "000#0105", "705#05", "000#8000", "705#7F"], False),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.boot_loader import FIRST_PROGRAM, BootLoader, BootLoaderSettings, ProgramMemory
+from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.program_download import (
@@ -22,6 +23,7 @@ from canopen_proto.procedures.program_download import (
 )
 from canopen_proto.procedures.runner import ProcedureCancelled
 from canopen_proto.programs import FlashError, ProgramControl
+from canopen_proto.sdo.codec import ABORT, BLOCK_DOWNLOAD
 from canopen_proto.sdo.events import ObjectAccessPending
 from canopen_proto.sdo.server import Pending
 from tests.examples import examples, takes_all
@@ -88,6 +90,27 @@ def test_an_identification_counts_only_if_the_flash_status_has_nothing_against_i
 @pytest.mark.parametrize("lost", [{0}, {1}, {0, 1, 2, 3}])
 def test_a_device_without_an_answer_at_first(lost: set[int]) -> None:
     assert FlashBench(lose=lost).flash(IMAGE).is_done
+
+
+class LosesBlocks(BootLoader):
+    """No segment of a block transfer reaches it."""
+
+    is_in_blocks = False
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        if frame.can_id == 0x606:
+            command = frame.data[0]
+            if self.is_in_blocks and command != ABORT:
+                return
+            self.is_in_blocks = command & 0xE1 == BLOCK_DOWNLOAD
+        super().receive(frame, now)
+
+
+def test_a_program_that_no_block_transfer_brings_is_written_without_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flash_bench, "BootLoader", LosesBlocks)
+    bench, image = FlashBench(), pattern(300)
+    assert bench.flash(image, expected_id=crc32(image)).writes == 3
+    assert bench.memory.program == image
 
 
 def test_a_device_that_is_not_there() -> None:

@@ -50,7 +50,11 @@ MAX_OBJECTS: Final = 20_000
 MAX_VARIABLES: Final = 100_000
 
 _MODULES: Final = (("ApplicationLayers", "moduleManagement"), ("DeviceManager", "moduleManagement"))
-"""Where an XDD describes what its modules are (from memory; no such file was at hand)."""
+"""Where an XDD of version 1.1 says that a device has modules, or is one."""
+_MODULE_INTERFACE: Final = "moduleInterface"
+"""In such an element: the file describes a module, which is a part of another device."""
+_HAS_MODULES: Final = "this device has modules; their objects are not read from an XDD, and are missing here"
+_IS_MODULE: Final = "this file describes a module, a part of a device; the objects may have other indices there"
 _TYPES: Final = {int(each): each for each in DataType}
 _ACCESS: Final = {each.value: each for each in Access} | ACCESS
 _IN_PARAMETER: Final = {
@@ -83,7 +87,7 @@ def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDe
         findings.error("no-objects", "there is no CANopenObjectList, and so no object", root)
     for path in _MODULES:
         for each in device.find_all(bodies, *path):
-            message = "this device has modules; their objects are not read from an XDD, and are missing here"
+            message = _IS_MODULE if list(each.all(_MODULE_INTERFACE)) else _HAS_MODULES
             findings.warning("modules", f"{message}: an EDS or DCF of the device has them", each)
     commissioning = device.commissioning(bodies, findings)
     mandatory, optional, manufacturer = lists_of(reader.objects)  # an XDD has no lists
