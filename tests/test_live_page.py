@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from canopen_cli import app
 from canopen_proto.observer.observer import RULES
 from fuzz.recall import MADE, PLACES, Recall, of_made
-from tests.examples import takes_all
 from tests.docs_build import DOCS, load_build
+from tests.examples import takes_all
 
 PAGE = (DOCS / "live.md").read_text(encoding="utf-8")
 

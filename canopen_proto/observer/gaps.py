@@ -25,6 +25,10 @@ class Gaps:
         self.last: Time = -NEVER
         self._copied: Time = -NEVER
 
+    def is_near(self, now: Time) -> bool:
+        """Return whether frames were missing, or there twice, within the last QUIET."""
+        return now - max(self.last, self._copied) <= QUIET
+
     def missing(self, node_id: int, text: str, now: Time, found: list[Finding]) -> None:
         """Take a sign that frames are missing. found: takes the finding, if this is not the gap of the sign before."""
         if now - self.last > QUIET:

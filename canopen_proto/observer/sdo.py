@@ -13,7 +13,7 @@ Whatever a missing frame can look like is told as that, once (gaps.py). A fault 
 
     toggle        of a segment: all bytes are there that were announced, so no segment is missing; or the server says so itself.
                   It is likely only where a copy of the frame before, in the place of the right one, would look the same
-    size          the difference is less than a segment; it is likely only
+    size          the difference is less than a segment; it is likely only, and is told as missing frames behind another gap
     crc           the announced size is there
     two masters   another client's transfer inside of one that has all its bytes; or _REPEATED times, a second apart, answers to
                   two requests at once
@@ -497,12 +497,13 @@ class SdoFollower:
         is_odd, self._odd = self._odd, ""
         if announced is not None and length != announced:
             self._is_sound = False
-            if (self._is_paused and not is_complete) or abs(announced - length) >= _SEGMENT:
+            is_doubtful = self._is_paused or self._gaps.is_near(self._now)
+            if (is_doubtful and not is_complete) or abs(announced - length) >= _SEGMENT:
                 self._lost(f"{name_of(self._place)} was announced with {announced} bytes, and has {length}")
                 return
             text = f"{name_of(self._place)} was announced with {announced} bytes, and has {length}"
             self._say("size", text, is_certain=False)
-        if is_odd and announced == length:
+        if is_odd and announced == length and (self._is_odd_proven or not self._gaps.is_near(self._now)):
             self._say("toggle", f"{is_odd}, and no segment is missing", is_certain=self._is_odd_proven)
         elif is_odd:
             self._is_sound = False

@@ -183,7 +183,8 @@ class Scene:
     def found(self, session: Session, begin: Time, known: list[Found]) -> list[Found]:
         """What is found with this scene from a time on. known: what is found without it.
 
-        Known is by rule and node: a frame of the scene may be the one that shows it. Left out: behind the end of the recording its own nodes are silent, and so late; and for SYNCs that they have not heard.
+        Known is by rule and node: a frame of the scene may be the one that shows it. Left out: behind the end of the recording
+        its own nodes are silent, and so late; and for SYNCs that they have not heard.
         """
         end, found = session[-1].time, found_in(self.within(session, begin))
         for rule, node_id in ((each.rule, each.node_id) for each in known):

@@ -15,8 +15,8 @@ Session = list[tuple[Time, Frame]]
 NODE = 12
 CLEAN = 60
 """Clean recordings: see `clean`."""
-OF_THE_RECORDER = frozenset(("missing", "copied", "late heartbeat", "late pdo", "boot-up"))
-"""What may be told of a clean recording that was damaged; "boot-up" only if the reset command is among what was lost."""
+OF_THE_RECORDER = frozenset(("missing", "copied", "late heartbeat", "late pdo"))
+"""What may be told of a clean recording that was damaged, besides a boot-up whose reset command was lost."""
 
 
 def transfer(size: int, *, up: bool, block: bool, crc: bool = True) -> Session:

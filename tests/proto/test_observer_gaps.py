@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.observer import Observer
 from tests.examples import examples
-from tests.proto.observer_sessions import CLEAN, OF_THE_RECORDER, Session, clean, damaged
+from tests.proto.observer_sessions import CLEAN, NODE, OF_THE_RECORDER, Session, clean, damaged
 
 
 def findings(session: Session) -> list[Finding]:
@@ -27,8 +27,24 @@ def test_nothing_is_found_in_a_clean_recording(number: int) -> None:
 def test_a_damaged_recording_shows_that_it_is_damaged_and_nothing_else(number: int, seed: int) -> None:
     """But for a size or a toggle bit that is said to be likely: the loss of most of two transfers can look like one of these."""
     session = damaged(clean(number), seed)
-    accused = [each for each in findings(session) if each.rule not in OF_THE_RECORDER]
+    told = findings(session)
+    accused = [each for each in told if each.rule not in OF_THE_RECORDER and each.rule != "boot-up"]
     assert [each for each in accused if each.is_certain or each.rule not in ("size", "toggle")] == []
+    assert len([each for each in told if each.rule == "boot-up"]) == boot_ups_without_a_reason(session)
+
+
+def boot_ups_without_a_reason(session: Session) -> int:
+    """How often node 12 boots behind a frame of its own without a reset command in between, as this recording has it."""
+    count, is_up, is_reset = 0, False, False
+    for text in (str(frame) for _, frame in session):
+        if text == f"70{NODE:X}#00":
+            count += is_up and not is_reset
+            is_up = is_reset = False
+        elif text == f"000#81{NODE:02X}":
+            is_reset = True
+        elif text[:3] in (f"70{NODE:X}", f"58{NODE:X}"):
+            is_up = True
+    return count
 
 
 @given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))

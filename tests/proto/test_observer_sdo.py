@@ -273,3 +273,10 @@ def test_the_objects_of_the_standard_have_names_and_types_without_a_file() -> No
 def test_the_answer_to_a_request_that_is_too_short_is_not_told_again() -> None:
     session = frames("60C#4018100100000000", "58C#4318100101000000", "60C#4018", "58C#4318100201000000", "60C#4018100300000000")
     assert rules(session) == ["sdo"]
+
+
+@pytest.mark.parametrize(("after", "told"), [(10, ["missing"]), (1500, ["missing", "size"])])
+def test_a_size_right_behind_a_gap_is_no_fault_of_the_node(after: int, told: list[str]) -> None:
+    gap = frames("60C#4018100100000000", "58C#4318100201000000")
+    odd = frames("60C#2100200005000000", "58C#6000200000000000", "60C#0761626364000000")
+    assert rules([*gap, *((at + after * MILLISECOND, frame) for at, frame in odd)]) == told
