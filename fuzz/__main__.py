@@ -4,6 +4,9 @@
     python -m fuzz sdo_server [-max_total_time=3600 and whatever else libFuzzer takes]
     python -m fuzz show crash-...
     python -m fuzz keep sdo_server
+    python -m fuzz sdo_clients 100000 [SEED]
+
+`sdo_clients` needs no atheris: it draws as many cases as it is told (sdo_clients.py).
 
 `python -m fuzz.mutants` plants bugs and says whether the inputs below and the tests find them.
 
@@ -26,13 +29,18 @@ def main(arguments: list[str]) -> int:
 
         print(text_of(decode(Path(arguments[1]).read_bytes())))
         return 0
+    if len(arguments) in (2, 3) and arguments[0] == "sdo_clients" and arguments[1].isdecimal():
+        from fuzz.sdo_clients import many
+
+        return many(int(arguments[1]), "".join(arguments[2:]) or "0")
     names = sorted(path.name for path in (HERE / "corpus").iterdir())
     if len(arguments) == 2 and arguments[0] == "keep" and arguments[1] in names:
         found = HERE / "found" / arguments[1]
         keep(arguments[1], [path.read_bytes() for path in found.iterdir()] if found.exists() else kept(arguments[1]))
         return 0
     if not arguments or arguments[0] not in names:
-        print(f"usage: python -m fuzz {{{','.join(names)}}} [libFuzzer options]\n       python -m fuzz show FILE | keep TARGET")
+        print(f"usage: python -m fuzz {{{','.join(names)}}} [libFuzzer options]")
+        print("       python -m fuzz show FILE | keep TARGET | sdo_clients COUNT [SEED]")
         return 2
     try:
         import atheris

@@ -1,241 +1,73 @@
 """Several clients on one SDO channel (contention.py): never wrong bytes as success, never "confirmed" for what is not there.
 
-The bus is a CAN without losses: one order of frames, queues of any length at each end. The oracle is the server's own history:
-what an object held while a read of it was open, what was written to it while a write was.
+The model of the property is fuzz/sdo_clients.py, which runs as many cases as one likes by hand.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass
+from random import Random
 
 import pytest
-from hypothesis import given
+from hypothesis import given, note
 from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.sdo.client import (
-    CONTEST_LIMIT,
-    LATE_GUARD,
-    TIMEOUT,
-    Block,
-    SdoAborted,
-    SdoChunk,
-    SdoClient,
-    SdoDownloaded,
-    SdoStreamUploaded,
-    SdoUploaded,
-)
-from canopen_proto.sdo.codec import INITIATE, LEAST_REQUEST, complete, what_was_asked
+from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Outcome, Time
+from canopen_proto.sdo.access import ObjectStore
+from canopen_proto.sdo.client import CONTEST_LIMIT, LATE_GUARD, TIMEOUT, SdoAborted, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.codec import what_was_asked
 from canopen_proto.sdo.contention import SPREAD
 from canopen_proto.sdo.server import SdoServer
+from fuzz.sdo_clients import SERVERS, History, case_of, many, run
 from tests.examples import examples
-from tests.proto.bus import Wire, take_events
+from tests.proto.bus import take_events
 from tests.proto.test_sdo_client import Bench
-
-NODE = 5
-SIZES = {0x2000: 1, 0x2001: 4, 0x2002: 8, 0x2003: 8, 0x2004: 40, 0x2005: 300}
-"""The objects and their bytes: expedited, two segments, and more than a sub-block of the smallest size."""
-
-
-class History:
-    """A store that remembers what each object held, and since when."""
-
-    def __init__(self) -> None:
-        self.held: dict[int, list[tuple[Time, bytes]]] = {index: [(0, bytes(size))] for index, size in SIZES.items()}
-
-    def read(self, index: int, subindex: int, now: Time) -> bytes | AbortCode:
-        return self.held[index][-1][1] if index in self.held else AbortCode.NO_SUCH_OBJECT
-
-    def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
-        return None if index in self.held else AbortCode.NO_SUCH_OBJECT
-
-    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
-        if index in self.held:
-            self.held[index].append((now, bytes(data)))
-            return None
-        return AbortCode.NO_SUCH_OBJECT
-
-    def between(self, index: int, start: Time, end: Time) -> set[bytes]:
-        """All values that the object had from start to end."""
-        entries = self.held[index]
-        ends = [time for time, _ in entries[1:]] + [NEVER]
-        return {value for (since, value), until in zip(entries, ends, strict=True) if since <= end and until >= start}
-
-    def was_written(self, index: int, data: bytes, start: Time, end: Time) -> bool:
-        return any(start <= time <= end and value == data for time, value in self.held[index][1:])
-
-
-class Firmware(SdoServer):
-    """A server as much firmware has it: during a segmented transfer it hears no initiate request, of whomever.
-
-    is_loud: it answers these with an abort, 0x05040001, that names them.
-    """
-
-    is_loud = False
-
-    def receive(self, frame: Frame, now: Time) -> None:
-        data = complete(frame.data, LEAST_REQUEST)
-        if data is not None and self.busy and data[0] >> 5 in (1, 2) and not (self._transfer and self._transfer.in_blocks):
-            if self.is_loud:
-                self.send(INITIATE.pack(0x80, data[1] | data[2] << 8, data[3], AbortCode.INVALID_COMMAND))
-            return
-        super().receive(frame, now)
-
-
-class LoudFirmware(Firmware):
-    is_loud = True
-
-
-SERVERS: dict[str, type[SdoServer]] = {"restarts": SdoServer, "is deaf in a transfer": Firmware, "aborts intruders": LoudFirmware}
-
-
-class Script(Machine):
-    """A stranger that follows no rule: it sends what it was told, when it was told, and listens to nobody."""
-
-    def __init__(self, out: Outbox, frames: list[tuple[Time, bytes]]) -> None:
-        super().__init__(out)
-        self._frames = sorted(frames, key=lambda each: each[0])
-        self.deadline = self._frames[0][0] if self._frames else NEVER
-
-    def handle_timeout(self, now: Time) -> None:
-        while self._frames and self._frames[0][0] <= now:
-            self.out.frames.append(Frame(0x600 + NODE, self._frames.pop(0)[1]))
-        self.deadline = self._frames[0][0] if self._frames else NEVER
-
-
-@dataclass(frozen=True)
-class Asked:
-    """One request of one of our clients."""
-
-    client: int
-    at: Time
-    index: int
-    is_write: bool
-    block: Block
-    urgent: bool
-    stream: bool = False
-
-
-def content(index: int, salt: int) -> bytes:
-    """What request number `salt` writes: different bytes each time."""
-    return bytes((salt * 17 + place * 31 + index) & 0xFF for place in range(SIZES[index]))
-
-
-def run(seed: int, slowest: Time, kind: str, asked: list[Asked], script: list[tuple[Time, bytes]]) -> list[str]:
-    """Let them all go, and return what is wrong."""
-    bus, history = Wire(seed, delay=(0, slowest)), History()
-    bus.attach(SERVERS[kind](Outbox(), NODE, history))
-    clients = [bus.attach(SdoClient(Outbox(), NODE)) for _ in range(1 + max(each.client for each in asked))]
-    bus.attach(Script(Outbox(), script))
-    for number, client in enumerate(clients):
-        client.out.root.request_id = number * 1000  # so that an outcome tells whose it is
-    opened: dict[RequestId, tuple[Asked, Time, int]] = {}
-    ends: Counter[RequestId] = Counter()
-    wrong: list[str] = []
-    pieces: dict[RequestId, bytes] = {}
-
-    def judge(event: Event) -> None:
-        if isinstance(event, SdoChunk):
-            pieces[event.request_id] = pieces.get(event.request_id, b"") + event.data
-            clients[event.request_id // 1000].proceed(event.request_id, bus.now)
-        if not isinstance(event, Outcome):
-            return
-        request, since, salt = opened[event.request_id]
-        ends[event.request_id] += 1
-        if isinstance(event, SdoUploaded | SdoStreamUploaded):
-            data = event.data if isinstance(event, SdoUploaded) else pieces.get(event.request_id, b"")
-            if data not in history.between(request.index, since, bus.now):
-                wrong.append(f"read {data.hex()} as success: {request}")
-        elif isinstance(event, SdoDownloaded):
-            if not history.was_written(request.index, content(request.index, salt), since, bus.now):
-                wrong.append(f"confirmed what was not written: {request}")
-        elif isinstance(event, SdoAborted):
-            if event.origin is AbortOrigin.PEER:
-                wrong.append(f"refused, though the server has it and takes it: {event}, {request}")
-            is_there = request.is_write and history.was_written(request.index, content(request.index, salt), since, bus.now)
-            if is_there and not event.not_confirmed:
-                wrong.append(f"not a word that it may have been written: {event}, {request}")
-            if event.origin is AbortOrigin.CONTESTED and not event.others_doing:
-                wrong.append(f"nobody is named: {event}")
-
-    bus.on_event = judge
-    for salt, each in enumerate(sorted(asked, key=lambda each: each.at)):
-        bus.run(each.at - bus.now)
-        client, data = clients[each.client], content(each.index, salt)
-        if each.is_write:
-            request_id = client.download(each.index, 0, data, bus.now, urgent=each.urgent, block=each.block)
-        elif each.stream:
-            request_id = client.upload_stream(each.index, 0, bus.now, urgent=each.urgent)
-        else:
-            request_id = client.upload(each.index, 0, bus.now, urgent=each.urgent, block=each.block)
-        opened[request_id] = each, bus.now, salt
-    bus.settle(120 * SECOND)
-    wrong += [f"{ends[request_id]} outcomes: {each}" for request_id, (each, _, _) in opened.items() if ends[request_id] != 1]
-    return wrong
-
-
-TIMES = st.one_of(st.integers(0, 3 * MILLISECOND), st.integers(0, 800 * MILLISECOND))
-BLOCKS: st.SearchStrategy[Block] = st.sampled_from([False, False, True, "auto"])
-
-
-@st.composite
-def askings(draw: st.DrawFn) -> list[Asked]:
-    count = draw(st.integers(1, 3))
-    asked = []
-    for _ in range(draw(st.integers(1, 5))):
-        is_write = draw(st.booleans())
-        stream = not is_write and draw(st.integers(0, 5)) == 0
-        index = draw(st.sampled_from(list(SIZES)))
-        urgent = draw(st.integers(0, 3)) == 0
-        asked.append(Asked(draw(st.integers(0, count - 1)), draw(TIMES), index, is_write, draw(BLOCKS), urgent, stream))
-    return asked
-
-
-@st.composite
-def scripted(draw: st.DrawFn) -> list[tuple[Time, bytes]]:
-    """Frames of a stranger: whole exchanges without regard to the answers, or anything at all."""
-    frames: list[tuple[Time, bytes]] = []
-    for _ in range(draw(st.integers(0, 3))):
-        at, index = draw(TIMES), draw(st.sampled_from(list(SIZES)))
-        gap = draw(st.sampled_from([50 * MICROSECOND, 400 * MICROSECOND, 5 * MILLISECOND, 150 * MILLISECOND]))
-        name = bytes((index & 0xFF, index >> 8, 0))
-        fill = draw(st.binary(min_size=7, max_size=7))
-        kind = draw(st.integers(0, 6))
-        if kind == 0:
-            whole = [b"\x40" + name + bytes(4), b"\x60" + bytes(7), b"\x70" + bytes(7)]
-        elif kind == 1:
-            whole = [b"\x21" + name + SIZES[index].to_bytes(4, "little"), b"\x00" + fill, b"\x1d" + fill]
-        elif kind == 2:
-            whole = [b"\x23" + name + fill[:4]]
-        elif kind == 3:
-            whole = [b"\xa4" + name + b"\x02\0\0\0", b"\xa3" + bytes(7), b"\xa2\x02\x02" + bytes(5), b"\xa1" + bytes(7)]
-        elif kind == 4:
-            whole = [b"\xc6" + name + SIZES[index].to_bytes(4, "little"), b"\x01" + fill, b"\x82" + fill, b"\xc1" + fill]
-        elif kind == 5:
-            whole = [b"\x80" + name + b"\0\0\x04\x05"]
-        else:
-            whole = draw(st.lists(st.binary(min_size=8, max_size=8), min_size=1, max_size=4))
-        keep = draw(st.integers(1, len(whole)))
-        frames += [(at + number * gap, data) for number, data in enumerate(whole[:keep])]
-    return frames
 
 
 @pytest.mark.parametrize("kind", SERVERS)
 def test_whoever_else_speaks_no_wrong_bytes_and_no_false_word(kind: str) -> None:
     @examples(400, least=60)
-    @given(
-        seed=st.integers(0, 2**32),
-        slowest=st.sampled_from([0, 60 * MICROSECOND, 1 * MILLISECOND, 8 * MILLISECOND]),
-        asked=askings(),
-        script=scripted(),
-    )
-    def check(seed: int, slowest: Time, asked: list[Asked], script: list[tuple[Time, bytes]]) -> None:
-        assert run(seed, slowest, kind, asked, script) == []
+    @given(source=st.randoms(use_true_random=False))
+    def check(source: Random) -> None:
+        case = case_of(source, kind)
+        note(str(case))
+        assert run(case) == []
 
     check()
+
+
+def test_the_program_for_many_cases_says_how_they_ended(capsys: pytest.CaptureFixture[str]) -> None:
+    assert many(30, "0") == 0
+    said = capsys.readouterr().out
+    assert "30 cases, 0 false words" in said
+    for end in ("SdoUploaded", "SdoDownloaded", "CONTESTED"):
+        assert f"{end} " in said
+
+
+class Forgetful(History):
+    """It stores nothing that is written."""
+
+    def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
+        return None
+
+
+class Liar(SdoServer):
+    """It confirms writes of which the history knows nothing."""
+
+    def __init__(self, out: Outbox, node_id: int, store: ObjectStore) -> None:
+        super().__init__(out, node_id, Forgetful())
+
+
+def test_the_program_shows_a_false_word_with_its_case(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SERVERS, "restarts", Liar)
+    assert many(30, "0") == 1
+    said = capsys.readouterr().out
+    assert "confirmed what was not written" in said
+    assert "Case(seed=" in said
+    assert "0 false words" not in said
 
 
 # ---- single cases: what is sent when, and what is said ----
