@@ -76,7 +76,7 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
         began = yield from current_time()
         try:
             if step is not None:
-                yield from command(axis, int(step))
+                yield from (insist if state in POWERED and not goes_up else command)(axis, int(step))
             statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
         except (Cancelled, StepTimeout, SdoFailed):
             axis.leave_unanswered(f"the way to {target}")

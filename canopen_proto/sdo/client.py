@@ -40,7 +40,9 @@ Another client may use the same channel, against the rules. Its requests are hea
 until its exchange is over, at most `contest_limit`. A frame of it during a transfer of ours ends the transfer: nothing that comes
 then is certain. A read is made again, a write is reported (origin CONTESTED, `not_confirmed`). Only while the expedited answer to
 our initiate request is due, a stranger's initiate request for another object does no harm: the answer names its object. Urgent
-requests do not wait. A driver never hands us our own frames: they would be taken for a stranger's.
+requests do not wait. A server may be deaf in a stranger's transfer; so behind an urgent write of one frame that ended like that,
+the next urgent write first aborts that transfer: a halt is sent again, and matters more. A driver never hands us our own frames:
+they would be taken for a stranger's.
 
 Left out: network indication. Retries are the caller's: SDO knows no repetition (block transfer repeats lost segments only), and a
 repeated download may be executed twice.
@@ -488,6 +490,8 @@ class SdoClient(ChannelEnd):
         elif transfer.first[0] & (SPECIFIER | EXPEDITED_BIT) != INITIATE_DOWNLOAD | EXPEDITED_BIT:
             # before the server stores what both have sent
             self.send(INITIATE.pack(ABORT, transfer.index, transfer.subindex, AbortCode.GENERAL_ERROR))
+        elif transfer.is_urgent and self._abandoned is None:
+            self._abandoned = transfer
         if transfer.state is INITIATED and not transfer.is_answered:
             self._queue.expect_late(transfer.first[1:4], now + self.late_guard + spread(now))
             self.other.expect(transfer.first[1:4])
@@ -520,7 +524,9 @@ class SdoClient(ChannelEnd):
             return True
         if self._abandoned is not None:  # some servers stay in it, deaf for anybody else
             abandoned, self._abandoned = self._abandoned, None
-            self.send(INITIATE.pack(ABORT, abandoned.index, abandoned.subindex, AbortCode.GENERAL_ERROR))
+            # Behind an urgent write, only the next one of them ends a stranger's transfer
+            if not abandoned.is_download or (queue.urgent and queue.urgent[0].is_download):
+                self.send(INITIATE.pack(ABORT, abandoned.index, abandoned.subindex, AbortCode.GENERAL_ERROR))
         if not queue.waits:
             self._contested_since = NEVER
         return False

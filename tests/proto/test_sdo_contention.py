@@ -154,6 +154,40 @@ def test_an_urgent_request_does_not_wait() -> None:
     assert (end.request_id, end.origin, end.not_confirmed) == (request, AbortOrigin.CONTESTED, True)
 
 
+def in_a_strangers_segments() -> Shared:
+    """A stop went out in the middle of a stranger's read, and the server has only gone on with that."""
+    bench = Shared()
+    bench.other("40 08 10 00 00 00 00 00")
+    bench.hear("41 08 10 00 08 00 00 00")
+    bench.other("60 00 00 00 00 00 00 00")
+    bench.client.download(0x6040, 0, b"\x02\0", bench.now, urgent=True)
+    assert bench.frames() == ["60C#2B40600002000000"]
+    bench.hear("00 31 32 33 34 35 36 37")
+    (end,) = bench.outcomes()
+    assert isinstance(end, SdoAborted)
+    assert (end.origin, end.not_confirmed) == (AbortOrigin.CONTESTED, True)
+    assert bench.frames() == []
+    return bench
+
+
+def test_the_second_stop_first_ends_a_strangers_transfer_in_which_a_server_may_be_deaf() -> None:
+    bench = in_a_strangers_segments()
+    bench.wait(SPREAD)
+    bench.client.download(0x6040, 0, b"\x02\0", bench.now, urgent=True)
+    assert bench.frames() == ["60C#8040600000000008", "60C#2B40600002000000"]
+
+
+def test_no_other_request_ends_a_strangers_transfer() -> None:
+    bench = in_a_strangers_segments()
+    bench.client.upload(0x6041, 0, bench.now, urgent=True)
+    assert bench.frames() == ["60C#4041600000000000"]
+    bench = in_a_strangers_segments()
+    bench.wait(SECOND)
+    assert bench.frames() == []
+    bench.client.download(0x6040, 0, b"\x02\0", bench.now)
+    assert bench.frames() == ["60C#2B40600002000000"]
+
+
 def test_an_expedited_answer_names_its_object_so_another_read_does_no_harm() -> None:
     bench = Shared()
     request = bench.client.download(0x6040, 0, b"\x0f\0", bench.now)

@@ -167,6 +167,55 @@ def test_one_frame_of_another_sdo_client_keeps_no_drive_running(name: str, reque
 
 
 @pytest.mark.parametrize("name", STOPS)
+def test_a_stop_reaches_a_drive_that_hears_nobody_else_in_a_strangers_transfer(name: str) -> None:
+    """As in much firmware: during a segmented transfer it hears no initiate request, of whomever. An abort ends that."""
+    rig = running()
+    deliver = rig.bus._deliver
+    is_deaf = False
+
+    def receive(receiver: Outbox, frame: Frame) -> None:
+        nonlocal is_deaf
+        if frame.can_id == 0x605 and receiver is rig.device.out:
+            is_deaf = is_deaf and frame.data[0] != 0x80
+            if is_deaf and frame.data[0] in (0x2B, 0x40):
+                return
+        deliver(receiver, frame)
+
+    rig.bus._deliver = receive  # type: ignore[method-assign]
+    rig.bus.send("605#4008100000000000")
+    rig.bus.run(MILLISECOND)
+    is_deaf = True
+    asked = rig.master.run(STOPS[name][0](rig.axis), rig.bus.now)
+    for toggle in (0x60, 0x70) * 5:  # it reads on, without a heed to anybody
+        rig.bus.run(5 * MILLISECOND)
+        rig.bus.send(f"605#{toggle:02X}00000000000000")
+    rig.outcome(asked)
+    rig.bus.run(3 * SECOND)
+    rig.drive.refresh(rig.bus.now)
+    assert rig.drive.state is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_a_stop_without_an_answer_is_sent_again_to_a_drive_that_has_just_shown_its_state(name: str) -> None:
+    rig = running()
+    rig.run(drive.read_statusword(rig.axis))
+    deliver = rig.bus._deliver
+    lost: list[Frame] = []
+
+    def receive(receiver: Outbox, frame: Frame) -> None:
+        if not lost and frame.data[:4] == b"\x2b\x40\x60\x00":
+            lost.append(frame)
+        else:
+            deliver(receiver, frame)
+
+    rig.bus._deliver = receive  # type: ignore[method-assign]
+    asked = rig.master.run(STOPS[name][0](rig.axis), rig.bus.now)
+    assert isinstance(rig.outcome(asked), ProcedureFinished)
+    assert lost
+    assert rig.drive.state is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("name", STOPS)
 def test_another_client_of_long_ago_makes_no_stop_doubtful(name: str) -> None:
     """A stranger once read an object; much later the answer to the first word is lost."""
     stop, _ = STOPS[name]
