@@ -31,11 +31,12 @@ from canopen_master.assembly import assemble
 from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmed, RealtimeRefused
 from canopen_master.machine_file import MachineFile, read_machine
 from canopen_master.master import SDO_TIMEOUT, Master
+from canopen_master.plain_text import clean
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
-from canopen_transports import Transport, TransportError, open_transport
+from canopen_transports import NarrowTransport, Transport, TransportError, open_transport
 from canopen_transports.realtime import Grant, Realtime
 
 LOGGER: Final = logging.getLogger("canopen_master")
@@ -229,6 +230,13 @@ class MasterSession:
             except TransportError as error:
                 raise BusError(name, error) from error
             transports[name] = transport
+            if isinstance(transport, NarrowTransport) and transport.unheard:
+                LOGGER.warning(
+                    "%s: frames of others may not be heard here, as %s: if another SDO client uses a node too, "
+                    "wrong values may count as read",
+                    clean(name),
+                    clean(transport.unheard),
+                )
             self._open_transports.push_async_callback(transport.aclose)
         return transports, aliases
 

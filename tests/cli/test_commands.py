@@ -21,6 +21,7 @@ from canopen_proto.cia402.objects import PROFILE_VELOCITY
 from canopen_proto.datatypes import Value
 from canopen_proto.local_node import LocalNode
 from canopen_transports import open_transport
+from canopen_transports.log_files import LogReader
 from tests.cli.cli_support import Alarm, Run, stands
 from tests.proto.devices import io_device
 
@@ -310,6 +311,17 @@ def test_info(run: Run) -> None:
     assert (document["node"], document["device_type"], document["supported_modes"]) == (3, 0x20192, 0x43)
     assert document["RPDO1"] == {"can_id": 0x203, "transmission_type": 1, "objects": ["6040:00", "6042:00", "60C1:01"]}
     assert "0x183, type 1: statusword, torque_actual_value, position_actual_value" in outcome.out
+
+
+def test_info_asks_for_each_value_of_up_to_4_bytes_in_one_frame(run: Run, tmp_path: Path) -> None:
+    """Such an answer names its object: another client on the channel cannot change it."""
+    log = tmp_path / "info.log"
+    assert run("info", "3", *DEMO, "--trace", str(log)).status == 0
+    frames = [record.frame.data for record in LogReader(log) if record.frame.can_id == 0x583]
+    assert not [data.hex() for data in frames if data[0] & 0xE0 == 0xC0]  # no block transfer, of whatever
+    segmented = {data[1:3] for data in frames if data[0] == 0x41}
+    assert segmented <= {b"\x08\x10", b"\x09\x10", b"\x0a\x10"}  # the texts
+    assert len({data[1:4] for data in frames if data[0] in (0x43, 0x47, 0x4B, 0x4F)}) > 40
 
 
 def test_info_of_a_drive_in_fault(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:

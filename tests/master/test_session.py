@@ -12,6 +12,8 @@ from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_transports import VirtualTransport
+from canopen_transports.record import Record
+from canopen_transports.tracing import overheard
 from tests.master.world import (
     BUS,
     Breakable,
@@ -36,6 +38,23 @@ async def test_the_blocks_own_exception_comes_out_as_it_is() -> None:
             raise error
     assert caught.value is error
     assert not hasattr(error, "__notes__")
+
+
+class Gateway(VirtualTransport):
+    unheard = "the gateway forwards only answers"
+
+
+@virtual_time
+async def test_a_transport_that_may_not_hear_other_clients_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
+    lines: list[Record] = []
+    async with Gateway("gate") as gateway, VirtualTransport("open") as whole:
+        recorded = overheard(gateway, lines.append)
+        async with open_master(buses={"arm": recorded, "gripper": recorded, "whole": whole}) as master:
+            for bus in ("arm", "gripper", "whole"):
+                master.node(3, bus=bus)
+    said = [each.getMessage() for each in caplog.records if "may not be heard" in each.getMessage()]
+    (warning,) = said
+    assert warning.startswith("arm: frames of others may not be heard here, as the gateway forwards only answers: ")
 
 
 @virtual_time

@@ -31,6 +31,15 @@ async def test_a_bus_that_is_ours_is_shut_down() -> None:
 
 
 @trio_test(real_time=True)
+async def test_a_bus_that_filters_says_that_frames_of_others_may_be_missing() -> None:
+    with _bus() as lent:
+        async with PythonCanTransport(lent, owned=False) as transport:
+            assert transport.unheard is None
+            lent.set_filters([{"can_id": 0x583, "can_mask": 0x7FF}])
+            assert transport.unheard == "python-can was told to filter (can_filters)"
+
+
+@trio_test(real_time=True)
 async def test_a_bus_that_was_lent_stays_open_and_keeps_what_comes_later() -> None:
     with _bus() as lent, _bus() as other:
         async with PythonCanTransport(lent, owned=False) as transport:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from canopen_transports.transport import CyclicTransport as CyclicTransport
     from canopen_transports.transport import EagerTransport as EagerTransport
     from canopen_transports.transport import FilteringTransport as FilteringTransport
+    from canopen_transports.transport import NarrowTransport as NarrowTransport
     from canopen_transports.transport import PromptTransport as PromptTransport
     from canopen_transports.transport import PushingTransport as PushingTransport
     from canopen_transports.transport import RatedTransport as RatedTransport
@@ -42,8 +43,8 @@ else:
             "canopen_transports.replay": "ReplayTransport",
             "canopen_transports.tcp.client": "TcpTransport",
             "canopen_transports.transport": (
-                "BatchTransport CyclicTransport EagerTransport FilteringTransport PromptTransport PushingTransport "
-                "RatedTransport Received Transport check_frame"
+                "BatchTransport CyclicTransport EagerTransport FilteringTransport NarrowTransport PromptTransport "
+                "PushingTransport RatedTransport Received Transport check_frame"
             ),
             "canopen_transports.virtual": "VirtualTransport",
             "canopen_transports.virtual_wire": "WireTransport",

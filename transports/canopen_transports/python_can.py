@@ -145,6 +145,11 @@ class PythonCanTransport(trio.abc.AsyncResource):
         else:
             self._reader = ThreadReader(self.locator, self._queue, self._take)
 
+    @property
+    def unheard(self) -> str | None:
+        """As `NarrowTransport`: python-can may have been told to filter."""
+        return "python-can was told to filter (can_filters)" if self._bus.filters else None
+
     # ---- sending ----
 
     async def send(self, frame: Frame) -> None:

@@ -163,6 +163,12 @@ class TracingTransport(trio.abc.AsyncResource):
         bitrate: int | None = getattr(self.transport, "bitrate", None)
         return bitrate
 
+    @property
+    def unheard(self) -> str | None:
+        """As the transport itself says."""
+        unheard: str | None = getattr(self.transport, "unheard", None)
+        return unheard
+
     async def send(self, frame: Frame) -> None:
         record = self._record_of(frame, self._ours)
         self._sending += 1

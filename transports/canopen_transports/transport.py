@@ -135,6 +135,17 @@ class RatedTransport(Protocol):
         """bit/s; None if it is not known."""
 
 
+@runtime_checkable
+class NarrowTransport(Protocol):
+    """The additional property of a transport that may not hand over all that others send: behind a filter, or a gateway."""
+
+    @property
+    def unheard(self) -> str | None:
+        """Why it may leave out frames of others, for people ("the gateway forwards only answers"); None if it leaves out none.
+
+        What our own machines want by `FilteringTransport` is not meant."""
+
+
 def check_frame(frame: Frame) -> None:
     """Raise ValueError unless classical CAN can carry the frame. (`Frame` itself does not check, for speed.)"""
     if not frame.flags and 0 <= frame.can_id <= MAX_STANDARD_ID and frame.dlc == len(frame.data) <= MAX_LENGTH:
