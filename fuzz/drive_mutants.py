@@ -30,6 +30,14 @@ DRIVE_MUTANTS: Final = tuple(
     for each in (
         # ---- the master ----
         (
+            "stop_once",
+            _STATE,
+            "(insist if state in POWERED and not goes_up else command)",
+            "command",
+            "a stop that was lost is not sent again to a drive that has just shown its state",
+            STOP_FIRST,
+        ),
+        (
             "homed_from_a_motion",
             _HOMING,
             "    yield from halt(axis)\n    axis.is_homed = False",

@@ -71,6 +71,22 @@ SERVICE_MUTANTS: Final = tuple(
             CONTENTION,
         ),
         (
+            "stop_to_a_deaf_server",
+            _SDO_CLIENT,
+            "        elif transfer.is_urgent and self._abandoned is None:",
+            "        elif False:",
+            "a stop does not reach a server that is deaf in another client's transfer",
+            CONTENTION,
+        ),
+        (
+            "any_request_ends_anothers_transfer",
+            _SDO_CLIENT,
+            "if not abandoned.is_download or (queue.urgent and queue.urgent[0].is_download):",
+            "if True:",
+            "a request that is no stop ends another client's transfer",
+            CONTENTION,
+        ),
+        (
             "contested_write_is_harmless",
             _SDO_CLIENT,
             "AbortOrigin.CONTESTED, transfer.is_download)",
