@@ -184,6 +184,7 @@ class DriveNode(LocalNode):
             drive.rpdo_overdue(now)
 
 
-def powerball(out: Outbox, node_id: int, sync_tolerance: Time = SYNC_TOLERANCE) -> DriveNode:
-    """Return a joint of the Schunk Powerball arm, as the manual's library met it. sync_tolerance: see DriveSettings."""
-    return DriveNode(out, node_id, DriveSettings(shape=Shape.SCHUNK_POWERBALL, sync_tolerance=sync_tolerance))
+def powerball(out: Outbox, node_id: int, sync_tolerance: Time = SYNC_TOLERANCE, waits_for_sync: bool = False) -> DriveNode:
+    """Return a joint of the Schunk Powerball arm, as the manual's library met it. The other parameters: see DriveSettings."""
+    settings = DriveSettings(shape=Shape.SCHUNK_POWERBALL, sync_tolerance=sync_tolerance, waits_for_sync=waits_for_sync)
+    return DriveNode(out, node_id, settings)

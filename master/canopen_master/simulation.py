@@ -73,9 +73,10 @@ class DeviceModel:
         return DriveNode(out, self.node_id, self.drive, self.dictionary)
 
 
-def powerballs(*node_ids: int, sync_tolerance: Time = SYNC_TOLERANCE) -> list[DeviceMaker]:
-    """Joints of the Schunk Powerball arm, as the manual's library knows them. sync_tolerance: see DriveSettings."""
-    return [partial(powerball, node_id=node_id, sync_tolerance=sync_tolerance) for node_id in node_ids]
+def powerballs(*node_ids: int, sync_tolerance: Time = SYNC_TOLERANCE, waits_for_sync: bool = False) -> list[DeviceMaker]:
+    """Joints of the Schunk Powerball arm, as the manual's library knows them. The other parameters: see DriveSettings."""
+    make = partial(powerball, sync_tolerance=sync_tolerance, waits_for_sync=waits_for_sync)
+    return [partial(make, node_id=node_id) for node_id in node_ids]
 
 
 def standard_drives(*node_ids: int, settings: DriveSettings | None = None) -> list[DeviceMaker]:

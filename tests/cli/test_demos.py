@@ -25,8 +25,8 @@ from tests.master.direct_world import devices, near_home
 from tests.master.test_direct_script import environment
 
 LIMIT = 100.0
-NEAR = 5000
-"""Millidegrees that an axis may still have to go at the end. In real time: behind a late SYNC it comes back from where it was."""
+NEAR = 300
+"""Millidegrees that an axis may still have to go at the end: three steps of the fastest demo. In real time, SYNC may be late."""
 
 RUNS = {
     "homing 12 --bus virtual": ["homing device 12", "device 12 is referenced, at 0 mdeg"],

@@ -45,10 +45,12 @@ def patient(*node_ids: int, settings: DriveSettings = DriveSettings(shape=Shape.
     return [partial(DriveNode, node_id=node_id, settings=settings) for node_id in node_ids]
 
 
-def near_home(*node_ids: int, sync_tolerance: int = IN_PROCESS) -> list[DeviceMaker]:
-    """Powerball joints that are homed in a blink: the edge of their home switch is near."""
+def near_home(*node_ids: int, sync_tolerance: int = IN_PROCESS, waits_for_sync: bool = False) -> list[DeviceMaker]:
+    """Powerball joints that are homed in a blink: the edge of their home switch is near. For the rest: see DriveSettings."""
     track = Track(home_switch=(1_500, 10_000))
-    settings = DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=track, sync_tolerance=sync_tolerance)
+    settings = DriveSettings(
+        shape=Shape.SCHUNK_POWERBALL, track=track, sync_tolerance=sync_tolerance, waits_for_sync=waits_for_sync
+    )
     return [partial(DriveNode, node_id=node_id, settings=settings) for node_id in node_ids]
 
 

@@ -27,8 +27,10 @@ from canopen_proto.cia402.states import State
 from canopen_proto.drive import DriveError
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND
+from canopen_proto.network import Network
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulated_drive.answers import Answer
+from canopen_proto.simulated_drive.node import DriveNode
 from canopen_proto.simulated_drive.settings import SYNC_TOLERANCE
 from canopen_transports import VirtualTransport
 from tests.examples import examples
@@ -116,9 +118,10 @@ class Script:
 
 
 @asynccontextmanager
-async def scripted(*node_ids: int, tolerance: int = IN_PROCESS) -> AsyncIterator[Script]:
-    """A script whose drives follow."""
-    async with simulated(makers=powerballs(*node_ids, sync_tolerance=tolerance)) as host, open_master(BUS) as master:
+async def scripted(*node_ids: int, tolerance: int = IN_PROCESS, waits: bool = False) -> AsyncIterator[Script]:
+    """A script whose drives follow. waits: for SYNC, as those that `direct.simulated` makes."""
+    makers = powerballs(*node_ids, sync_tolerance=tolerance, waits_for_sync=waits)
+    async with simulated(makers=makers) as host, open_master(BUS) as master:
         hand_sync = HandSync(master)
         for node in drives(host):
             node.values.store[0x6085_00] = RAMP
@@ -163,6 +166,35 @@ def test_a_script_that_stalls_goes_on_slowly(turns: Sequence[Turn]) -> None:
             assert script.places() == pytest.approx(start, abs=2)
 
     run()
+
+
+@examples(15, least=4)
+@example([(False, 0.3, 0.2)])
+@example([(True, 0.5, 0.2), (False, 0.2, 0.1)])
+@given(turns)
+def test_joints_that_wait_for_sync_are_within_a_step_of_their_path_after_three_syncs(turns: Sequence[Turn]) -> None:
+    """As the manual's demos end: however late SYNC was, no joint has gone far beyond its path and still comes back from there."""
+
+    @virtual_time
+    async def run() -> None:
+        async with scripted(*NODES, waits=True) as script:
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(script.late, turns)
+                await script.steps(25)
+                nursery.cancel_scope.cancel()
+            await script.steps(3, 0.0)
+            assert script.places() == pytest.approx([script.wanted[drive] for drive in script.arm], abs=STEP)
+
+    run()
+
+
+def test_the_drives_that_direct_simulates_wait_for_sync() -> None:
+    connection = Connection()
+    with connection.simulated((3,), "virtual:own"):
+        ((_, (make,)),) = connection._simulated
+        drive = make(Network().out)
+    assert isinstance(drive, DriveNode)
+    assert drive.drive._servo.settings.waits_for_sync
 
 
 @examples(15, least=4)

@@ -78,7 +78,7 @@ class Connection:
     @contextmanager
     def simulated(self, node_ids: Sequence[int], bus: str) -> Iterator[None]:
         """Simulate joints on a bus for connections that are opened in the block; leaving the block closes the connection."""
-        entry = bus, powerballs(*node_ids, sync_tolerance=IN_PROCESS)
+        entry = bus, powerballs(*node_ids, sync_tolerance=IN_PROCESS, waits_for_sync=True)
         self._simulated.append(entry)
         try:
             yield
