@@ -232,13 +232,22 @@ def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Proced
         yield from forget()
 
 
-def _wait_for_standstill(axis: Axis) -> Procedure[None]:
+def coast_down(axis: Axis) -> Procedure[None]:
+    """Wait until the position (0x6064) of a drive without power stays: its axis may coast. Nothing is sent.
+
+    Without a position, no power counts as standstill. Raises StepTimeout as `halt`, if the axis does not get slower.
+    """
+    yield from _wait_for_standstill(axis, coasts=True)
+
+
+def _wait_for_standstill(axis: Axis, *, coasts: bool = False) -> Procedure[None]:
+    """coasts: a drive without power may move."""
     timeout = axis.settings.reaction_time + axis.settings.halt_time
     began = yield from current_time()
     before: float | None = None
     while True:
         yield from ask_for_time(timeout + SECOND)  # as long as the drive answers and slows down
-        judge = _Standstill(axis, began)
+        judge = _Standstill(axis, began, coasts)
         try:
             yield from judge.watch.until(judge.judge, timeout)
             return
@@ -262,8 +271,8 @@ class _Standstill:
     that it moves, or `reaction_time` after the halt: bit 10 may be left from before (as "target velocity reached").
     """
 
-    def __init__(self, axis: Axis, began: Time) -> None:
-        """began: when the drive was told to halt."""
+    def __init__(self, axis: Axis, began: Time, coasts: bool) -> None:
+        """began: when the drive was told to halt. coasts: a drive without power is judged by its position."""
         reads = {
             objects.MODES_OF_OPERATION_DISPLAY: FRESH,
             objects.POSITION_ACTUAL_VALUE: STANDSTILL_LOOK,
@@ -272,11 +281,13 @@ class _Standstill:
         if axis.mode == Mode.VELOCITY:  # frequency converters need not have a position
             reads[objects.VL_VELOCITY_ACTUAL_VALUE] = FRESH
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
-        self.watch: Watch[bool] = Watch(axis, "standstill after a halt", accept_fault=True, reads=present, looks=False)
+        goal = "standstill without power (it coasts)" if coasts else "standstill after a halt"
+        self.watch: Watch[bool] = Watch(axis, goal, accept_fault=True, reads=present, looks=False)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self.may_obey_late = False  # its bits show that it stands, and it is too soon to believe them
         self._axis = axis
         self._began = began
+        self._coasts = coasts
         self._is_schunk = axis.settings.homing is HomingStyle.SCHUNK
         self._was_moving = False  # as its bits showed
         self._looked_at: Time = -NEVER
@@ -289,12 +300,12 @@ class _Standstill:
         state = state_of(statusword)
         if state is State.UNKNOWN:
             return None  # the next statusword will show a state
-        if state not in POWERED:
-            return True
         has_position = (
             objects.POSITION_ACTUAL_VALUE in self._axis.node.dictionary
             and self.watch.refusal(objects.POSITION_ACTUAL_VALUE) is None
         )
+        if state not in POWERED:
+            return not (self._coasts and has_position) or self._is_at_one_place() or None
         if self._is_schunk:
             stands = not statusword & StatusBit.MANUFACTURER_8
         elif not self._knows(objects.MODES_OF_OPERATION_DISPLAY):

@@ -3,7 +3,7 @@
 The controlword goes by SDO to each axis of the node, at once, and again without an answer. A node that does not answer may be in
 NMT state Stopped, where it takes no SDO: it is made pre-operational, and told again. The last way is NMT `stop`, to which a drive
 reacts as its 0x6007 says. Both NMT commands are announced. Then the drive is looked at: the command succeeds only if the drive
-shows that it is stopped.
+shows that it is stopped. After a quick stop the position (0x6064) of a drive without power must stay, too: its axis may coast.
 
 Source: IEC 61800-7-201 (CiA 402-2), 0x6007, 0x605A; CiA 301 v4.2.0, 7.3.2.2.4 (which service lives in which NMT state).
 """
@@ -34,7 +34,7 @@ from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.cia402.states import POWERED, Command, State, state_of
 from canopen_proto.drive.axis import Axis
 from canopen_proto.drive.controlword import insist
-from canopen_proto.drive.halting import halt
+from canopen_proto.drive.halting import coast_down, halt
 from canopen_proto.drive.state import shut_down
 from canopen_proto.drive.view import DriveView
 from canopen_proto.drive.watching import read_statusword, wait_for_statusword
@@ -58,6 +58,8 @@ class Stop(NamedTuple):
 def _quick_stopped(axis: Axis) -> Procedure[None]:
     yield from wait_for_statusword(axis, _is_stopped, axis.settings.state_timeout, "a quick stop")
     yield from halt(axis)  # which sends nothing to a drive in Quick stop active, and waits until it stands
+    if axis.state not in POWERED:
+        yield from coast_down(axis)  # 0x605A = 0 takes the power away at once
 
 
 def _is_stopped(statusword: int) -> bool:

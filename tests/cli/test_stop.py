@@ -6,6 +6,7 @@ import itertools
 import signal
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,15 @@ from canopen_cli.fleet import Fleet, simulated_fleet
 from canopen_cli.problem import ExitCode
 from canopen_master.master import Master
 from canopen_master.session import open_master
+from canopen_master.simulation import DeviceMaker
 from canopen_proto.cia402 import objects
 from canopen_proto.cia402.modes import Mode
 from canopen_proto.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.simulated_drive.plant import Mechanics
+from canopen_proto.simulated_drive.settings import DriveSettings, Shape
 from canopen_transports import VirtualTransport
 from tests.cli.cli_support import Run, runner
 from tests.examples import examples
@@ -35,8 +38,13 @@ DEMO = ("-b", "demo")
 WORDS = {"stop": "603#2B40600002000000", "disable": "603#2B40600000000000"}
 
 
-def lossy(monkeypatch: pytest.MonkeyPatch, is_lost: Callable[[], bool], prepare: Callable[[DriveNode], None]) -> list[Any]:
-    """Let the commands run on a bus on which answers of drive 3 are lost. prepare: is called with it.
+def lossy(
+    monkeypatch: pytest.MonkeyPatch,
+    is_lost: Callable[[], bool],
+    prepare: Callable[[DriveNode], None],
+    make: Callable[[int, int], DeviceMaker] | None = None,
+) -> list[Any]:
+    """Let the commands run on a bus on which answers of drive 3 are lost. prepare: is called with it; make: makes it.
 
     Returns a list of what each command had: the drive, and the bus.
     """
@@ -52,7 +60,7 @@ def lossy(monkeypatch: pytest.MonkeyPatch, is_lost: Callable[[], bool], prepare:
 
     @asynccontextmanager
     async def fleet(devices: Any) -> AsyncIterator[Fleet]:
-        async with simulated_fleet(devices, Shape.STANDARD) as there:
+        async with simulated_fleet(devices, Shape.STANDARD, make=make) as there:
             prepare(there.drives[3])
             made.append(there.drives[3])
             yield there
@@ -66,6 +74,35 @@ def runs(node: DriveNode) -> None:
     """Another program has let it run at 20,000 counts per second."""
     for index, value, size in ((0x6060, Mode.PROFILE_VELOCITY, 1), (0x60FF, 20_000, 4), *((0x6040, w, 2) for w in (6, 7, 15))):
         node.write(index, 0, int(value).to_bytes(size, "little"), 0)
+
+
+def coasting(friction: float) -> Callable[[int, int], DeviceMaker]:
+    """Drives that take the power away at once on a quick stop, with a mass and without a brake. friction: N·m."""
+    mechanics = Mechanics(viscous_friction=0.0, coulomb_friction=friction, brake_torque=0.0)
+    settings = DriveSettings(mechanics=mechanics)
+    return lambda number, node_id: partial(DriveNode, node_id=node_id, settings=settings)
+
+
+def runs_without_a_ramp(node: DriveNode) -> None:
+    node.write(0x605A, 0, bytes(2), 0)
+    runs(node)
+    plant = node.drive._servo._plant
+    assert plant is not None
+    plant.velocity = 20_000.0
+
+
+@pytest.mark.parametrize(("friction", "status"), [(0.3, ExitCode.OK), (0.0, ExitCode.DRIVE_FAULT)])
+def test_an_axis_that_coasts_without_power_is_not_stopped_before_it_stands(
+    run: Run, monkeypatch: pytest.MonkeyPatch, friction: float, status: ExitCode
+) -> None:
+    """0x605A = 0: a quick stop takes the power away, and Switch on disabled comes at once."""
+    made = lossy(monkeypatch, lambda: False, runs_without_a_ramp, coasting(friction))
+    outcome = run("drive", "3", "stop", *DEMO)
+    drive = made[0]
+    assert drive.drive.state is State.SWITCH_ON_DISABLED
+    assert outcome.status == status, outcome.err
+    assert ("without power (it coasts)" in outcome.err) == (status != ExitCode.OK)
+    assert (abs(drive.drive._servo.velocity) < 100) == (status == ExitCode.OK)
 
 
 def sent(link: Link) -> list[tuple[float, str]]:
