@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -12,11 +12,13 @@ import click
 from canopen_cli.importing import LibraryMissing, importing
 from canopen_cli.lazy import LazyGroup
 from canopen_cli.options import Settings, common
-from canopen_cli.problem import NO_ROOM, ExitCode, Problem
+from canopen_cli.problem import NO_ROOM, ExitCode, Problem, usage
 from canopen_cli.streams import open_closed_streams, put_lost_terminal_to_rest, put_to_rest
 
 if TYPE_CHECKING:
     import trio
+
+    from canopen_cli.screen import Screen
 
 CLOSED_PIPE = 128 + 13
 """The status that a shell reports for a command whose reader went away (SIGPIPE)."""
@@ -75,6 +77,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     Raises LibraryMissing.
     """
     settings = Settings(clock=clock)
+    asks_json = "--json" in (sys.argv if arguments is None else arguments)
     open_closed_streams()
     try:
         result = cli.main(
@@ -89,12 +92,16 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     except (click.Abort, KeyboardInterrupt):
         return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
     except click.exceptions.NoArgsIsHelpError as no_arguments:
+        if asks_json:
+            command = "canopen" if no_arguments.ctx is None else no_arguments.ctx.command_path
+            settings.json = True
+            return _show(settings, usage("CO001", f"{command}: no command was named", tries=(f"{command} --help",)))
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE
     except LibraryMissing:
         raise  # perhaps rich, which makes the screens
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
-        if isinstance(error, click.UsageError | Problem) and "--json" in (sys.argv if arguments is None else arguments):
+        if isinstance(error, click.UsageError | Problem) and asks_json:
             settings.json = True  # click failed before it read this option
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             put_to_rest(sys.stdout)
@@ -107,14 +114,20 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
     if settings.late is not None:
         return _show(settings, settings.late)
-    return result if isinstance(result, int) else ExitCode.OK
+    status = result if isinstance(result, int) else ExitCode.OK
+    return _last_words(settings, lambda screen: screen.finish(), status) if settings.notes else status
 
 
 def _show(settings: Settings, problem: Problem) -> int:
     if settings.late is not None and settings.late is not problem:
         problem.also.append(f"{settings.late.failed}: {settings.late.seen}")
+    return _last_words(settings, lambda screen: screen.problem(problem.on_bus(*settings.typed_bus())), problem.exit_code)
+
+
+def _last_words(settings: Settings, speak: Callable[[Screen], None], status: int) -> int:
+    """Write on a screen of its own, and return the status of the command."""
     try:
-        settings.screen().problem(problem.on_bus(*settings.typed_bus()))
+        speak(settings.screen())
     except BrokenPipeError:  # it may have been the problem itself
         put_to_rest(sys.stderr)
         return CLOSED_PIPE
@@ -122,4 +135,4 @@ def _show(settings: Settings, problem: Problem) -> int:
         if error.errno != errno.EIO:
             raise
         put_lost_terminal_to_rest()
-    return problem.exit_code
+    return status

@@ -105,6 +105,8 @@ def command_drive(
     async def work(session: Session) -> None:
         await session.master.run(whole(session, session.node(node_of_command(), number)))
 
+    if not ends:
+        screen.tell_at_once()
     if settings.dry_run:
         from canopen_cli.rehearsal import rehearse  # with the simulated drives, which no other way needs: a stop begins sooner
 

@@ -47,8 +47,8 @@ class Settings:
     """The values of the common options. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
     overlays.py. trace: the file that records the traffic of the bus. encoding: of device files, "" for a guess. force: overwrite
     files; `flash` also writes a program that the device has already. clock: a test's virtual one. late: a problem to be shown
-    after the results of the command. master_id: the node-ID of our heartbeat, which the drives that we enable watch. dry_run:
-    show the frames, and send nothing but reads."""
+    after the results of the command. notes: what a Screen is to say at the end, with --json. master_id: the node-ID of our
+    heartbeat, which the drives that we enable watch. dry_run: show the frames, and send nothing but reads."""
 
     bus: str | None = None
     machine: Path | None = None
@@ -65,6 +65,7 @@ class Settings:
     late: Problem | None = None
     master_id: int | None = None
     dry_run: bool = False
+    notes: list[str] = field(default_factory=list)
     chosen: ChosenMachine = field(default_factory=ChosenMachine)
 
     @property
@@ -93,7 +94,7 @@ class Settings:
         """The screen that the command writes to."""
         with importing():
             from canopen_cli.screen import Screen
-        return Screen(json_output=self.json, verbosity=self.verbosity, color=not self.no_color)
+        return Screen(json_output=self.json, verbosity=self.verbosity, color=not self.no_color, notes=self.notes)
 
     def machine_file(self) -> MachineFile | None:
         """Return the machine of -m or CANOPEN_MACHINE, or None. Raises DataError, DictionaryError."""

@@ -83,6 +83,7 @@ def run_until_interrupted(
     reads: Path | None = None,
 ) -> None:
     """Run a command that is meant to end by Ctrl-C. devices, reads: as for `run`."""
+    screen.tell_at_once()
     try:
         run(settings, screen, command, devices=devices, reads=reads)
     except Problem as ended:

@@ -3,7 +3,8 @@
 Foreign strings pass `escape` (or `clean`) on their way here. The consoles let no control character through in any case.
 
 A Screen is made once per command, from the common options. `--json` makes data JSON, and errors too; `--quiet` leaves only data
-and errors. Progress (a picture that is drawn again and again) is shown on a terminal only; elsewhere it becomes plain lines.
+and errors. With `--json` stderr is one document: the error, with the messages before it in `notes`. See `Screen.say`. Progress (a
+picture that is drawn again and again) is shown on a terminal only; elsewhere it becomes plain lines.
 """
 
 from __future__ import annotations
@@ -53,11 +54,16 @@ def counted(number: int, what: str) -> str:
 
 
 class Screen:
-    """The screen of a command. out, err: rich consoles. verbosity: -1 quiet, 0, 1 (-v), 2 (-vv)."""
+    """The screen of a command. out, err: rich consoles. verbosity: -1 quiet, 0, 1 (-v), 2 (-vv). notes: with --json, the messages
+    that wait for the end of the command."""
 
-    def __init__(self, *, json_output: bool = False, verbosity: int = 0, color: bool = True) -> None:
+    def __init__(
+        self, *, json_output: bool = False, verbosity: int = 0, color: bool = True, notes: list[str] | None = None
+    ) -> None:
         self.json_output = json_output
         self.verbosity = verbosity
+        self.notes = notes if notes is not None else []
+        self._tells_at_once = False
         color = color and not os.environ.get("NO_COLOR")
         self.out = _console(sys.stdout, color)
         self.err = _console(sys.stderr, color)
@@ -142,13 +148,39 @@ class Screen:
     # ---- messages ----
 
     def say(self, text: str) -> None:
-        """Print a message, unless --quiet; with --json as {"note": ...}, so that stderr is JSON lines. Markup is interpreted."""
-        if self.verbosity >= 0 and self.json_output:
-            plain = Text.from_markup(text).plain.strip()
-            if plain:
-                self.err.out(json_text({"note": plain}), highlight=False)
-        elif self.verbosity >= 0:
+        """Print a message, unless --quiet. Markup is interpreted.
+
+        With --json it waits, so that an error stands alone on stderr: it comes in the `notes` of that error, or of `finish`. Only
+        after `tell_at_once` it is a document in a line, {"note": ...}, at once.
+        """
+        if self.verbosity >= 0:
+            self.warn(text)
+
+    def warn(self, text: str) -> None:
+        """Print a message as `say` does, with --quiet too."""
+        if self.json_output:
+            self._note(Text.from_markup(text).plain.strip())
+        else:
             self.err.print(text, highlight=False, soft_wrap=not self.err.is_terminal)
+
+    def tell_at_once(self) -> None:
+        """With --json let no message wait from now on: for a command that runs until Ctrl-C."""
+        self._tells_at_once = True
+        waiting = self.notes.copy()
+        self.notes.clear()
+        for each in waiting:
+            self._note(each)
+
+    def finish(self) -> None:
+        """Print the messages that wait, as one document: for a command that ends without an error."""
+        if self.notes:
+            self.err.out(json_text({"notes": self.notes}), highlight=False)
+
+    def _note(self, text: str) -> None:
+        if text and self._tells_at_once:
+            self.err.out(json_text({"note": text}), highlight=False)
+        elif text:
+            self.notes.append(text)
 
     def ask(self, text: str) -> None:
         """Print a question; the answer stands behind it, on the same line. Markup is interpreted."""
@@ -158,17 +190,21 @@ class Screen:
     def detail(self, text: str) -> None:
         """Print a message, only with -v."""
         if self.verbosity >= 1 and self.json_output:
-            self.err.out(json_text({"note": clean(text)}), highlight=False)
+            self._note(clean(text).strip())
         elif self.verbosity >= 1:
             self.err.print(Text(clean(text), style="dim"), soft_wrap=True)
 
     def problem(self, problem: Problem) -> None:
         """Show an error; with -vv also the traceback."""
+        trace = ""
         if self.verbosity >= 2 and problem.__cause__ is not None:
-            self.err.out("".join(traceback.format_exception(problem.__cause__)).rstrip(), highlight=False)
+            trace = "".join(traceback.format_exception(problem.__cause__)).rstrip()
         if self.json_output:
-            self.err.out(json_text(problem.as_json()), highlight=False)
+            more = {"traceback": trace.splitlines()} if trace else {}
+            self.err.out(json_text({**problem.as_json(), "notes": self.notes, **more}), highlight=False)
             return
+        if trace:
+            self.err.out(trace, highlight=False)
         interrupted = problem.exit_code is ExitCode.INTERRUPTED
         failed = problem.failed.removeprefix("interrupted ") if interrupted else problem.failed
         head = "[bold yellow]interrupted[/]" if interrupted else f"[bold red]error {problem.code}:[/]"

@@ -164,7 +164,7 @@ def _serve_machine(settings: Settings, screen: Screen, machine: MachineFile, sta
 
 
 def _report(screen: Screen, text: str) -> None:
-    screen.err.print(escape(text), style="yellow", highlight=False, soft_wrap=True)
+    screen.warn(f"[yellow]{escape(text)}[/]")
 
 
 def _teller(screen: Screen) -> Callable[[Event], None]:

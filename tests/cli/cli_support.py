@@ -41,8 +41,8 @@ class Outcome(NamedTuple):
 
     @property
     def error(self) -> Any:
-        """The last line of stderr, as JSON: the error of --json."""
-        return json.loads(self.err.strip().splitlines()[-1], parse_constant=_no_json)
+        """What stderr is as JSON: the error of --json, alone."""
+        return json.loads(self.err, parse_constant=_no_json)
 
 
 def _no_json(text: str) -> None:

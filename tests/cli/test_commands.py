@@ -16,13 +16,14 @@ import trio
 from canopen_cli import session
 from canopen_cli.fleet import Fleet
 from canopen_cli.problem import ExitCode
+from canopen_cli.screen import Screen
 from canopen_master.simulation import simulate
 from canopen_proto.cia402.objects import PROFILE_VELOCITY
 from canopen_proto.datatypes import Value
 from canopen_proto.local_node import LocalNode
 from canopen_transports import open_transport
 from canopen_transports.log_files import LogReader
-from tests.cli.cli_support import Alarm, Run, stands
+from tests.cli.cli_support import SHORT, Alarm, Run, stands
 from tests.proto.devices import io_device
 
 DEMO = ("-b", "demo")
@@ -250,26 +251,61 @@ def test_nobody_there_has_one_exit_status(run: Run, command: str) -> None:
     assert run(*command.split(), "-b", "virtual:empty").status == ExitCode.NO_ANSWER
 
 
+def test_assign_has_nothing_to_do_where_nobody_lacks_a_node_id(run: Run) -> None:
+    """Who has a node-ID does not answer its search: it cannot tell a silent bus from one where all is done."""
+    assert run("lss", "assign", "--ids", "5-6", "--yes", "-b", "virtual:empty").status == ExitCode.OK
+
+
 @pytest.mark.parametrize(
     "command",
     [
         "scan",
         "scan -v",
         "info 99",
+        "info 99 -vv",
         "drive 99 stop",
         "drive 3 stop --axis 9",
         "drive 3 enable --seconds 0.1",
         "nmt reset 3",
         "read 3 6041 --bogus",
+        "scan --trace no-such-folder/t.log",
+        "scan --trace t.blf -b virtual:empty",
+        "lss assign --ids 5-6 --yes -b virtual:empty",
+        "lss",
+        "drive 3",
+        "move --to joint1=1000",
+        "no-such-command",
     ],
 )
-def test_stderr_of_json_is_json(run: Run, command: str) -> None:
-    """Notes while it runs, each a line; the error last."""
-    outcome = run(*command.split(), *DEMO, "--json")
+def test_with_json_stderr_is_one_document(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = run(*DEMO, *command.split(), "--json")
+    document = json.loads(outcome.err)
+    assert ("code" in document) is (
+        outcome.status not in (ExitCode.OK, ExitCode.NO_ANSWER) or document.get("kind") == "no_answer"
+    )
+    assert all(isinstance(note, str) for note in document["notes"])
+
+
+def test_an_error_has_the_notes_that_came_before_it(run: Run) -> None:
+    error = run("demo", "--fault", "5@0.2", *SHORT, "--json").error
+    assert error["code"] == "CO402"
+    assert error["notes"]
+
+
+def test_with_json_a_command_that_runs_until_ctrl_c_tells_at_once(run: Run) -> None:
+    outcome = run("sim", "--id", "5", "-b", "virtual:x", "--seconds", "0.1", "--json")
     lines = [json.loads(line) for line in outcome.err.splitlines()]
-    assert all(set(line) == {"note"} for line in lines[:-1])
     assert lines
-    assert ("code" in lines[-1]) is (outcome.status != 0)
+    assert all(set(line) == {"note"} for line in lines)
+
+
+def test_what_quiet_does_not_hide_is_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+    screen = Screen(json_output=True, verbosity=-1)
+    screen.warn("[yellow]the state was not kept[/]")
+    screen.say("ended")
+    screen.finish()
+    assert json.loads(capsys.readouterr().err) == {"notes": ["the state was not kept"]}
 
 
 def test_a_scan_of_some_tells_of_these(run: Run) -> None:
