@@ -82,7 +82,7 @@ LSS_MUTANTS: Final = tuple(
         (
             "search_believes_silence",
             _SCAN,
-            "            if there:\n                break\n            pace.slow_down()\n",
+            "            if there:\n                break\n            pace.slow_down(attempt)\n",
             "            break\n",
             "a search through ranges forgets a device because one frame was lost",
             SCAN,
@@ -93,6 +93,22 @@ LSS_MUTANTS: Final = tuple(
             "if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:",
             "if reply.count > 2 and service is LssService.CONFIGURE_NODE_ID:",
             "two devices take one node-ID, and nobody says so",
+            ASSIGN,
+        ),
+        (
+            "loss_is_taken_for_lateness",
+            _SCAN,
+            "        if failures >= UNLIKELY:\n",
+            "        if self.repeats == TRIES:\n",
+            "on a bus that loses frames the windows grow until the time for a device is over",
+            ASSIGN,
+        ),
+        (
+            "lost_answer_is_a_one",
+            _SCAN,
+            "    if pace.repeats == 1:\n        return number",
+            "    if True:\n        return number",
+            "on a bus that loses frames nearly every number is wrong",
             ASSIGN,
         ),
     )

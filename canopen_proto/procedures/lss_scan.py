@@ -13,9 +13,10 @@ are selected, Lely's even with a node-ID. Then the survey ends, and says so.
 
 **Nothing is believed that could be a late or a lost answer.** A late one counts for the next question, a lost one for silence:
 both make a wrong bit. Then "is it this one?" remains unanswered. A question that every slave at that number answers, with a long
-window, tells which it was (`_look_closer`): late answers make the window longer, lost ones make each silent question be repeated
-(`Pace`). So loss costs a little time, and not the patience for a slow device. Silence counts after the whole window only; after
-an answer a guard time is enough for the others. At the end the slave that should have been selected is asked for its identity.
+window, tells which it was (`_look_closer`): late answers make the window longer. After a lost one (`Pace.repeats`) each bit is
+asked for both as 0 and as 1, until somebody says yes. So loss costs a window, and makes no wrong bit. Silence counts after the
+whole window only; after an answer a guard time is enough for the others. At the end the slave that should have been selected is
+asked for its identity.
 "Nobody" is believed the third time, after a long window, and if also 0x4C is not answered.
 """
 
@@ -50,6 +51,10 @@ DEVICE_LIMIT: Final = 120 * SECOND
 """To find one device: a hundred times what a quick bus needs, nine times what the standard window needs."""
 TRIES: Final = 3
 """How often an unanswered step is sent; and a silent question, once answers got lost."""
+ROUNDS: Final = 5
+"""How often a bit is asked for, as 0 and as 1, once answers got lost."""
+UNLIKELY: Final = 3
+"""After so many failures of one thing, late answers are a likelier cause than lost ones."""
 ATTEMPTS: Final = 8
 """How often a scan is begun, and a number asked for, before it is given up."""
 
@@ -148,12 +153,11 @@ class Pace:
         self.slowest = max(self.slowest, reply.slowest)
         self.window = min(max(self.window, 2 * self.slowest), max(MAX_WINDOW, self.window))
 
-    def slow_down(self) -> None:
-        """Be more careful: something was late or lost. Repeat silent questions; if that is not enough, wait twice as long, and
-        after an answer as long as for silence."""
-        if self.repeats < TRIES:
-            self.repeats += 1
-        else:
+    def slow_down(self, failures: int) -> None:
+        """Be more careful: something was late or lost. Repeat silent questions. If one thing has failed more often than loss
+        makes likely (`failures`: how often before), wait twice as long, and after an answer as long as for silence."""
+        self.repeats = min(self.repeats + 1, TRIES)
+        if failures >= UNLIKELY:
             self.window = min(2 * self.window, max(MAX_WINDOW, self.window))
             self.guard = self.window
 
@@ -246,12 +250,12 @@ def survey(
     result = Survey()
     pace.until = (yield from current_time()) + pace.device_limit
     try:
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS):
             yield from all_waiting(tool)
             try:
                 yield from _survey_once(tool, pace, known, limit, (*aside, *result.found), result)
             except _Unclear:
-                pace.slow_down()
+                pace.slow_down(attempt)
                 continue
             yield from all_waiting(tool)
             return result
@@ -378,26 +382,46 @@ def _question(
 def _number(tool: LssTool, pace: Pace, sub: int, known: int | None) -> Procedure[int | None]:
     """Find a number of the address; None if nobody is asked about this one any more."""
     following = sub + 1 if sub + 1 < NUMBERS else 0
-    for _ in range(ATTEMPTS):
-        number = known
-        if number is None:
-            number = 0
-            for bit in range(HIGHEST_BIT, -1, -1):
-                if not (yield from _says_yes(tool, pace, number, bit, sub)):
-                    number |= 1 << bit
-        if (yield from _is_it(tool, pace, number, sub, following, TRIES if known is not None else pace.repeats)):
+    for attempt in range(ATTEMPTS):
+        number = known if known is not None else (yield from _bits(tool, pace, sub))
+        tries = TRIES if known is not None else pace.repeats
+        if number is not None and (yield from _is_it(tool, pace, number, sub, following, tries)):
             return number
-        if known is not None or not (yield from _look_closer(tool, pace, sub)):
+        if known is not None or not (yield from _look_closer(tool, pace, sub, attempt)):
             return None
     return None
 
 
+def _bits(tool: LssTool, pace: Pace, sub: int) -> Procedure[int | None]:
+    """Find a number bit by bit; None as soon as nobody says yes to what was found until then."""
+    number = 0
+    for bit in range(HIGHEST_BIT, -1, -1):
+        found = yield from _with_bit(tool, pace, number, bit, sub)
+        if found is None:
+            return None
+        number = found
+    return number
+
+
+def _with_bit(tool: LssTool, pace: Pace, number: int, bit: int, sub: int) -> Procedure[int | None]:
+    """Return `number` with this bit as a slave has it; None if nobody says yes. A repetition changes nothing there.
+
+    As long as nothing was lost, silence is a 1. Later a 1 is asked for, too: loss costs a window, and no bit is wrong.
+    """
+    one = number | 1 << bit
+    if pace.repeats == 1:
+        return number if (yield from _says_yes(tool, pace, number, bit, sub)) else one
+    for _ in range(ROUNDS):
+        for asked in (number, one):
+            if (yield from _says_yes(tool, pace, asked, bit, sub)):
+                return asked
+    return None
+
+
 def _says_yes(tool: LssTool, pace: Pace, number: int, bit: int, sub: int) -> Procedure[bool]:
-    """Return whether any slave says that its bits down to this one are those of `number`. A repetition changes nothing there."""
-    for _ in range(pace.repeats):
-        if (yield from _question(tool, pace, number, bit, sub, sub, pace.after_answer)).count:
-            return True
-    return False
+    """Return whether any slave says that its bits down to this one are those of `number`."""
+    reply = yield from _question(tool, pace, number, bit, sub, sub, pace.after_answer)
+    return reply.count > 0
 
 
 def _is_it(tool: LssTool, pace: Pace, number: int, sub: int, following: int, tries: int) -> Procedure[bool]:
@@ -423,13 +447,13 @@ def _is_anybody_at(tool: LssTool, pace: Pace, sub: int, window: Time) -> Procedu
     return False
 
 
-def _look_closer(tool: LssTool, pace: Pace, sub: int) -> Procedure[bool]:
+def _look_closer(tool: LssTool, pace: Pace, sub: int, attempt: int) -> Procedure[bool]:
     """Find out why a number was wrong: answers were late, or lost. Return whether anybody is still asked about it."""
     window, slowest = pace.window, max(pace.slowest, pace.guard)
     for _ in range(TRIES):
         if (yield from _is_anybody_at(tool, pace, sub, pace.patience)):
             if pace.window == window and pace.slowest <= slowest:  # not late, so lost
-                pace.slow_down()
+                pace.slow_down(attempt)
             return True
     return False
 
@@ -473,13 +497,13 @@ def search(
             halves = [(half, serial) for half in _halves(revision)]
         else:
             halves = [(revision, half) for half in _halves(serial)]
-        for _ in range(ATTEMPTS):
+        for attempt in range(ATTEMPTS):
             there: list[tuple[tuple[int, int], tuple[int, int]]] = []
             for half in halves:
                 there += [half] * (yield from _is_in(tool, pace, vendor_id, product_code, *half))
             if there:
                 break
-            pace.slow_down()
+            pace.slow_down(attempt)
         else:
             raise LssError(
                 "a device answers in a range of revisions or serial numbers, and in neither half of it, with up to "

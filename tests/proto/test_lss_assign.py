@@ -274,6 +274,12 @@ class Hostile(LssBench):
                     node.lss.complete_store(answer, self.bus.now)
 
 
+def is_told_as_two(result: Assignment, address: LssAddress) -> bool:
+    """Two devices with one LSS address cannot be told apart. So what becomes of them is not promised, but that it is told."""
+    remarks = [given.remark for given in result.done if given.address == address]
+    return "two devices" in result.remark or any("two devices" in remark for remark in remarks) or bool(result.unfinished)
+
+
 @examples(60, least=12)
 @given_by(
     seed=st.integers(0, 1 << 32),
@@ -318,25 +324,30 @@ def test_each_device_has_its_node_id_for_good_or_is_named(
             if given is None:
                 assert slave.address in result.left or result.unfinished, slave.address
                 assert slave.active.node_id == UNCONFIGURED
+            elif is_twin and slave.address == addresses[0]:
+                assert is_told_as_two(result, slave.address), "two devices, and not a word of it"
             elif given.is_complete:
                 assert (slave.active.node_id, slave.persistent.node_id) == (given.node_id,) * 2
             else:
                 assert given.remark
     bench.bus.run(SECOND)
-    ids = [each for each in bench.ids if each != UNCONFIGURED]
+    own = [slave for slave in bench.slaves if not (is_twin and slave.address == addresses[0])]
+    ids = [slave.active.node_id for slave in own if slave.active.node_id != UNCONFIGURED]
     assert len(ids) == len(set(ids))
+    assert not set(ids) & {slave.active.node_id for slave in bench.slaves if slave not in own}
     assert bench.bus.now - begun <= (len(bench.slaves) + 1) * (LIMIT + GIVEN_WITHIN)
 
 
-def test_eight_devices_at_a_loss_of_two_per_cent_get_their_ids_within_minutes() -> None:
+@pytest.mark.parametrize(("loss", "seed", "within"), [(0.02, 2, 120), (0.1, 2, 240), (0.1, 3, 240)])
+def test_eight_devices_on_a_bus_that_loses_frames_get_their_ids_within_minutes(loss: float, seed: int, within: int) -> None:
     """With the window that a real bus has. The first ones have theirs before the last one is found."""
-    bench = LssBench(random_addresses(8, 2), window=100 * MILLISECOND, seed=2, loss=0.02)
+    bench = LssBench(random_addresses(8, seed), window=100 * MILLISECOND, seed=seed, loss=loss)
     request_id = bench.network.run(assign_all(Assignment(bench.tool, in_order(range(1, 20)), bench.pace)), bench.bus.now)
     bench.bus.run_until(lambda: len(bench.running) == 1, 60 * SECOND)
     assert bench.slaves[[node.node_id for node in bench.nodes].index(1)].persistent.node_id == 1
     result = bench.end_of(request_id)
     assert [given.is_complete for given in result.done] == [True] * 8
-    assert bench.bus.now < 240 * SECOND
+    assert bench.bus.now < within * SECOND
 
 
 def test_the_time_for_one_device_is_kept_and_what_is_known_of_it_is_told() -> None:

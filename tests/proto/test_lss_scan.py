@@ -221,8 +221,11 @@ def test_the_pace_knows_the_slowest_answer_and_loses_its_patience_never() -> Non
         (9 * pace.window,) * 2,
         9 + BITS,
     )
-    for _ in range(10):
-        pace.slow_down()
+    for failures in (0, 1, 0, 2, 0):
+        pace.slow_down(failures)  # as loss does it
+    assert (pace.window, pace.repeats) == (100 * MILLISECOND, 3)
+    for failures in range(10):
+        pace.slow_down(failures)
     assert pace.after_answer == pace.window == 2_000 * MILLISECOND
 
 
