@@ -26,7 +26,7 @@ from canopen_cli.top_view import SORTS, BusShown, TopView, as_json, picture, pla
 from canopen_proto.machine import Time
 from canopen_proto.observer.bus_view import BusView
 from canopen_proto.observer.observer import Observer
-from canopen_transports.errors import BusStateChanged
+from canopen_transports.errors import BusState, BusStateChanged
 from canopen_transports.locator import parse_bitrate
 from canopen_transports.log_files import LogFileError
 from canopen_transports.record import Record
@@ -95,6 +95,7 @@ class _Top:
         self._clock = FrameClock()
         self._live: LiveSource | None = None
         self._notes: dict[str, str] = {}
+        self._state: BusState | None = None
 
     # ---- what comes ----
 
@@ -110,6 +111,7 @@ class _Top:
                 if isinstance(each, Record):
                     self._take(each)
                 elif isinstance(each, BusStateChanged):
+                    self._state = each.state
                     note_state(self._notes, each.state, each.seen)
 
     def _take(self, record: Record) -> None:
@@ -162,7 +164,7 @@ class _Top:
         ]
         note_source(self._notes, self._live, self._clock)
         chosen, sort = self._chosen % len(buses), self._sorts[self._sort]
-        return TopView(self._source, tuple(buses), chosen, sort, tuple(self._notes.values()))
+        return TopView(self._source, tuple(buses), chosen, sort, tuple(self._notes.values()), self._state)
 
     def _next_sort(self) -> None:
         self._sort = (self._sort + 1) % len(self._sorts)
@@ -171,13 +173,14 @@ class _Top:
         self._chosen += 1
 
     def _nothing_came(self, *, is_recording: bool) -> Problem:
+        seen = "; ".join(self._notes.values())  # why: entries that are no frames of CAN, or the state of the bus
         if is_recording:
-            seen = "; ".join(self._notes.values())  # why: entries that are no frames of CAN
             return Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {self._source}", seen=seen)
         return Problem(
             ExitCode.NO_ANSWER,
             "CO210",
             f"no frame came on {self._source or self._settings.required_bus()}",
+            seen=seen,
             cause="no node has power or sends anything, or the bit rate or the wiring is wrong",
             tries=("canopen listen --bitrates", "canopen scan    (asks each node)"),
         )

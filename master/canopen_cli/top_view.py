@@ -16,6 +16,7 @@ from canopen_master.plain_text import clean
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.observer.bus_view import BusFigures, Emergency, Intervals, NodeFigures
+from canopen_transports.errors import BusState
 from canopen_transports.locator import bitrate_text
 
 SILENT: Final = 3 * SECOND
@@ -41,7 +42,7 @@ class BusShown(NamedTuple):
 class TopView(NamedTuple):
     """All that is shown. source: the bus or file. buses: one at least. chosen: the one that is shown. sort: see SORTS.
 
-    notes: what else has happened, each in one line.
+    notes: what else has happened, each in one line. bus_state: what a live bus has said last; None if it has said nothing.
     """
 
     source: str
@@ -49,6 +50,7 @@ class TopView(NamedTuple):
     chosen: int = 0
     sort: str = "node"
     notes: tuple[str, ...] = ()
+    bus_state: BusState | None = None
 
 
 def is_silent(node: NodeFigures, now: Time) -> bool:
@@ -287,8 +289,9 @@ def _emergency_text(node_id: int, emergency: Emergency) -> str:
 
 
 def as_json(view: TopView) -> list[dict[str, Any]]:
-    """Return all buses for a JSON document. Times in ns."""
-    return [_bus_json(shown) for shown in view.buses]
+    """Return all buses for a JSON document. Times in ns. `bus_state` and `notes` are those of the source, for all its buses."""
+    state = None if view.bus_state is None else view.bus_state.value
+    return [{**_bus_json(shown), "bus_state": state, "notes": list(view.notes)} for shown in view.buses]
 
 
 def _bus_json(shown: BusShown) -> dict[str, Any]:

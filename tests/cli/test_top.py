@@ -7,13 +7,16 @@ import sys
 from pathlib import Path
 
 import pytest
+import trio
 from rich.console import Console, RenderableType
 
+from canopen_cli import live_source
 from canopen_cli.top_view import SILENT, BusShown, TopView, is_silent, picture
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.bus_view import BusView
 from canopen_proto.observer.observer import Observer
+from canopen_transports import BusState, BusStateChanged
 from tests.cli.cli_support import Run, runner
 
 LOG = """\
@@ -194,6 +197,58 @@ def test_json(run: Run) -> None:
     assert node["emergencies"][0]["text"].startswith("life guard")
     assert first["sync"]["number"] == 2
     assert first["load"] is None
+
+
+class FaultyBus:
+    """A bus that reports these states, after as many heartbeats, and then is silent."""
+
+    def __init__(self, beats: int, states: list[BusState]) -> None:
+        self._items: list[object] = [(Frame(0x705, b"\x05"), None)] * beats
+        self._items += [BusStateChanged("virtual:x", state, "the cable is loose") for state in states]
+
+    async def receive(self) -> object:
+        if not self._items:
+            await trio.sleep_forever()
+        return self._items.pop(0)
+
+    async def __aenter__(self) -> None: ...
+    async def __aexit__(self, *_: object) -> None: ...
+
+
+def on_faulty_bus(
+    run: Run, monkeypatch: pytest.MonkeyPatch, beats: int, *states: BusState
+) -> tuple[str, list[dict[str, object]]]:
+    """Return what people see, and what programs get."""
+    command = ("top", "-b", "virtual:x", "--seconds", "0.2")
+    found = []
+    for more in ((), ("--json",)):
+
+        async def opening(locator: str) -> FaultyBus:
+            return FaultyBus(beats, list(states))
+
+        monkeypatch.setattr(live_source, "open_transport", opening)
+        found.append(run(*command, *more))
+    text = found[0].out + found[0].err
+    return text, found[1].json if beats else []
+
+
+@pytest.mark.parametrize("state", [BusState.BUS_OFF, BusState.DOWN, BusState.PASSIVE, BusState.NO_ACKNOWLEDGE])
+def test_a_bus_that_is_not_well_is_told_to_people_and_to_programs(
+    run: Run, monkeypatch: pytest.MonkeyPatch, state: BusState
+) -> None:
+    text, (bus,) = on_faulty_bus(run, monkeypatch, 2, state)
+    told = f"the bus is {state.name.lower().replace('_', '-')}: the cable is loose"
+    assert told in text
+    assert (bus["bus_state"], bus["notes"]) == (state.value, [told])
+    text, _ = on_faulty_bus(run, monkeypatch, 0, state)
+    assert "no frame came on virtual:x" in text
+    assert told in text
+
+
+def test_a_bus_that_is_well_again_is_not_accused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    text, (bus,) = on_faulty_bus(run, monkeypatch, 2, BusState.BUS_OFF, BusState.ACTIVE)
+    assert "the bus is" not in text
+    assert (bus["bus_state"], bus["notes"]) == ("error-active", [])
 
 
 def test_standard_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
