@@ -26,7 +26,7 @@ LSS_MUTANTS: Final = tuple(
         (
             "loss_is_lateness",
             _SCAN,
-            "        if self.repeats < TRIES:\n            self.repeats += 1\n        else:\n",
+            "        if failures >= UNLIKELY:\n",
             "        if True:\n",
             "lost frames make every question wait for seconds: eight devices take hours",
             ASSIGN,
@@ -93,14 +93,6 @@ LSS_MUTANTS: Final = tuple(
             "if reply.count > 1 and service is LssService.CONFIGURE_NODE_ID:",
             "if reply.count > 2 and service is LssService.CONFIGURE_NODE_ID:",
             "two devices take one node-ID, and nobody says so",
-            ASSIGN,
-        ),
-        (
-            "loss_is_taken_for_lateness",
-            _SCAN,
-            "        if failures >= UNLIKELY:\n",
-            "        if self.repeats == TRIES:\n",
-            "on a bus that loses frames the windows grow until the time for a device is over",
             ASSIGN,
         ),
         (
