@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from canopen_proto.boot.entry import BootEntry
 from canopen_proto.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.machine import NEVER, Time
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.remote_node import RemoteNode
 
+RENEWALS: Final = 3
+"""For so many of its full times the bus may work without a sign of life of a node; then an outage is no excuse any more."""
+
 
 class Member:
     """A node of the network. outcome: of its last boot-up. boots: the node's count of boot-ups that were seen to.
 
     started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. watched_since: when
-    it last got its full time again, after an outage of the bus. beats: when its heartbeats came, while they are not watched yet.
+    it last got its full time again, after an outage of the bus. unheard: how long the bus has worked without a sign of its life,
+    summed over the stretches between outages. beats: when its heartbeats came, while they are not watched yet.
     sends_none_until: so long its word counts that it sends none.
     reset: how it is reset when it is heard again. is_missed: it was lost, and has not booted since.
     """
@@ -27,6 +33,7 @@ class Member:
         self.started_at: Time = -NEVER
         self.absent_since: Time = NEVER
         self.watched_since: Time = -NEVER
+        self.unheard: Time = 0
         self.beats: list[Time] = []
         self.sends_none_until: Time = -NEVER
         self.is_booting = False
@@ -65,7 +72,21 @@ class Member:
 
     def may_be_unheard(self, outage: str, back_at: Time) -> bool:
         """Return whether it was lost while the bus was away (`outage`), or before it could show itself since (`back_at`)."""
-        return bool(outage) or max(self.node.heartbeat.last_heard or -NEVER, self.watched_since) < back_at
+        heard = self.node.heartbeat.last_heard or -NEVER
+        is_patient = self.has_patience or heard > self.watched_since
+        return bool(outage) or (is_patient and max(heard, self.watched_since) < back_at)
+
+    @property
+    def has_patience(self) -> bool:
+        """Whether it gets its full time again after an outage: a bus that comes and goes would renew it for ever."""
+        return self.unheard < RENEWALS * (self.node.heartbeat.timeout or self.node.guarding.life_time)
+
+    def count_unheard(self, heard: Time | None, now: Time) -> None:
+        """Add the stretch that ends now. heard: when it last told its NMT state."""
+        heard = -NEVER if heard is None else heard
+        if heard >= self.watched_since:
+            self.unheard = 0
+        self.unheard += max(0, now - max(heard, self.watched_since))
 
     def watch_again(self, now: Time) -> None:
         """Give it its full time again to show itself."""

@@ -459,10 +459,14 @@ class NetworkBoot:
                     yield from self._learn(member)
 
     def _await_bus(self, member: Member) -> Procedure[None]:
-        """Wait while no frames pass; then give a node its full time again."""
+        """Wait while no frames pass; then give a node its full time again, unless it was silent for long between outages."""
+        heard = self.network.heard(member.node.node_id).state_time
+        if self.network.outage:
+            yield from act(lambda now: member.count_unheard(heard, now))
         while self.network.outage:
             yield Wait(None, member.node, _is_outage, (OutageChanged,))
-        yield from act(member.watch_again)
+        if member.has_patience:
+            yield from act(member.watch_again)
 
     def _learn(self, member: Member) -> Procedure[None]:
         """Watch a node that has begun to send heartbeats, as soon as its period is known."""

@@ -145,6 +145,31 @@ def test_while_the_bus_is_away_nobody_is_lost(
     assert told == ["can0 is down: unplugged", ""]
 
 
+@pytest.mark.parametrize(("works", "fails"), [(300, 200), (450, 10), (250, 5000)])
+def test_a_bus_that_comes_and_goes_hides_a_lost_node_for_a_bounded_time(works: int, fails: int) -> None:
+    """Each stretch in which the bus works is shorter than the node's time of 500 ms. The others are heard in them."""
+    bench = BootBench(NODES)
+    boot = bench.network_boot(STOP_ALL, *(entry(node_id, OPTIONAL) for node_id in NODES))
+    bench.run(boot.start())
+    bench.master.run(boot.supervise(), bench.bus.now)
+    victim = NODES[0]
+    bench.nodes[victim].switch_off()
+    bench.nodes[victim].boot_delay = 3600 * SECOND
+    flaps = 0
+    while not losses(bench) and flaps < 100:
+        flaps += 1
+        bench.bus.run(works * MILLISECOND)
+        bench.master.outage = "can0 is bus-off"
+        bench.bus.disturb(loss=1.0, delay=(100_000, 100_000))
+        bench.bus.run(fails * MILLISECOND)
+        assert victim not in [each.node_id for each in losses(bench)] or flaps > 1
+        bench.bus.disturb(delay=(100_000, 100_000))
+        bench.master.outage = ""
+        bench.bus.run(MILLISECOND)
+    assert [each.node_id for each in losses(bench)] == [victim]
+    assert 3 * 500 <= flaps * works + 500 <= 5 * 500 + works
+
+
 def test_who_is_not_to_be_watched_is_not_watched() -> None:
     bench = BootBench((6,))
     sends(bench.node, 100)
