@@ -151,15 +151,21 @@ def judge(ways: Ways, is_known: bool, unverified: bool, confirm: bool) -> None:
             assert NOT_VERIFIED in so_far.remark
 
 
+IDENTITIES = ("memory", "running", "constant", "zero", "absent")
+VERSIONS = ("absent", "memory", "running", "constant", "loader")
+FALLS = ("new", "old", "stays")
+LONGEST = 61
+"""Frames: the power is cut before the last of so many."""
+
 WAYS = st.builds(
     Ways,
-    identity=st.sampled_from(["memory", "running", "constant", "zero", "absent"]),
-    version=st.sampled_from(["absent", "memory", "running", "constant", "loader"]),
+    identity=st.sampled_from(IDENTITIES),
+    version=st.sampled_from(VERSIONS),
     has_status=st.booleans(),
-    falls=st.sampled_from(["new", "old", "stays"]),
+    falls=st.sampled_from(FALLS),
     drops=st.booleans(),
     trial=st.booleans(),
-    cut=st.none() | st.integers(0, 60),
+    cut=st.none() | st.integers(0, LONGEST - 1),
 )
 
 

@@ -1,0 +1,45 @@
+"""Random lives of devices that get a new program: how they lie, fail, and lose their power.
+
+The model and the oracle are those of tests/proto/test_program_identity.py. A life is known by its number: the same number gives
+the same life, so one that fails is repeated by `python -m fuzz flash_lives NUMBER 1`.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from typing import Final
+
+from tests.proto.test_program_identity import FALLS, IDENTITIES, LONGEST, VERSIONS, Ways, judge
+
+COUNT: Final = 1000
+
+
+def life(number: int) -> tuple[Ways, bool, bool, bool]:
+    """Return a device, whether the identity of the program is known, and whether "not verified" and "confirm" are wanted."""
+    chance = random.Random(number)
+    ways = Ways(
+        identity=chance.choice(IDENTITIES),
+        version=chance.choice(VERSIONS),
+        has_status=chance.random() < 0.5,
+        falls=chance.choice(FALLS),
+        drops=chance.random() < 0.5,
+        trial=chance.random() < 0.5,
+        cut=chance.choice([None, chance.randrange(LONGEST)]),
+    )
+    return ways, chance.random() < 0.5, chance.random() < 0.5, chance.random() < 0.5
+
+
+def main(arguments: list[str]) -> int:
+    """Live so many lives from a number on: [FIRST [COUNT]]. The exit status: 0, or 1 if one has failed, which is printed."""
+    first, count = [*map(int, arguments), *(0, COUNT)[len(arguments) :]]
+    failed = 0
+    for number in range(first, first + count):
+        lived = life(number)
+        try:
+            judge(*lived)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is told and counted
+            failed += 1
+            print(f"life {number} has failed: {lived}\n    {type(error).__name__}: {error}", flush=True)
+    print(f"{count} lives from {first} on: {failed} failed, {time.process_time():.0f} s of CPU time")
+    return int(failed > 0)

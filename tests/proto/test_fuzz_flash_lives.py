@@ -1,0 +1,24 @@
+"""The random lives of `python -m fuzz flash_lives` are the same each time, and one that fails is told."""
+
+from __future__ import annotations
+
+import pytest
+
+from fuzz import flash_lives
+from fuzz.__main__ import main as fuzz
+from tests.proto.test_program_identity import Ways
+
+
+def test_random_lives_can_be_lived_by_hand(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """python -m fuzz flash_lives: the same lives for the same numbers, and a failure is told and counted."""
+    assert fuzz(["flash_lives", "5", "3"]) == 0
+    assert "3 lives from 5 on: 0 failed" in capsys.readouterr().out
+
+    def false(ways: Ways, *rest: bool) -> None:
+        assert ways != flash_lives.life(6)[0], "false"
+
+    monkeypatch.setattr(flash_lives, "judge", false)
+    assert flash_lives.main(["5", "3"]) == 1
+    printed = capsys.readouterr().out
+    assert f"life 6 has failed: {flash_lives.life(6)}" in printed
+    assert "3 lives from 5 on: 1 failed" in printed
