@@ -72,17 +72,26 @@ def check(settings: Settings, file: Path | None, identity: bool) -> int:
         _show(screen, chosen, nodes)
     for bus, node_id in strangers:
         screen.say(f"[yellow]node {node_id} on {escape(bus)} was heard, and is not in {escape(chosen.machine.source)}[/]")
-    right = [each for each in nodes if each.result.is_right]
-    if not any(each.result.answers for each in nodes):
+    headline, status = verdict(nodes)
+    if status is ExitCode.NO_ANSWER:
         raise Problem(
-            ExitCode.NO_ANSWER,
+            status,
             "CO201",
             f"no node of {chosen.machine.source} answers",
             cause="no power, another bit rate, or another bus",
             tries=("canopen scan", "canopen doctor"),
         )
-    screen.say(f"{len(right)} of {counted(len(nodes), 'node')} as in the file{_others(nodes)}")
-    return ExitCode.OK if len(right) == len(nodes) else ExitCode.DIFFERENT
+    screen.say(headline)
+    return status
+
+
+def verdict(nodes: list[Checked]) -> tuple[str, ExitCode]:
+    """Return the headline of a table of nodes, and the exit status."""
+    right = sum(each.result.is_right for each in nodes)
+    headline = f"{right} of {counted(len(nodes), 'node')} as in the file{_others(nodes)}"
+    if not any(each.result.answers for each in nodes):
+        return headline, ExitCode.NO_ANSWER
+    return headline, ExitCode.OK if right == len(nodes) else ExitCode.DIFFERENT
 
 
 def _others(nodes: list[Checked]) -> str:

@@ -13,9 +13,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_cli.boot_summary import NodeRow, NodeState, by_state, policy, problem_of, rows_of, success, tally
+from canopen_cli.net_check import Checked, verdict
 from canopen_cli.problem import ExitCode
 from canopen_proto.abort import AbortCode
 from canopen_proto.boot.assignment import Startup
+from canopen_proto.boot.comparison import Compared, NodeComparison
 from canopen_proto.boot.entry import NetworkEntry
 from canopen_proto.boot.network_boot import BootReport
 from canopen_proto.boot.outcome import BootLetter, BootOutcome, BootStep
@@ -152,3 +154,37 @@ def test_any_table_gives_a_headline_that_adds_up(states: list[tuple[NodeState, b
         assert problem.code == ("CO215" if any(row.is_mandatory for row in bad) else "CO216")
         assert text in problem.failed
         assert problem.node in {row.node_id for row in bad}
+
+
+KINDS = {
+    "as in the file": [],
+    "silent": [],
+    "another device": [Compared(0x1018, 4, u32(1), u32(2))],
+    "with other settings": [Compared(0x2000, 0, u32(1), u32(2), is_setting=True)],
+}
+"""A word of the headline of `net check` -> what is wrong with such a node."""
+
+
+@examples(200, least=40)
+@given(
+    kinds=st.lists(st.tuples(st.sampled_from(list(KINDS)), st.booleans(), st.booleans()), min_size=1, max_size=20),
+)
+def test_the_headline_of_a_check_adds_up(kinds: list[tuple[str, bool, bool]]) -> None:
+    """Each node is counted once, with what is planted in it. Another device is that, whatever its settings are."""
+    nodes = []
+    for number, (kind, has_right_ones, has_other_settings) in enumerate(kinds, start=1):
+        objects = [Compared(0x1000, 0, u32(5), u32(5))] * has_right_ones + KINDS[kind]
+        if kind == "another device" and has_other_settings:
+            objects += KINDS["with other settings"]
+        nodes.append(Checked(None, NodeComparison(number, kind != "silent", tuple(objects)), None))  # type: ignore[arg-type]
+    headline, status = verdict(nodes)
+    planted = Counter(kind for kind, _, _ in kinds)
+    told = {words: int(number) for number, words in re.findall(r"(\d+) (silent|another device|with other settings)", headline)}
+    right = planted.pop("as in the file", 0)
+    assert headline.startswith(f"{right} of {len(kinds)} node")
+    assert told == planted
+    assert right + sum(told.values()) == len(kinds)
+    if right == len(kinds):
+        assert status is ExitCode.OK
+    else:
+        assert status is (ExitCode.NO_ANSWER if planted["silent"] == len(kinds) else ExitCode.DIFFERENT)
