@@ -310,34 +310,81 @@ def test_what_is_left_out_has_its_reason(imported: Import, text: str, key: str, 
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "key", "said"),
     [
-        ("nodes: {a: {}}\nbus: {}", "nodes.a: it has no id"),
-        ("nodes: {a: {id: 0}}", "a whole number of 1..127 is expected, not 0"),
-        ("nodes: {a: {id: 3}, b: {id: 3}}", "nodes.b: node-ID 3 is that of a already"),
-        ("nodes: {a: {id: 3}, b: {id: 4, name: a}}", "there are two nodes 'a'"),
-        ("nodes: [{id: 3}]", "nodes[0]: it has no name"),
-        ("nodes: {a: {id: 3}}\nsync: {interval_ms: 2.5}", "sync.interval_ms: a whole number"),
-        ("nodes: {a: {id: 3}}\nsync: 5", "sync: a map is expected, not 5"),
-        ("nodes: {a: {id: 3, dcf_overlay: {speed: '1'}}}", "an object is an index"),
-        ("nodes: {a: {id: 3, dcf_overlay: ['1']}}", "nodes.a.dcf_overlay: a map is expected"),
-        ("nodes: {a: {id: 3, eds_file: \"x\\0y\"}}", "no file name has a zero byte"),
-        ("nodes: {' ': {id: 3}}", "the name is empty"),
-        ("other: 1", "this is no configuration of ros_canopen"),
-        ("master: {}\nnodes: {a: {driver: x}}", "nodes.a: it has no node_id"),
-        ("master: {}\nnodes: {a: {node_id: 2, sdo: [{index: 0x6081}]}}", "an entry has index, sub_index and value"),
-        ("master: {}\nnodes: {a: {node_id: 2, sdo: {index: 1}}}", "nodes.a.sdo: a list is expected"),
-        ("master: {}\nnodes: {a: {node_id: 2, tpdo: {x: {}}}}", "a PDO has a number of 1..512"),
-        ("master: {}\nnodes: {a: {node_id: 2, tpdo: {1: {mapping: [{}]}}}}", "an entry has index and sub_index"),
-        ("master: {}\nnodes: {a: {node_id: 2, driver: 402, num_channels: 9}}", "a whole number of 1..8"),
-        ("nodes: {a: {id: 3}}\njoint_limits: {a: {has_velocity_limits: true, max_velocity: 1e999}}", "too large"),
-        ("nodes: {a: {id: 3}}\njoint_limits: {a: {has_position_limits: true, min_position: 2, max_position: 1}}", "must be"),
+        ("nodes: {a: {}}\nbus: {}", "nodes.a", "it has no id"),
+        ("nodes: {a: {id: 0}}", "nodes.a.id", "a whole number of 1..127 is expected, not 0"),
+        ("nodes: {a: {id: 3}, b: {id: 3}}", "nodes.b", "node-ID 3 is that of a already"),
+        ("nodes: {a: {id: 3}, b: {id: 4, name: a}}", "nodes.b", "there are two nodes 'a'"),
+        ("nodes: [{id: 3}]", "nodes[0]", "it has no name"),
+        ("nodes: {a: {id: 3}}\nsync: {interval_ms: 2.5}", "sync.interval_ms", "a whole number"),
+        ("nodes: {a: {id: 3}}\nsync: 5", "sync", "a map is expected, not 5"),
+        ("nodes: {a: {id: 3, dcf_overlay: {speed: '1'}}}", "nodes.a.dcf_overlay.speed", "an object is an index"),
+        ("nodes: {a: {id: 3, dcf_overlay: ['1']}}", "nodes.a.dcf_overlay", "a map is expected"),
+        ("nodes: {a: {id: 3, eds_file: \"x\\0y\"}}", "nodes.a.eds_file", "no file name has a zero byte"),
+        (f"nodes: {{a: {{id: 3, eds_file: {'x' * 300}}}}}", "nodes.a.eds_file", "the file cannot be looked for"),
+        ("nodes: {a: {id: 3}}\nbus: {device: 'zork:1'}", "bus.device", "there is no interface 'zork'"),
+        ("nodes: {a: {id: 3, homing_timeout_seconds: 2020-01-01}}", "nodes.a.homing_timeout_seconds", "a value with the tag"),
+        ("nodes: {' ': {id: 3}}", "nodes. ", "the name is empty"),
+        ("nodes: {a: {id: 3}}\nheartbeat: {rate: often}", "heartbeat.rate", "a number is expected, not often"),
+        ("master: {}\nnodes: {a: {driver: x}}", "nodes.a", "it has no node_id"),
+        ("master: {}\nnodes: {a: {node_id: 2, sdo: [{index: 0x6081}]}}", "nodes.a.sdo[0]", "an entry has index"),
+        ("master: {}\nnodes: {a: {node_id: 2, sdo: {index: 1}}}", "nodes.a.sdo", "a list is expected"),
+        ("master: {}\nnodes: {a: {node_id: 2, tpdo: {x: {}}}}", "nodes.a.tpdo.x", "a PDO has a number of 1..512"),
+        ("master: {}\nnodes: {a: {node_id: 2, tpdo: {1: {mapping: [{}]}}}}", "nodes.a.tpdo.1.mapping[0]", "an entry has index"),
+        ("master: {}\nnodes: {a: {node_id: 2, driver: 402, num_channels: 9}}", "nodes.a.num_channels", "a whole number of 1..8"),
+        (
+            "nodes: {a: {id: 3}}\njoint_limits: {a: {has_velocity_limits: true, max_velocity: 1e999}}",
+            "joint_limits.a.max_velocity", "too large",
+        ),
+        (
+            "nodes: {a: {id: 3}}\njoint_limits: {a: {has_position_limits: true, min_position: 2, max_position: 1}}",
+            "joint_limits.a", "min_position 2 is not below max_position 1",
+        ),
     ],
 )  # fmt: skip
-def test_wrong_configurations_have_one_clear_error(imported: Import, text: str, said: str) -> None:
-    with pytest.raises(DictionaryError) as raised:
-        imported(text)
-    assert said in str(raised.value)
+def test_what_cannot_be_used_is_named_and_ends_nothing(imported: Import, text: str, key: str, said: str) -> None:
+    other = "{id: 99}" if "id: " in text and "node_id" not in text and "driver" not in text else "{node_id: 99}"
+    if text == "nodes: {a: {}}\nbus: {}":
+        other = "{id: 99}"
+    with_other = text.replace("nodes: [", "nodes: [{name: other, id: 99}, ").replace("nodes: {", f"nodes: {{other: {other}, ")
+    key = key.replace("nodes[0]", "nodes[1]")
+    made = imported(with_other)
+    assert [reason for outcome, reason in told(made, key) if outcome is Outcome.LEFT_OUT and said in reason], made.report
+    assert parse_machine(made.text).nodes["other"].node_id == 99
+
+
+def test_what_is_no_configuration_is_an_error(imported: Import) -> None:
+    with pytest.raises(DictionaryError, match="this is no configuration of ros_canopen"):
+        imported("other: 1")
+
+
+def test_more_than_a_hundred_values_that_cannot_be_used_are_another_kind_of_file(imported: Import) -> None:
+    with pytest.raises(DictionaryError, match="it has no id"):
+        imported("bus: {}\nnodes: {" + ", ".join(f"n{number}: {{}}" for number in range(102)) + "}")
+
+
+def test_no_default_stands_in_for_a_part_of_a_scale_that_cannot_be_used(imported: Import) -> None:
+    """ros2_canopen's own 1000 counts for a rad would otherwise move the joint by a scale that nobody gave."""
+    for keys in ("scale_pos_to_dev: x", "scale_pos_to_dev: x, scale_pos_from_dev: 0.001", "channels: [{offset_pos_to_dev: x}]"):
+        made = imported(f"master: {{}}\nnodes: {{a: {{node_id: 2, driver: Cia402Driver, {keys}}}}}")
+        assert parse_machine(made.text).joints["a"].settings.counts_per_unit is None
+    for text in ("nodes: {a: {id: 2, pos_to_device: []}}", "defaults: 7\nnodes: {a: {id: 2}}"):
+        assert parse_machine(imported(text).text).joints["a"].settings.counts_per_unit is None
+
+
+def test_a_pdo_is_taken_whole_or_not_at_all(imported: Import, tmp_path: Path) -> None:
+    made = imported(ROS2.replace("{index: 0x6041}", "{index: never}"))
+    dictionary = load_description(tmp_path / "lift.dcf").dictionary
+    assert [dictionary.variable(key).configured for key in ("1800:01", "1A00:00", "1801:01")] == [None, None, 0x80000282]
+    assert "without it the PDO would be another one" in told(made, "defaults.tpdo.1")[0][1]
+
+
+def test_a_brake_test_is_told_as_what_it_is(imported: Import) -> None:
+    made = imported("nodes: {a: {id: 3, braketest_required: true}, b: {id: 4, braketest_required: false}}")
+    assert told(made, "nodes.a.braketest_required")[0][0] is Outcome.LEFT_OUT
+    assert "Nothing here does; the test is still due" in told(made, "nodes.a.braketest_required")[0][1]
+    assert told(made, "nodes.b.braketest_required")[0][0] is Outcome.NOT_NEEDED
 
 
 def test_a_name_is_made_one(imported: Import) -> None:
@@ -404,6 +451,62 @@ def test_with_the_devices_files_nearly_all_is_taken_over(tmp_path: Path) -> None
 
 
 # ---- whatever is in the file ----
+
+_JUNK = (
+    '"junk"', "-7", "2.5", "[1, x]", "{a: 1}", "!x y", "!y [1]", "2020-01-01", "null", '""', "1.0e+400", "true", "123456789012",
+)  # fmt: skip
+
+
+def texts_with(value: Value, place: str, junk: str) -> str:
+    """The text of a file, with junk in one place."""
+    if value.place == place and place:
+        return junk
+    if value.kind == "map":
+        return "{" + ", ".join(f"{json.dumps(key)}: {texts_with(each, place, junk)}" for key, each in value.entries.items()) + "}"
+    if value.kind == "list":
+        return "[" + ", ".join(texts_with(each, place, junk) for each in value.items) + "]"
+    return json.dumps(value.text) if value.kind == "str" else value.text or "null"
+
+
+def places_of(value: Value) -> list[str]:
+    return [value.place, *(place for each in (*value.entries.values(), *value.items) for place in places_of(each))]
+
+
+def assert_the_rest_is_imported(whole: Value, place: str, junk: str, folder: Path) -> None:
+    path = folder / "any.yaml"
+    path.write_text(texts_with(whole, "", ""))
+    wanted = parse_machine(import_configuration([path], folder).text)
+    path.write_text(texts_with(whole, place, junk))
+    made = import_configuration([path], folder)
+    assert_every_key_is_told(made, path)
+    left = {name: each.node_id for name, each in parse_machine(made.text).nodes.items()}
+    for name, node in wanted.nodes.items():
+        key = "nodes.node2" if name == "elbow" else f"nodes.{name}"  # ROS1 names one otherwise
+        if place != "nodes" and not f"{place}.".startswith(f"{key}."):
+            assert left[name] == node.node_id, (place, junk, name)
+
+
+@pytest.mark.parametrize("text", [ROS1, ROS2, MULTI])
+@given(data=st.data())
+@examples(25)
+def test_any_one_value_may_be_junk_and_the_rest_is_imported(text: str, data: st.DataObject) -> None:
+    whole = read_yaml(text.encode(), "any")
+    place = data.draw(st.sampled_from(sorted(set(places_of(whole)) - {""})))
+    with tempfile.TemporaryDirectory() as folder:
+        assert_the_rest_is_imported(whole, place, data.draw(st.sampled_from(_JUNK)), Path(folder))
+
+
+@needs_configurations
+@pytest.mark.parametrize("names", SETS)
+@given(data=st.data())
+@examples(15)
+def test_any_one_value_of_others_may_be_junk_and_the_rest_is_imported(names: tuple[str, ...], data: st.DataObject) -> None:
+    wholes = [read_yaml((FOLDER / name).read_bytes(), name) for name in names]
+    whole = Value("map", "", "", "any", 0, {key: each for one in wholes for key, each in one.entries.items()})
+    place = data.draw(st.sampled_from(sorted(set(places_of(whole)) - {""})))
+    with tempfile.TemporaryDirectory() as folder:
+        assert_the_rest_is_imported(whole, place, data.draw(st.sampled_from(_JUNK)), Path(folder))
+
 
 _SCALARS = st.one_of(
     st.integers(),

@@ -20,6 +20,7 @@ from canopen_master.ros_configurations.unit_expression import (
     NotLinear,
     read_expression,
 )
+from tests.examples import examples
 
 
 @pytest.mark.parametrize(
@@ -109,9 +110,40 @@ def test_what_is_rounded_is_told() -> None:
     assert "differs by" in typed.notes[0]
 
 
+@given(scale=st.floats(1e-3, 1e7), digits=st.integers(3, 12), others=st.integers(3, 12), swapped=st.booleans())
+@examples(60)
+def test_inverses_that_were_rounded_give_a_scale_by_the_one_with_more_digits(
+    scale: float, digits: int, others: int, swapped: bool
+) -> None:
+    factors = f"{scale:.{digits - 1}e}", f"{1 / scale:.{others - 1}e}"
+    there, back = factors[::-1] if swapped else factors
+    made = position_keys(line(f"pos*{there}"), line(f"obj6064*{back}"), is_linear=False)
+    kept = made.keys["counts_per_unit"]
+    assert kept in (pytest.approx(float(there), rel=1e-12), pytest.approx(1 / float(back), rel=1e-12))
+    finest = 10.0 ** (1 - max(digits, others))
+    assert kept == pytest.approx(1 / scale if swapped else scale, rel=max(finest, 1e-6))
+
+
+@pytest.mark.parametrize(
+    ("there", "back", "counts", "said"),
+    [
+        ("pos*57295.78", "obj6064*0.00001745", 57295.78, "the one to the drive has more digits"),
+        ("pos*57296", "obj6064*0.0000174533", 1 / 0.0000174533, "the one from the drive has more digits"),
+        ("pos*57.3", "obj6064*0.01745329", 1 / 0.01745329, "the one from the drive has more digits"),
+    ],
+)
+def test_the_factor_that_counts_is_told(there: str, back: str, counts: float, said: str) -> None:
+    made = position_keys(line(there), line(back), is_linear=False)
+    assert made.keys["counts_per_unit"] == pytest.approx(counts, rel=1e-12)
+    assert said in made.notes[0]
+
+
 @pytest.mark.parametrize(
     ("there", "back", "reason"),
     [
+        ("pos*1400", "obj6064*0.001", "not the inverse"),
+        ("pos*57295.78", "obj6064*0.00001755", "not the inverse"),
+        ("pos*3200*26/360", "obj6064*360/(3205*26)", "not the inverse"),
         ("pos*1000", "obj6064/2000", "not the inverse"),
         ("pos*1000", "-obj6064/1000", "not the inverse"),
         ("0", "obj6064", "a factor is 0"),

@@ -44,10 +44,6 @@ def test_numbers_are_those_of_yaml_1_1_and_exact(text: str, number: Fraction | N
     [
         ("a: 1\nb: 2\na: 3\n", "a.yaml:3:1: error: .a: it stands in line 1 already"),
         ("x:\n  a: 1\n  a: 2\n", "a.yaml:3:1: error: x.a: it stands in line 2 already"),
-        ("a: !!python/object/apply:os.system [ls]\n", "a.yaml:1:1: error: a: values with the tag"),
-        ("a: !degrees 90\n", "the tag '!degrees' are not read"),
-        ("a: 2020-01-01\n", "timestamp' are not read"),
-        ("a: !!binary aGk=\n", "binary' are not read"),
         ("a: &x [1]\nc:\n  <<: *x\n", "a.yaml:1:1: error: c[0]: a map is expected"),
         ("? [1, 2]\n: 3\n", "a key is a map or a list"),
         ("a: &r [*r]\n", f"nested deeper than {MAX_DEPTH} levels, or contains itself"),
@@ -121,3 +117,20 @@ def test_without_the_package_the_line_to_install_it_is_told(monkeypatch: pytest.
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(PackageMissing, match=r"pip install 'canopen-proto\[yaml\]'"):
         read_yaml(b"a: 1", "a.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "tag"),
+    [
+        ("!!python/object/apply:os.system [ls]", "python"),
+        ("!degrees 90", "!degrees"),
+        ("2020-01-01", "timestamp"),
+        ("!!binary aGk=", "binary"),
+    ],
+)
+def test_a_value_with_any_other_tag_is_no_value_and_the_rest_is_read(text: str, tag: str) -> None:
+    entries = read_yaml(f"a: {text}\nb: 5\n".encode(), "a.yaml").entries
+    assert entries["b"].integer(0, 9) == 5
+    for get in (entries["a"].string, entries["a"].number, entries["a"].truth, lambda: entries["a"].check("map", "list", "str")):
+        with pytest.raises(DictionaryError, match=rf"a\.yaml:1:1: error: a: a .* is expected, not a value with the tag '.*{tag}"):
+            get()

@@ -13,13 +13,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from canopen_data import DataError, content_of
+from canopen_data.findings import DictionaryError
 from canopen_master.machine_file import parse_machine
 from canopen_master.ros_configurations.device_settings import configured_file
 from canopen_master.ros_configurations.draft import BUS, Choices, Draft
 from canopen_master.ros_configurations.report import Outcome, Report, Section, Told, section_of
 from canopen_master.ros_configurations.ros2_canopen import is_ros2_canopen, take_ros2_canopen
 from canopen_master.ros_configurations.ros_canopen import is_ros_canopen, take_ros_canopen
-from canopen_master.ros_configurations.yaml_text import Value, read_yaml
+from canopen_master.ros_configurations.unusable import MAX_UNUSABLE, Unusable, unusable_part, without
+from canopen_master.ros_configurations.yaml_text import UnusableValue, Value, read_yaml
 
 __all__ = ["Choices", "Imported", "Outcome", "Told", "import_configuration"]
 
@@ -48,29 +50,45 @@ def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Cho
     """Return the machine that these files describe together: parts of one configuration, as they are loaded together.
 
     folder: where the machine file will stand; paths in it are relative to that. Raises DataError for a file that cannot be read,
-    DictionaryError for one that is no configuration or has an error, PackageMissing without `ruamel.yaml`.
+    DictionaryError for one that is no YAML,
+    PackageMissing without `ruamel.yaml`.
     """
-    top: dict[str, Value] = {}
+    whole: dict[str, Value] = {}
     for path in paths:
         content = content_of(Path(path), str(path))
         if content is None:
             raise DataError(f"there is no file {str(path)!r}", "check the path")
         for key, value in read_yaml(content, str(path)).entries.items():
-            if key in top:
-                raise value.failure(f"it is in {top[key].source}, line {top[key].line}, too")
-            top[key] = value
+            if key in whole:
+                raise value.failure(f"it is in {whole[key].source}, line {whole[key].line}, too")
+            whole[key] = value
+    unusable: list[Unusable] = []
+    while True:
+        try:
+            return _imported(without(whole, unusable), unusable, folder, choices or Choices())
+        except UnusableValue as error:
+            if len(unusable) == MAX_UNUSABLE:
+                raise
+            unusable.append(unusable_part(whole, error))
+
+
+def _imported(top: Mapping[str, Value], unusable: Sequence[Unusable], folder: Path, choices: Choices) -> Imported:
+    """Return the machine of the values that can be used. Raises UnusableValue for the next one that cannot."""
     report = Report()
-    draft = Draft(choices or Choices(), report)
+    for each in unusable:
+        each.tell(report)
+    places = (place for each in unusable for place in (each.error.value.place, each.part.place))
+    draft = Draft(choices, report, lost=frozenset(places))
     section = Section(top, report)
     if is_ros2_canopen(top) and not is_ros_canopen(top):
         kind = "ros2_canopen"
         take_ros2_canopen(section, top, draft)
     else:
         kind = "ros_canopen"
-        if not is_ros_canopen(top):
+        if not is_ros_canopen(top) and not unusable:
             first = next(iter(top.values()), None)
             message = "this is no configuration of ros_canopen (bus, nodes with id) or ros2_canopen (master, nodes with node_id)"
-            raise DataError(message) if first is None else first.failure(message)
+            raise DataError(message) if first is None else DictionaryError(first.failure(message).findings)
         take_ros_canopen(section, draft)
     draft.take_limits(section_of(section.take("joint_limits"), report))
     section.close()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from canopen_data import DataError
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_data.durations import duration_text
@@ -31,6 +34,7 @@ STATES: Final = {2: "switch on disabled", 3: "ready to switch on", 4: "switched 
 """States by the number that both predecessors give them, of those in which a mode can be changed."""
 TORQUE: Final = "torques are thousandths of the rated torque (0x6076), as CiA 402 has them"
 """Why conversions of efforts need no counterpart."""
+NO_SCALE: Final = "a part of the conversion cannot be used, and a default in its place would be a guess: no scale, no set-points"
 _STATE_NAMES: Final = {0: "unknown", 1: "not ready to switch on", 6: "quick stop active", 7: "fault reaction active", 8: "fault"}
 
 
@@ -71,7 +75,11 @@ class DeviceDraft(NamedTuple):
 
 @dataclass(slots=True)
 class Draft:
-    """The tables of the machine file by name, and the report."""
+    """The tables of the machine file by name, and the report.
+
+    lost: the places of the values that cannot be used. What such a value would have said must not become a default of the
+    predecessor, if joints would move by it.
+    """
 
     choices: Choices
     report: Report
@@ -82,7 +90,13 @@ class Draft:
     joints: dict[str, dict[str, Any]] = field(default_factory=dict)
     chain: str = CHAIN
     mode: str = ""
+    lost: AbstractSet[str] = frozenset()
     _descriptions: dict[Path, DeviceDescription] = field(default_factory=dict)
+
+    def is_lost(self, value: Value, keys: Iterable[str]) -> bool:
+        """Return whether one of these keys of a node, or of the defaults, could not be used, nor their whole section."""
+        places = {f"{place}.{key}" for place in (value.place, "defaults") for key in keys}
+        return not self.lost.isdisjoint(places | {"defaults"})
 
     def description_of(self, path: Path) -> DeviceDescription:
         """Return what a device's file says; it is read once. Raises DataError, DictionaryError if it cannot be used."""
@@ -162,6 +176,8 @@ class Draft:
                     elif limit is not None:
                         self.report.not_needed(limit, f"{has} is not true")
             own.close()
+            if joint.get("min_position", -math.inf) >= joint.get("max_position", math.inf):
+                raise value.failure(f"min_position {joint['min_position']!r} is not below max_position {joint['max_position']!r}")
         limits.close()
         for name, joint in self.joints.items():
             if "unit" in joint and "max_speed" not in joint:
@@ -176,6 +192,8 @@ class Draft:
         if "unit" not in joint:
             self.report.left_out(value, "the joint has no scale, and a limit would be in counts")
             return
+        if "position" not in key and value.number() <= 0:
+            raise value.failure(f"a limit above 0 is expected, not {value}")
         notes: list[str] = []
         per_metre = 1000 if joint["unit"] == "millimetre" else 1
         try:
@@ -184,8 +202,18 @@ class Draft:
             raise value.failure(str(error)) from None
         self.report.taken(value, "; ".join([f"{key} = {joint[key]!r}", *notes]))
 
+    def device_file(self, value: Value, name: str, package: str, *folders: Path) -> Path | None:
+        """Return the device file that a key names, as `file_beside`. Raises UnusableValue if it is no such file."""
+        path = self.file_beside(value, name, package, *folders)
+        try:
+            if path is not None:
+                self.description_of(path)
+        except DataError as error:
+            raise value.failure(f"the file cannot be used: {error}") from None
+        return path
+
     def file_beside(self, value: Value, name: str, package: str, *folders: Path) -> Path | None:
-        """Return the device file that a key names; None, which is reported, if it is not there.
+        """Return the file that a key names; None, which is reported, if it is not there.
 
         It is looked for in the package's folder, if the user named that; else beside the configuration and in the folders above
         it, as far as the package reaches; and in `folders`.
@@ -198,8 +226,11 @@ class Draft:
         places = [named] if named is not None else [*folders, *above, *_ros_packages(package)]
         for folder in places:
             path = folder / name
-            if path.is_file():
-                return path
+            try:
+                if path.is_file():
+                    return path
+            except OSError as error:
+                raise value.failure(f"the file cannot be looked for: {error.strerror}") from None
         hint = f"--package {package}=FOLDER names its folder" if package else "put it beside the configuration"
         looked = f"in {named}" if named is not None else "beside the configuration and in the folders above"
         self.report.left_out(value, f"there is no file {name!r} {looked}; {hint}")

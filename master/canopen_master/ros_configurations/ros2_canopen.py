@@ -14,10 +14,10 @@ from canopen_data.describing import identified
 from canopen_data.durations import duration_text
 from canopen_master.machine_file.reader import MODES
 from canopen_master.ros_configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
-from canopen_master.ros_configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
+from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_master.ros_configurations.report import Report, Section, section_of
 from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
-from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line
+from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line, rounding_of
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto import indices
 from canopen_proto.cia402.axes import MAX_AXES
@@ -155,7 +155,7 @@ def _take_node(name: str, value: Value, node: Section, draft: Draft, folder: tup
     ours = draft.name(value, name)
     dcf, own_path = node.take("dcf"), node.take("dcf_path")
     folders = (*_folder(own_path, report), *folder)
-    file = None if dcf is None else draft.file_beside(dcf, dcf.string().removeprefix(f"{BUS_CONFIG_PATH}/"), "", *folders)
+    file = None if dcf is None else draft.device_file(dcf, dcf.string().removeprefix(f"{BUS_CONFIG_PATH}/"), "", *folders)
     number = node.take("node_id")
     in_file = None if file is None else draft.description_of(file).node_id
     if number is None and (in_file is None or not 1 <= in_file <= 127):
@@ -318,6 +318,12 @@ def _take_joints(name: str, value: Value, node: Section, draft: Draft) -> None:
                 own.close()
         joint: dict[str, Any] = {} if joint_name == name else {"node": name}
         joint |= ({"axis": axis} if axis else {}) | common
+        if draft.is_lost(value, (*SCALES, "channels", "num_channels")):
+            for each in filter(None, given.values()):
+                report.left_out(each, NO_SCALE)
+            report.missing(f"{value.place}.scale_pos_to_dev", NO_SCALE)
+            draft.add_joint(value, joint_name, joint)
+            continue
         _take_scale(given, joint, draft, is_linear=joint_name in draft.choices.linear)
         draft.add_joint(value, joint_name, joint)
     if count > 1 and draft.devices[name].file is None:
@@ -352,8 +358,13 @@ def _take_scale(given: Mapping[str, Value | None], joint: dict[str, Any], draft:
         key: Exact(Value("float", default, key, "", 0).number() if (value := given[key]) is None else value.number())
         for key, default in SCALES.items()
     }
-    to_device = Line(exact["scale_pos_to_dev"], exact["offset_pos_to_dev"])
-    from_device = Line(exact["scale_pos_from_dev"], exact["offset_pos_from_dev"])
+
+    def line(scale: str, offset: str = "") -> Line:
+        texts = ["0" if not key else SCALES[key] if (each := given[key]) is None else each.text for key in (scale, offset)]
+        return Line(exact[scale], exact[offset] if offset else ZERO, "", *map(rounding_of, texts))
+
+    to_device = line("scale_pos_to_dev", "offset_pos_to_dev")
+    from_device = line("scale_pos_from_dev", "offset_pos_from_dev")
     values = [value for key in SCALES if "pos" in key and (value := given[key]) is not None]
     try:
         made = position_keys(to_device, from_device, is_linear=is_linear)
@@ -372,7 +383,7 @@ def _take_scale(given: Mapping[str, Value | None], joint: dict[str, Any], draft:
     if not values:
         return
     try:
-        velocity = velocity_keys(to_device.factor, Line(exact["scale_vel_to_dev"], ZERO), Line(exact["scale_vel_from_dev"], ZERO))
+        velocity = velocity_keys(to_device.factor, line("scale_vel_to_dev"), line("scale_vel_from_dev"))
     except Contradiction as error:
         for value in values:
             report.left_out(value, str(error))

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canopen_data.durations import duration_text
-from canopen_master.ros_configurations.draft import BUS, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
+from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_master.ros_configurations.report import Section, section_of
 from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
 from canopen_master.ros_configurations.unit_expression import Line, NotLinear, read_expression
@@ -19,6 +19,8 @@ from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.cia402.objects import CONTROLWORD, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of, mux, split_mux
+from canopen_transports import TransportError
+from canopen_transports.locator import parse_locator
 
 DEFAULTS: Final = {
     "pos_to_device": "rint(rad2deg(pos)*1000)",
@@ -36,13 +38,20 @@ _EFFORTS: Final = ("eff_to_device", "eff_from_device")
 _LOGS: Final = ("log", "log_warn", "log_error")
 _LOGGED: Final = "diagnostics show state, statusword, 0x603F and EMCY"
 _FILTERS: Final = ("position_filters", "velocity_filters", "effort_filters")
+_BRAKE_TEST: Final = (
+    "a safety function of Pilz's arms: prbt_hardware_support has the drive test its brake. Nothing here does; the test is still "
+    "due, by the maker's own means"
+)
+"""Source: pilz_robots, prbt_hardware_support and the driver configuration of prbt_support (from memory)."""
 MILLISECONDS: Final = (1, 60_000)
 """Of a cycle."""
 
 
 def is_ros_canopen(top: Mapping[str, Value]) -> bool:
     """Return whether these top-level keys are ros_canopen's."""
-    return bool(top.keys() & {"bus", "sync", "heartbeat"}) or any("id" in each.entries for each in _each(top.get("nodes")))
+    nodes = top.get("nodes")
+    named = [] if nodes is None else [*nodes.entries.values(), *nodes.items]
+    return bool(top.keys() & {"bus", "sync", "heartbeat"}) or any("id" in each.entries for each in named)
 
 
 def take_ros_canopen(top: Section, draft: Draft) -> None:
@@ -61,10 +70,6 @@ def take_ros_canopen(top: Section, draft: Draft) -> None:
         node.close()
     defaults.close()
     top.not_needed({"hardware_id": "diagnostics name the chain", "reset_errors_before_recover": "`recover` resets a fault first"})
-
-
-def _each(nodes: Value | None) -> list[Value]:
-    return [] if nodes is None else [*nodes.entries.values(), *nodes.items]
 
 
 def _named_nodes(nodes: Value | None) -> Iterator[tuple[str, Value]]:
@@ -92,6 +97,10 @@ def _take_bus(bus: Section, draft: Draft) -> None:
         report.assumed("bus.device", f"the bus {BUS}, ros_canopen's default; --locator names another one")
     else:
         draft.bus["locator"] = device.string()
+        try:
+            parse_locator(device.string())
+        except TransportError as error:
+            raise device.failure(f"{error.failed}: {error.seen}") from None
         report.taken(device, f"the bus {device.string()}")
     if (plugin := bus.take("driver_plugin")) is not None:
         if "SocketCAN" in plugin.string():
@@ -165,11 +174,15 @@ def _take_node(key: str, value: Value, node: Section, draft: Draft) -> None:
         report.not_needed(package, "the device's file is named by its path")
     file = None
     if eds is not None:
-        file = draft.file_beside(eds, eds.string(), "" if package is None else package.string())
+        file = draft.device_file(eds, eds.string(), "" if package is None else package.string())
     else:
         report.missing(f"nodes.{key}.eds_file", "the node has no file: objects are those of the data files")
     draft.add_device(value, name, DeviceDraft(entry, file, eds, _overlay(node, draft)))
     _take_joint(name, value, node, draft, is_drive=file is None or _is_drive(draft, file))
+    if (test := node.take("braketest_required")) is not None and (test.kind != "bool" or test.truth()):
+        report.left_out(test, _BRAKE_TEST)
+    elif test is not None:
+        report.not_needed(test, "the brake of this drive is not tested there either")
     node.not_needed({"motor_allocator": "every joint is a drive of CiA 402"} | dict.fromkeys(_LOGS, _LOGGED))
     node.left_out(
         {
@@ -198,7 +211,7 @@ def _take_joint(name: str, value: Value, node: Section, draft: Draft, *, is_driv
     if named is not None:  # as motor_chain.cpp has it: the name in the URDF and in /joint_states
         wanted = draft.name(named, named.string())
         draft.report.taken(named, f"the name of the joint, of the node {name!r}")
-    _take_scale(node, joint, draft, is_linear=bool(draft.choices.linear & {name, wanted}))
+    _take_scale(value, node, joint, draft, is_linear=bool(draft.choices.linear & {name, wanted}))
     draft.take_switching_state(node, joint)
     draft.take_homing_timeout(node, joint)
     if wanted != name:
@@ -226,10 +239,15 @@ def _overlay(node: Section, draft: Draft) -> list[Setting]:
     return list(found.values())
 
 
-def _take_scale(node: Section, joint: dict[str, Any], draft: Draft, *, is_linear: bool) -> None:
+def _take_scale(node_value: Value, node: Section, joint: dict[str, Any], draft: Draft, *, is_linear: bool) -> None:
     """Take over the conversions of position and velocity."""
     report = draft.report
     values = {key: node.take(key) for key in DEFAULTS}
+    if draft.is_lost(node_value, DEFAULTS):
+        for each in filter(None, values.values()):
+            report.left_out(each, NO_SCALE)
+        report.missing(f"{node_value.place}.pos_to_device", NO_SCALE)
+        return
     lines: dict[str, Line] = {}
     for key, default in DEFAULTS.items():
         value = values[key]

@@ -3,8 +3,9 @@
     counts = factor * position + offset         to the drive; position in rad or m
     position = factor * counts + offset         from it
 
-Both are one fact said twice: the second has to be the inverse of the first, within AGREES. Where they contradict each other,
-nobody can know which one is right, and no scale is taken: a joint without a scale refuses set-points.
+Both are one fact said twice: the second has to be the inverse of the first, within AGREES, or within what the last digits of both
+leave open (0.00001745 is the inverse of 57295.78). Then the one with more digits counts. Where they contradict each other, nobody
+can know which one is right, and no scale is taken: a joint without a scale refuses set-points.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, Final, NamedTuple
 
-from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line
+from canopen_master.ros_configurations.unit_expression import ONE, ZERO, Exact, Line
 
 AGREES: Final = 1e-6
 """Relative; conversions are often written with six to ten digits."""
@@ -41,15 +42,10 @@ def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> Key
 
     Raises Contradiction.
     """
-    scale = to_device.factor
-    if not scale.fraction or not from_device.factor.fraction:
+    if not to_device.factor.fraction or not from_device.factor.fraction:
         raise Contradiction("a factor is 0")
-    notes = []
-    error = abs(float(scale * from_device.factor) - 1)
-    if error > AGREES:
-        raise Contradiction(f"{_shown(from_device.factor)} is not the inverse of {_shown(scale)}")
-    if error:
-        notes.append(f"what comes from the drive had a factor that differs by {error:.1e}; it is the inverse now")
+    notes: list[str] = []
+    scale = _agreed(to_device, from_device, notes)
     keys: dict[str, Any] = {"unit": "millimetre" if is_linear else "radian"}
     size = Exact(abs(scale.fraction), scale.power)
     keys |= _scale_keys(size / _THOUSAND if is_linear else size, notes)
@@ -58,6 +54,33 @@ def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> Key
     if offset := _offset(to_device, from_device):
         keys["offset"] = offset
     return Keys(keys, tuple(notes))
+
+
+def _agreed(to_device: Line, from_device: Line, notes: list[str]) -> Exact:
+    """Return the factor to the drive, or the inverse of that from the drive: which of them has more digits, as a note says.
+
+    Raises Contradiction if they are not each other's inverse.
+    """
+    there, back = to_device.factor, from_device.factor
+    error = abs(float(there * back) - 1)
+    if error > AGREES + float(to_device.rounding + from_device.rounding):
+        raise Contradiction(f"{_shown(back)} is not the inverse of {_shown(there)}")
+    if error <= AGREES:
+        if error:
+            notes.append(f"what comes from the drive had a factor that differs by {error:.1e}; it is the inverse now")
+        return there
+    is_back = _uncertainty(from_device) < _uncertainty(to_device)
+    kept, other = ("from", "to") if is_back else ("to", "from")
+    notes.append(
+        f"the two factors differ by {error:.1e}, as their last digits allow: the one {kept} the drive has more digits and "
+        f"counts; the one {other} the drive is its inverse now"
+    )
+    return ONE / back if is_back else there
+
+
+def _uncertainty(line: Line) -> Fraction:
+    """Return the rounding of a factor; one of few digits is less certain than any other."""
+    return line.rounding or Fraction(1)
 
 
 def _scale_keys(scale: Exact, notes: list[str]) -> dict[str, Any]:
@@ -85,7 +108,9 @@ def _offset(to_device: Line, from_device: Line) -> int:
     """Return the counts at position 0. Raises Contradiction."""
     expected = to_device.offset * from_device.factor + from_device.offset if _same_power(to_device, from_device) else None
     counts = float(to_device.offset)
-    if expected is None or abs(float(expected)) > AGREES * max(1.0, abs(counts * float(from_device.factor))):
+    rounding = to_device.rounding + from_device.rounding + to_device.offset_rounding + from_device.offset_rounding
+    size = abs(counts * float(from_device.factor))
+    if expected is None or abs(float(expected)) > AGREES * max(1.0, size) + float(rounding) * size:
         raise Contradiction(f"the offsets {_shown(to_device.offset)} and {_shown(from_device.offset)} do not belong together")
     if to_device.offset.power or to_device.offset.fraction.denominator != 1:
         raise Contradiction(f"an offset is a whole number of counts here, and {_shown(to_device.offset)} is none")
@@ -104,13 +129,16 @@ def velocity_keys(scale: Exact, to_device: Line, from_device: Line) -> Keys:
     """
     if not to_device.factor.fraction or to_device.offset != ZERO or from_device.offset != ZERO:
         raise Contradiction("a velocity has a factor other than 0 and no offset")
-    if abs(float(to_device.factor * from_device.factor) - 1) > AGREES:
-        shown = f"{_shown(from_device.factor)} is not the inverse of {_shown(to_device.factor)}"
-        raise Contradiction(f"{shown}; by CiA 402 0x60FF and 0x606C have one unit, and 0x6042 (vl) has another")
-    unit = scale / to_device.factor
+    if not from_device.factor.fraction:
+        raise Contradiction("a factor is 0")
+    notes: list[str] = []
+    try:
+        factor = _agreed(to_device, from_device, notes)
+    except Contradiction as error:
+        raise Contradiction(f"{error}; by CiA 402 0x60FF and 0x606C have one unit, and 0x6042 (vl) has another") from None
+    unit = scale / factor
     if unit.fraction < 0:
         raise Contradiction("position and velocity have opposite signs")
-    notes: list[str] = []
     return Keys({"velocity_unit": number_in_toml(unit, notes)}, tuple(notes))
 
 

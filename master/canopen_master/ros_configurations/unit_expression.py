@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Final
 
@@ -19,6 +19,8 @@ from canopen_master.ros_configurations.yaml_text import number_of
 
 MAX_LENGTH: Final = 500
 MAX_DEPTH: Final = 30
+FEWEST_DIGITS: Final = 3
+"""Of a number that may be rounded: 0.001 is a thousandth, and 0.0175 may be a degree in radians."""
 _TOKEN: Final = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?|[A-Za-z_]\w*|[-+*/(),])")
 
 
@@ -67,11 +69,23 @@ DEGREES_PER_RADIAN: Final = Exact(Fraction(180), -1)
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """factor * variable + offset. variable: "" if there is none."""
+    """factor * variable + offset. variable: "" if there is none.
+
+    rounding, offset_rounding: by how much of itself the factor, or the offset, may differ from what its author rounded it from.
+    """
 
     factor: Exact
     offset: Exact
     variable: str = ""
+    rounding: Fraction = field(default=Fraction(0), compare=False)
+    offset_rounding: Fraction = field(default=Fraction(0), compare=False)
+
+
+def rounding_of(text: str) -> Fraction:
+    """Return half of the last digit of a decimal number, relative to it; 0 for fewer than FEWEST_DIGITS digits: it is exact."""
+    digits, _, _ = text.strip().lstrip("+-").lower().partition("e")
+    significant = digits.replace(".", "").replace("_", "").lstrip("0")
+    return Fraction(1, 2 * int(significant)) if significant.isdecimal() and len(significant) >= FEWEST_DIGITS else Fraction(0)
 
 
 def read_expression(text: str) -> Line:
@@ -81,7 +95,9 @@ def read_expression(text: str) -> Line:
     rounded = re.fullmatch(r"\s*rint\s*\((.*)\)\s*", text, re.DOTALL)
     if rounded is not None and _closes_at_the_end(rounded[1]):
         text = rounded[1]
-    return _Parser(text).whole()
+    parser = _Parser(text)
+    rounding = parser.rounding()
+    return replace(parser.whole(), rounding=rounding, offset_rounding=rounding)
 
 
 def _closes_at_the_end(inside: str) -> bool:
@@ -107,6 +123,11 @@ class _Parser:
             self._tokens.append(found[1])
             place = found.end()
         self._depth = 0
+
+    def rounding(self) -> Fraction:
+        """Return that of all decimal fractions together, and of a whole number that is the only one: several are exact."""
+        numbers = [token for token in self._tokens if token[0] in "0123456789."]
+        return sum((rounding_of(each) for each in numbers if len(numbers) == 1 or "." in each), Fraction(0))
 
     def whole(self) -> Line:
         line = self._sum()

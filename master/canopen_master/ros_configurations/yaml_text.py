@@ -30,7 +30,8 @@ _TAG: Final = "tag:yaml.org,2002:"
 class Value:
     """One value of a file. kind: "map", "list", "str", "int", "float", "bool" or "null"; text: of a scalar.
 
-    place: its keys, such as "nodes.arm.id". source, line: where it stands.
+    place: its keys, such as "nodes.arm.id". source, line: where it stands. A value with any other tag, such as a date, has
+    that for its kind, and no text: no getter returns it.
     """
 
     kind: str
@@ -42,17 +43,18 @@ class Value:
     items: tuple[Value, ...] = ()
 
     def __str__(self) -> str:
-        shown = self.text if self.kind not in ("map", "list") else f"a {self.kind}"
+        shown = self.text if self.kind in (*_SCALARS, "null") else f"a {self.kind}"
         return shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
 
-    def failure(self, message: str) -> DictionaryError:
+    def failure(self, message: str) -> UnusableValue:
         """Return an error about this value."""
-        return _failure(self.source, f"{self.place or 'the file'}: {message}", self.line)
+        return UnusableValue(self, message)
 
     def check(self, *kinds: str) -> None:
         """Raise DictionaryError if it is of none of these kinds."""
         if self.kind not in kinds:
-            raise self.failure(f"a {' or '.join(kinds)} is expected, not {self} ({self.kind})")
+            kind = f" ({self.kind})" if self.kind in _KINDS.values() else ""
+            raise self.failure(f"a {' or '.join(kinds)} is expected, not {self}{kind}")
 
     def number(self) -> Fraction:
         """Return a number exactly; a text that is one counts. Raises DictionaryError for anything else."""
@@ -75,11 +77,22 @@ class Value:
 
     def string(self) -> str:
         """Return the text of a scalar, as it stands in the file. Raises DictionaryError for maps, lists and empty values."""
-        if self.kind in ("map", "list", "null") or not self.text.strip():
+        if self.kind not in _SCALARS or not self.text.strip():
             raise self.failure(f"a text is expected, not {str(self) or 'nothing'}")
         return self.text
 
 
+class UnusableValue(DictionaryError):
+    """A value that cannot be used. message: why, without the place."""
+
+    def __init__(self, value: Value, message: str) -> None:
+        text = f"{value.place or 'the file'}: {message}"
+        super().__init__([Finding(Severity.ERROR, "yaml", text, value.source, value.line, 1 if value.line else 0)])
+        self.value = value
+        self.message = message
+
+
+_SCALARS: Final = ("str", "int", "float", "bool")
 _DECIMAL: Final = re.compile(r"[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)([eE][-+]?\d{1,3})?")
 _OTHER_BASES: Final = ((re.compile("0[xX][0-9a-fA-F_]+"), 16), (re.compile("0[bB][01_]+"), 2), (re.compile("0[0-7_]+"), 8))
 _SIXTIES: Final = re.compile(r"\d[\d_]*(:[0-5]?\d)+(\.\d*)?")
@@ -166,7 +179,7 @@ class _Reader:
         tag = str(node.tag or "")
         kind = _KINDS.get(tag.removeprefix(_TAG) if tag.startswith(_TAG) else "")
         if kind is None:
-            raise _failure(self._source, f"{place or 'the file'}: values with the tag {tag!r} are not read", line)
+            return Value(f"value with the tag {tag!r}, which is not read", "", place, self._source, line)
         if kind == "map":
             return Value(kind, "", place, self._source, line, entries=dict(self._entries(node, place, depth)))
         if kind == "list":
