@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import sys
@@ -17,6 +18,7 @@ from canopen_cli.new_files import write_file
 from canopen_cli.options import Settings, common
 from canopen_cli.problem import ExitCode, Problem, usage
 from canopen_cli.screen import counted, escape
+from canopen_ros.robot_files import URDF, robot_files
 
 PACKAGE = "ros_canopen"
 MACHINE = "machine.toml"
@@ -27,8 +29,10 @@ _LAUNCH = {
     ),
     "launch/canopen.launch.py": ('"machine": ("",', f'"machine": (str(PACKAGE / "config" / "{MACHINE}"),'),
 }
+_URDF = '"urdf" / "six_joints.urdf"', f'"urdf" / "{PurePosixPath(URDF).name}"'
+_CONTROLLER = '"arm_controller"'
 """In the launch files of a machine: its file is the default in place of none."""
-_OF_ONE_DEVICE = ("launch/single_device.launch", "config/single_device.yaml")
+_OF_THE_EXAMPLE = ("launch/single_device.launch", "config/single_device.yaml", "config/controllers.yaml", "urdf/six_joints.urdf")
 _SCRIPTS = "scripts/"
 _LONGEST_LINE = 127
 """Of a script's first line, which names its interpreter; older kernels cut it there."""
@@ -46,8 +50,10 @@ def ros() -> None:
 def init(settings: Settings, folder: Path) -> None:
     """Write the ROS package ros_canopen into a folder: its package.xml, launch files, parameters, an example URDF.
 
-    With -m FILE it is about that machine: the machine file and the files that it names are copied into the package. Without, it
-    is about the manual's arm of six joints. A package that is there already is not overwritten.
+    With -m FILE it is about that machine: the machine file and the files that it names are copied into the package, and its
+    joints and limits make a URDF, controllers of ros2_control, and MoveIt's SRDF and limits. What no machine file tells (where
+    the joints are mounted, their efforts, a limit that is not set) is listed as to be filled in. Without -m it is about the
+    manual's arm of six joints. A package that is there already is not overwritten. It is one for catkin and ament.
 
     \b
     canopen ros init ros -m cell.toml
@@ -58,8 +64,21 @@ def init(settings: Settings, folder: Path) -> None:
         tries = ("another folder", f"remove {package} first")
         raise usage("CO135", f"{package} is there already, and was not overwritten", seen="nothing was done", tries=tries)
     files = dict(_files(settings.machine))
+    missing: tuple[str, ...] = ()
     if settings.machine is not None:
         files |= _machine_files(settings)
+        machine = settings.machine_file()
+        assert machine is not None
+        robot = robot_files(machine)
+        files |= robot.files
+        missing = robot.missing
+        if robot.controllers:
+            launch = "launch/canopen.launch.py"
+            text = files[launch].decode()
+            for before, after in (_URDF, (_CONTROLLER, json.dumps(list(robot.controllers.values())).strip("[]"))):
+                assert before in text
+                text = text.replace(before, after)
+            files[launch] = text.encode()
     for name, content in files.items():
         path = package / name
         try:
@@ -70,10 +89,12 @@ def init(settings: Settings, folder: Path) -> None:
         if name.startswith(_SCRIPTS):
             path.chmod(0o755)
     if settings.json:
-        screen.json({"package": str(package), "files": sorted(files)})
+        screen.json({"package": str(package), "files": sorted(files), "to_fill_in": list(missing)})
         return
     about = "an arm of six joints" if settings.machine is None else str(settings.machine)
     screen.say(f"{escape(str(package))}: {counted(len(files), 'file')}, for {escape(about)}")
+    for line in missing:
+        screen.say(f"to be filled in: {escape(line)}")
     for line in _next_steps(package):
         screen.say(escape(line))
 
@@ -82,7 +103,7 @@ def _files(machine: Path | None) -> Iterator[tuple[str, bytes]]:
     """Return the files of the package by their names in it. machine: the launch files take it, if there is one."""
     for name, file in _walk(resources.files("canopen_ros") / "package", ""):
         content = file.read_bytes()
-        if machine is not None and name in _OF_ONE_DEVICE:
+        if machine is not None and name in _OF_THE_EXAMPLE:
             continue
         if machine is not None and name in _LAUNCH:
             before, after = _LAUNCH[name]

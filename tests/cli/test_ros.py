@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
+import shutil
+import subprocess
 import sys
 import xml.etree.ElementTree
 from pathlib import Path
+from typing import Any
 
 import pytest
+from ruamel.yaml import YAML
 
 from canopen_cli.problem import ExitCode
 from canopen_master.machine_file import read_machine
@@ -74,6 +79,122 @@ def test_the_package_of_a_machine_has_its_files(run: Run, folder: Path) -> None:
     if second.exists():
         compile(second.read_text(), str(second), "exec")
         assert '"machine": (str(PACKAGE / "config" / "machine.toml"),' in second.read_text()
+
+
+ROBOT = """
+[buses.can0]
+[nodes]
+lift = { id = 3 }
+"pan&tilt" = { id = 4 }
+wheel = { id = 5 }
+[joints.lift]
+unit = "millimetre"
+min_position = -100
+max_position = 900.5
+max_speed = 250
+max_acceleration = 1000
+[joints."pan&tilt"]
+unit = "degree"
+min_position = -90
+max_position = 45
+max_speed = 30
+[joints.wheel]
+unit = "turn"
+max_jerk = 2
+[chains.arm]
+joints = ["lift", "pan&tilt"]
+[chains."base-1"]
+joints = ["wheel"]
+"""
+
+
+@pytest.fixture
+def robot(run: Run, folder: Path) -> Path:
+    (folder / "robot.toml").write_text(ROBOT)
+    done = run("ros", "init", "ros", "-m", "robot.toml")
+    assert done.status == ExitCode.OK, done.err
+    return folder / "ros" / "ros_canopen"
+
+
+def yaml_of(path: Path) -> Any:
+    return YAML(typ="safe", pure=True).load(path.read_text())
+
+
+def test_the_urdf_has_the_joints_and_limits_of_the_machine_in_si_units(robot: Path) -> None:
+    urdf = xml.etree.ElementTree.parse(robot / "urdf" / "machine.urdf").getroot()
+    kinds = {each.get("name"): each.get("type") for each in urdf.findall("joint")}
+    assert kinds == {"lift": "prismatic", "pan&tilt": "revolute", "wheel": "revolute"}
+    limits = {
+        each.get("name"): [float(limit.get(key, "nan")) for key in ("lower", "upper", "velocity", "effort")]
+        for each in urdf.findall("joint")
+        for limit in each.findall("limit")
+    }
+    degree = math.pi / 180
+    assert limits["lift"] == pytest.approx([-0.1, 0.9005, 0.25, 0])
+    assert limits["pan&tilt"] == pytest.approx([-90 * degree, 45 * degree, 30 * degree, 0])
+    assert limits["wheel"] == [0, 0, 0, 0]  # what is not known keeps a planner from moving it
+    assert not list(urdf.iter("origin"))  # no geometry is made up
+    topics = [each.text for each in urdf.iter("param") if each.get("name") == "joint_commands_topic"]
+    assert topics == ["/arm/joint_commands", "/base-1/joint_commands"]
+
+
+def test_the_files_for_controllers_and_moveit_have_the_names_and_limits_of_the_machine(robot: Path) -> None:
+    controllers = yaml_of(robot / "config" / "controllers.yaml")
+    assert set(controllers["controller_manager"]["ros__parameters"]) == {"update_rate", "arm_controller", "base_1_controller"}
+    assert controllers["arm_controller"]["ros__parameters"]["joints"] == ["lift", "pan&tilt"]
+    assert controllers["base_1_controller"]["ros__parameters"]["joints"] == ["wheel"]
+    moveit = robot / "config" / "moveit"
+    limits = yaml_of(moveit / "joint_limits.yaml")["joint_limits"]
+    assert limits["lift"] == {
+        "has_velocity_limits": True, "max_velocity": 0.25, "has_acceleration_limits": True, "max_acceleration": 1.0,
+        "has_jerk_limits": False,
+    }  # fmt: skip
+    assert limits["wheel"]["max_jerk"] == pytest.approx(4 * math.pi)
+    assert limits["wheel"]["has_velocity_limits"] is False
+    used = yaml_of(moveit / "moveit_controllers.yaml")["moveit_simple_controller_manager"]
+    assert used["controller_names"] == ["arm_controller", "base_1_controller"]
+    assert used["arm_controller"]["joints"] == ["lift", "pan&tilt"]
+    srdf = xml.etree.ElementTree.parse(moveit / "machine.srdf").getroot()
+    groups = {group.get("name"): [each.get("name") for each in group] for group in srdf.findall("group")}
+    assert groups == {"arm": ["lift", "pan&tilt"], "base-1": ["wheel"]}
+    assert not (moveit / "kinematics.yaml").exists()
+
+
+def test_what_no_machine_file_tells_is_to_be_filled_in(run: Run, robot: Path, folder: Path) -> None:
+    told = run("ros", "init", "again", "-m", "robot.toml", "--json").json["to_fill_in"]
+    assert any("origin and axis of each joint" in each for each in told)
+    assert any("effort" in each for each in told)
+    assert any("lower, upper, velocity of the joint wheel" in each for each in told)
+    assert any("kinematics.yaml" in each for each in told)
+    assert not any("velocity of the joint lift" in each for each in told)
+    (folder / "plain.toml").write_text("[buses.can0]\n[nodes]\na = { id = 3 }\n[joints.a]\n[chains.c]\njoints = ['a']\n")
+    told = run("ros", "init", "plain", "-m", "plain.toml", "--json").json
+    assert [each for each in told["to_fill_in"] if "unit of the joint a" in each]
+    assert "urdf/machine.urdf" not in told["files"]
+    launch = folder / "plain" / "ros_canopen" / "launch" / "canopen.launch.py"
+    compile(launch.read_text(), str(launch), "exec")
+
+
+def test_the_launch_file_starts_the_controllers_of_the_machine(robot: Path) -> None:
+    text = (robot / "launch" / "canopen.launch.py").read_text()
+    compile(text, "canopen.launch.py", "exec")
+    assert 'arguments=["arm_controller", "base_1_controller", "--param-file", controllers]' in text
+    assert '"urdf" / "machine.urdf"' in text
+
+
+def test_the_package_is_one_for_catkin_and_for_ament(robot: Path) -> None:
+    package = xml.etree.ElementTree.parse(robot / "package.xml").getroot()
+    types = {each.get("condition"): each.text for each in package.iter("build_type")}
+    assert (package.get("format"), types) == ("3", {"$ROS_VERSION == 1": "catkin", "$ROS_VERSION == 2": "ament_cmake"})
+    assert "project(ros_canopen" in (robot / "CMakeLists.txt").read_text()
+
+
+@pytest.mark.skipif(shutil.which("check_urdf") is None, reason="no check_urdf: apt-get install liburdfdom-tools")
+def test_urdfdom_reads_the_urdf(robot: Path) -> None:
+    done = subprocess.run(["check_urdf", str(robot / "urdf" / "machine.urdf")], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Successfully Parsed XML" in done.stdout
+    assert "child(1):  pan&tilt_link" in done.stdout
 
 
 def test_nothing_is_overwritten(run: Run, folder: Path) -> None:
