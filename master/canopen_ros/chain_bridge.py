@@ -214,8 +214,8 @@ class ChainBridge:
                 raise self._refused(f"follow set-points in {mode}", f"its mode is {self._mode_word()}", f'mode = "{mode}"')
             if self.chain.state is ChainState.FOLLOWING:
                 return f"chain {self.name} follows set-points in {mode} already"
+            self._take_over.interrupt()  # before: else what comes as the chain begins to follow would move it
             await self.chain.follow()
-            self._take_over.interrupt()
             return f"chain {self.name} follows set-points in {mode}"
 
         return follow

@@ -10,7 +10,8 @@ import trio
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_ros.goals import START, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import START, Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.names import MODE_SERVICES
 from canopen_ros.take_over import PAUSE
 from tests.examples import examples
 from tests.master.world import virtual_time
@@ -83,14 +84,21 @@ class Servo(Streamer):
 
 
 SOURCES = (Controller, Joystick, Servo)
-SERVICES = ("init", "home", "recover", "halt", "shutdown", "IPmode", "position_mode")
+PLACES = ((0.9, -0.9), (-0.1, 0.0), (-0.9, 0.9))
+"""What each source sends; of the joystick rad/s."""
+SERVICES = ("init", "home", "recover", "halt", "shutdown", "IPmode", *MODE_SERVICES)
 STEPS = st.one_of(
     st.tuples(st.just("call"), st.sampled_from(SERVICES)),
     st.tuples(st.just("switch"), st.integers(0, 2)),  # a source on or off
     st.tuples(st.just("take"), st.integers(0, 2)),
+    st.tuples(st.just("goal"), st.sampled_from([-0.05, 0.05])),  # of an action: so far from where joint1 is
     st.tuples(st.just("fault"), st.sampled_from([3, 4])),
     st.tuples(st.just("sleep"), st.sampled_from([0.0, 0.05, 0.7])),
 )
+DRIVES: dict[str, dict[str, object]] = {
+    "Schunk's, in ip": {},
+    "a file's, whose drives choose": {"eds": "sample_drive.eds", "defaults": {"unit": "degree", "counts_per_turn": 360_000.0}},
+}
 
 
 def is_near(world: Cell, before: list[int]) -> bool:
@@ -98,26 +106,31 @@ def is_near(world: Cell, before: list[int]) -> bool:
 
 
 @examples(25)
-@given(first=st.integers(0, 2), steps=st.lists(STEPS, min_size=2, max_size=8), on=st.sets(st.integers(0, 2)))
+@given(
+    drives=st.sampled_from(list(DRIVES)),
+    first=st.integers(0, 2),
+    steps=st.lists(STEPS, min_size=2, max_size=8),
+    on=st.sets(st.integers(0, 2)),
+)
 def test_no_service_moves_the_arm_to_what_somebody_goes_on_sending(
-    first: int, steps: list[tuple[str, object]], on: set[int]
+    drives: str, first: int, steps: list[tuple[str, object]], on: set[int]
 ) -> None:
-    """Sources in any number send something far away; services, faults and sources that are taken over come in any order. Behind
-    each service and fault the joints stand, until a source has been taken over since. One that was does move them.
+    """Sources in any number send something far away; services, goals, faults and sources that are taken over come in any order.
+    Behind each service, goal and fault the joints stand, until a source has been taken over since. One that was does move them.
 
     first: the source that moves the joints before that.
     """
     logging.disable(logging.WARNING)
     try:
-        run(first, steps, on)
+        run(drives, first, steps, on)
     finally:
         logging.disable(logging.NOTSET)
 
 
 @virtual_time
-async def run(first: int, steps: list[tuple[str, object]], on: set[int]) -> None:
-    async with cell(sync_interval=40) as world:
-        sources = [kind(world, where) for kind, where in zip(SOURCES, [(0.9, -0.9), (-0.1, 0.0), (-0.9, 0.9)], strict=True)]
+async def run(drives: str, first: int, steps: list[tuple[str, object]], on: set[int]) -> None:
+    async with cell(sync_interval=40, **DRIVES[drives]) as world:
+        sources = [kind(world, where) for kind, where in zip(SOURCES, PLACES, strict=True)]
         for number, source in enumerate(sources):
             source.is_on = number in on
             world.nursery.start_soon(source.run)
@@ -130,7 +143,9 @@ async def run(first: int, steps: list[tuple[str, object]], on: set[int]) -> None
                 case "call", str(service):
                     followed = world.arm.state in ("following", "moving")
                     await world.arm.call(service)
-                    is_taken = is_taken and followed and service == "IPmode"  # which changes nothing then
+                    is_taken = (
+                        is_taken and followed and (service == "IPmode" or service in MODE_SERVICES)
+                    )  # they change nothing then
                 case "switch", int(number):
                     sources[number].is_on = not sources[number].is_on
                     is_taken |= number == 2  # behind a pause a trajectory is a new one
@@ -145,6 +160,10 @@ async def run(first: int, steps: list[tuple[str, object]], on: set[int]) -> None
                     if may_move and max(abs(now) for now in before) < 0.7 * COUNTS:
                         assert not is_near(world, before), "a source that was taken over moves nothing"
                     is_taken = True
+                case "goal", float(way):
+                    to = [position + way for position in world.bridge.sample().positions[:1]]
+                    ends = await world.arm.follow(TrajectoryGoal(["joint1"], [TrajectoryPoint(to, time_from_start=2.0)]))
+                    is_taken = is_taken and ends.outcome is not Outcome.SUCCEEDED
                 case "fault", int(node_id):
                     world.break_down(node_id)
                     await trio.sleep(0.1)
@@ -295,3 +314,21 @@ async def test_velocities_are_not_taken_from_a_bus_that_was_silent() -> None:
         await joystick.take()
         await trio.sleep(0.5)
         assert world.is_moving
+
+
+@virtual_time
+async def test_what_comes_while_a_mode_service_runs_is_refused_as_what_comes_behind_it() -> None:
+    """Else a message that comes as the chain begins to follow set-points would move it."""
+    async with cell() as world:
+        await world.ask("init")
+
+        async def send() -> None:
+            await trio.sleep(0.001)
+            assert world.arm.state == "ready"
+            Controller(world, (0.9, -0.9)).send()
+
+        world.nursery.start_soon(send)
+        world.hold()
+        await world.ask("IPmode")
+        assert "they begin 0.952 away from joint2" in (await reports(world))[-1]
+        await world.assert_all_stand()
