@@ -206,7 +206,12 @@ class _Move:
                 nursery.cancel_scope.cancel()
             if failure is not None:
                 raise failure
-            view.done(step, f"{name} in {trio.current_time() - began:.2f} s; its plan has {path.duration:.2f} s")
+            took = f"{name} in {trio.current_time() - began:.2f} s; its plan has {path.duration:.2f} s"
+            farthest = max(arm.devices, key=lambda device: abs(device.following_error))
+            off = f"{abs(farthest.following_error):.3g} off, as its drive tells"
+            view.done(
+                step, f"{took}. The plan is at its end, which no window of a drive decides: {farthest.name} is farthest, {off}"
+            )
 
     async def _show(self, arm: Group, view: DemoView, step: Step, duration: float) -> None:
         between = max(1, round(REFRESH / arm.cycle_time))

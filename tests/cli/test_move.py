@@ -63,6 +63,8 @@ def test_to_a_target(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
     assert degrees(fleets[0]) == pytest.approx([10, -20, 30, 0, 0, 5], abs=0.02)
     assert all(drive.drive.state is State.SWITCH_ON_DISABLED for drive in fleets[0].drives.values())
     assert "to the target: 1.69 s, within all limits" in outcome.out
+    (off,) = re.findall(r"which no window of a drive decides: joint\d is farthest, (\S+) off", " ".join(outcome.err.split()))
+    assert float(off) <= 0.02
     assert picture.read_bytes().startswith(b"\x89PNG")
     record = read_record(file)
     assert {rate for rate in record["rate"] if rate == rate} <= {0.0, 1.0}
