@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
@@ -43,6 +43,14 @@ class Diagnostic(NamedTuple):
     level: Level
     message: str
     values: Mapping[str, str]
+
+
+def named(found: Iterable[Diagnostic], node: str) -> list[Diagnostic]:
+    """Put the name of the node, with its namespace, before each name: "left/ros_canopen: arm: joint1".
+
+    diagnostic_updater does so in ROS 1, and in ROS 2 with `use_fqn`: aggregators sort by it. node: its name from the root.
+    """
+    return [each._replace(name=f"{node.removeprefix('/')}: {each.name}") for each in found]
 
 
 class Loads:

@@ -1,22 +1,7 @@
 """`NodeParameters`: what the node is told by ROS parameters: a machine file, or a chain description and the rest beside it.
 
-    machine            the path of a machine file (docs/machine.md). It says everything; beside it only `simulate`, `buses` (other
-                       locators for its buses), `sync_interval` and the keys of the node itself may stand
-    chains             the text of a chain file, its lines or rows in a list, or its path: "arm joint1 can0 3  joint2 can0 4"
-    buses              the locators of its buses: {can0: "socketcan:can0"}, a list of {name:, locator:}, or of
-                       "can0=socketcan:can0"
-    sync_interval      ms between two SYNCs, 10 by default
-    eds                the file of all nodes, or {joint: file}
-    joints             settings of joints, with the keys of [joints.NAME] in a machine file:
-                       {joint1: {unit: "degree", max_speed: 60}}
-    defaults           such settings for all joints
-    simulate           true: simulated devices on virtual buses, in the process of the node
-    velocity_watchdog  seconds within which the next velocity has to come (0.1)
-    goal_time          seconds behind a trajectory until the joints have to be within the goal's tolerances (1.0)
-    start_tolerance    rad or m that a joint may be off where a source of motion begins (0.01); see take_over.py
-    joint_states       the topic of the joint states; joint_states_rate: in Hz, 0 for each SYNC
-    diagnostics_period seconds between two diagnostics if nothing changes (1.0)
-    look_period        seconds between two questions for the positions of joints without power (0.2)
+`PARAMETERS` has all of them, with their types, ranges and defaults; docs/ros.md lists them. A machine file says everything:
+beside it only `simulate`, `buses` (other locators for its buses), `sync_interval` and the keys of the node itself may stand.
 
 A key with dots means a table in a table, as in ROS 2: "joints.joint1.unit".
 """
@@ -27,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError
@@ -41,6 +26,63 @@ from canopen_ros.goals import START
 from canopen_ros.names import NO_FILE
 
 BAD_PARAMETERS: Final = "CO324"
+
+RELIABLE: Final = "reliable"
+BEST_EFFORT: Final = "best_effort"
+
+
+class Parameter(NamedTuple):
+    """A parameter of the node. text: for people. default: None if there is none, or if it has several kinds of values.
+
+    least, most: of a number. choices: of a text; none for any text.
+    """
+
+    text: str
+    default: bool | float | str | None = None
+    least: float | None = None
+    most: float | None = None
+    choices: tuple[str, ...] = ()
+
+    def problem(self, value: object) -> str:
+        """Return what is wrong with a value, as "it has to be ..."; "" if nothing is, or if only all parameters together tell."""
+        if isinstance(self.default, bool):
+            return "" if isinstance(value, bool) else "it has to be true or false"
+        if self.least is not None and self.most is not None:
+            if _is_number(value) and isinstance(value, int | float) and self.least <= value <= self.most:
+                return ""
+            return f"it has to be a number from {self.least:g} to {self.most:g}"
+        if self.choices:
+            return "" if value in self.choices else f"it has to be {' or '.join(self.choices)}"
+        if self.default:
+            return "" if isinstance(value, str) and value else "it has to be a text"
+        return ""
+
+
+PARAMETERS: Final[Mapping[str, Parameter]] = {
+    "machine": Parameter("the path of a machine file (docs/machine.md), in place of chains, eds, joints and defaults", ""),
+    "chains": Parameter("the text of a chain file, its rows as a list, or its path: arm joint1 can0 3 joint2 can0 4"),
+    "buses": Parameter("the locators of the buses, as a list: can0=socketcan:can0; or buses.can0: socketcan:can0"),
+    "sync_interval": Parameter("ms between two SYNCs; without it that of the machine file, or 10", least=0.1, most=10_000.0),
+    "eds": Parameter("the file of all nodes, or eds.JOINT for each joint; without it the installed CSV files"),
+    "joints": Parameter("settings of joints, as joints.NAME.KEY, with the keys of [joints.NAME] in a machine file"),
+    "defaults": Parameter("settings for all joints, as defaults.KEY"),
+    "simulate": Parameter("true: simulated devices on virtual buses, in the process of the node", False),
+    "velocity_watchdog": Parameter("seconds within which the next velocity has to come, or the joints brake", 0.1, 0.001, 10.0),
+    "goal_time": Parameter(
+        "seconds behind a trajectory until the joints have to be within the tolerances of its goal", 1.0, 0.001, 3600.0
+    ),
+    "start_tolerance": Parameter("rad or m that a joint may be off where a source of motion begins", START, 1e-6, 1.0),
+    "joint_states": Parameter("the topic of the joint states", "joint_states"),
+    "joint_states_rate": Parameter("Hz of the joint states; 0: one at each SYNC", 0.0, 0.0, 10_000.0),
+    "joint_states_reliability": Parameter(
+        "of the joint states. reliable: every subscriber hears them; best_effort: MoveIt, which asks for reliable, hears none",
+        RELIABLE,
+        choices=(RELIABLE, BEST_EFFORT),
+    ),
+    "diagnostics_period": Parameter("seconds between two diagnostics if nothing changes", 1.0, 0.01, 3600.0),
+    "look_period": Parameter("seconds between two questions for the positions of joints without power", 0.2, 0.01, 60.0),
+}
+"""All parameters of the node, by name."""
 
 
 class ParameterError(MasterError, ValueError):
@@ -68,6 +110,7 @@ class NodeParameters:
     start_tolerance: float = START
     joint_states: str = "joint_states"
     joint_states_rate: float = 0.0
+    joint_states_reliability: str = RELIABLE
     diagnostics_period: float = 1.0
     look_period: float = 0.2
 
@@ -76,15 +119,17 @@ class NodeParameters:
         """Return the parameters that a mapping gives. Raises ParameterError with all problems, NoMachine without a machine."""
         tables = _nested(values)
         problems: list[str] = []
-        own = {each.name for each in fields(cls)}
-        known = sorted(own | {"machine", "chains", "buses", "sync_interval", "eds", "joints", "defaults"})
-        problems += [f"there is no parameter {key!r}{did_you_mean(key, known)}" for key in tables if key not in known]
-        given: dict[str, Any] = {}
-        for each in fields(cls):
-            if each.name != "machine" and each.name in tables:
-                value = _own(each.name, tables[each.name], problems)
-                if value is not None:
-                    given[each.name] = value
+        problems += [f"there is no parameter {key!r}{did_you_mean(key, PARAMETERS)}" for key in tables if key not in PARAMETERS]
+        wrong = {key: PARAMETERS[key].problem(value) for key, value in tables.items() if key in PARAMETERS and value is not None}
+        problems += [f"{key} is {tables[key]!r}; {problem}" for key, problem in wrong.items() if problem]
+        own = {each.name for each in fields(cls)} - {"machine"}
+        given: dict[str, Any] = {
+            key: float(tables[key]) if PARAMETERS[key].least is not None else tables[key]
+            for key, problem in wrong.items()
+            if key in own and not problem
+        }
+        if wrong.get("sync_interval"):
+            del tables["sync_interval"]
         machine = _machine(tables, problems)
         if problems:
             raise ParameterError(problems)
@@ -111,26 +156,6 @@ def _merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
     return both
 
 
-_POSITIVE: Final = ("velocity_watchdog", "goal_time", "start_tolerance", "diagnostics_period", "look_period")
-
-
-def _own(name: str, value: object, problems: list[str]) -> object:
-    """Return the value of a parameter of the node itself; None with a problem."""
-    if name == "simulate":
-        if isinstance(value, bool):
-            return value
-        problems.append(f"simulate is {value!r}; it has to be true or false")
-    elif name == "joint_states":
-        if isinstance(value, str) and value:
-            return value
-        problems.append(f"joint_states is {value!r}; it has to be the name of a topic")
-    elif _is_number(value) and isinstance(value, int | float) and (value > 0 or (value == 0 and name not in _POSITIVE)):
-        return float(value)
-    else:
-        problems.append(f"{name} is {value!r}; it has to be a number above 0" + ("" if name in _POSITIVE else ", or 0"))
-    return None
-
-
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
@@ -139,9 +164,6 @@ def _machine(tables: Mapping[str, Any], problems: list[str]) -> MachineFile | No
     """Return the machine; None with a problem."""
     locators = _locators(tables.get("buses"), problems)
     interval = tables.get("sync_interval")
-    if interval is not None and not (_is_number(interval) and interval > 0):
-        problems.append(f"sync_interval is {interval!r}; it has to be a number of ms above 0")
-        interval = None
     if tables.get("machine"):
         problems += [f"{key} and machine exclude each other: the file says it" for key in _OF_CHAINS if tables.get(key)]
         try:

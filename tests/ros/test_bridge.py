@@ -8,7 +8,7 @@ import pytest
 import trio
 
 from canopen_ros.bridge import open_bridge
-from canopen_ros.diagnostics import Level
+from canopen_ros.diagnostics import Level, named
 from canopen_ros.goals import Feedback, Outcome, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.parameters import NodeParameters
 from canopen_ros.simulated import on_virtual_buses, simulated_machine
@@ -88,3 +88,10 @@ async def test_a_joint_that_is_not_there_holds_up_no_other_one() -> None:
     async with simulated_machine(replace(machine, nodes=nodes)), open_bridge(replace(given, machine=machine)) as bridge:
         await trio.sleep(3.0)
         assert bridge.sample().names == ("joint1",)
+
+
+@virtual_time
+async def test_the_names_of_diagnostics_begin_with_namespace_and_node() -> None:
+    async with bridge_of(1) as (bridge, _):
+        names = [each.name for each in named(bridge.diagnostics(), "/left/ros_canopen")]
+    assert names == [f"left/ros_canopen: {name}" for name in ("bus: can0", "chain: arm", "arm: joint1")]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import xml.etree.ElementTree
+from collections.abc import Callable
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import pytest
@@ -113,6 +117,65 @@ def test_the_controller_has_the_joints_and_interfaces_of_the_robot(control: Elem
 @pytest.mark.parametrize("name", sorted(name for name in FILES if name.endswith(".py") or name.startswith("scripts/")))
 def test_programs_compile(name: str) -> None:
     compile(text_of(name), name, "exec")
+
+
+class Started(NamedTuple):
+    """A stand-in for an action, an event or a handler of ROS 2's launch: what it was made with."""
+
+    kind: str
+    given: tuple[object, ...]
+    named: dict[str, Any]
+
+
+@pytest.fixture
+def launched(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Started]]:
+    """Run the launch file with stand-ins for launch, which is not here; returns what it starts."""
+    needed = {
+        "launch": ("LaunchContext", "LaunchDescription"),
+        "launch.action": ("Action",),
+        "launch.actions": ("DeclareLaunchArgument", "ExecuteProcess", "LogInfo", "OpaqueFunction", "RegisterEventHandler"),
+        "launch.event_handlers": ("OnProcessExit",),
+        "launch.events": (),
+        "launch.events.process": ("ProcessExited",),
+        "launch_ros": (),
+        "launch_ros.actions": ("LifecycleNode", "Node"),
+    }
+    for module, kinds in needed.items():
+        made = ModuleType(module)
+        for kind in kinds:
+            setattr(made, kind, lambda *given, kind=kind, **named: Started(kind, given, named))
+        monkeypatch.setitem(sys.modules, module, made)
+    path = PACKAGE / "launch" / "canopen.launch.py"
+    space: dict[str, Any] = {"__file__": str(path), "__name__": "launched"}
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), space)
+
+    def launch(**given: str) -> list[Started]:
+        configurations = {name: default for name, (default, _) in space["ARGUMENTS"].items()} | given
+        started: list[Started] = space["node_and_controllers"](SimpleNamespace(launch_configurations=configurations))
+        return started
+
+    return launch
+
+
+def executables(started: list[Started]) -> set[str]:
+    return {each.named["executable"] for each in started if "executable" in each.named}
+
+
+def test_controllers_start_once_all_joint_states_are_there(launched: Callable[..., list[Started]], control: Element) -> None:
+    assert executables(launched()) == {"python3"}
+    started = launched(control="true")
+    assert executables(started) == {"python3", "robot_state_publisher"}
+    (waiting,) = [each for each in started if each.kind == "ExecuteProcess"]
+    joints = [joint.get("name") for joint in control.findall("joint")]
+    assert waiting.named["cmd"] == ["python3", "-m", "canopen_ros.ros2.await_joints", *joints]
+    (handler,) = [each for each in started if each.kind == "RegisterEventHandler"]
+    (exit_handler,) = handler.given
+    assert isinstance(exit_handler, Started)
+    assert exit_handler.named["target_action"] is waiting
+    assert started.index(handler) < started.index(waiting)  # so that no end is missed
+    ended = exit_handler.named["on_exit"]
+    assert executables(ended(SimpleNamespace(returncode=0), None)) == {"ros2_control_node", "spawner"}
+    assert executables(ended(SimpleNamespace(returncode=1), None)) == set()
 
 
 @pytest.mark.parametrize("name", sorted(name for name in FILES if name.endswith((".launch", ".xml", ".urdf"))))

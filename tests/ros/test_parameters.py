@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from canopen_ros.names import NO_FILE
-from canopen_ros.parameters import NodeParameters, NoMachine, ParameterError
+from canopen_ros.parameters import PARAMETERS, NodeParameters, NoMachine, ParameterError
 
 ARM = "arm joint1 can0 3  joint2 can0 4"
 TOML = """
@@ -111,6 +112,24 @@ def test_all_errors_at_once() -> None:
         "'joint9'", "'joint8'", "furlong", "max_sped",
     ):  # fmt: skip
         assert part in text, part
+
+
+@pytest.mark.parametrize("name", [name for name, each in PARAMETERS.items() if each.least is not None])
+def test_numbers_have_ranges(name: str) -> None:
+    parameter = PARAMETERS[name]
+    assert parameter.least is not None
+    assert parameter.most is not None
+    for value in (parameter.least, parameter.most):
+        NodeParameters.from_mapping({"chains": ARM, name: value})
+    for value in (-parameter.most, parameter.most * 1.01, float("nan"), True, "1"):
+        with pytest.raises(ParameterError, match=f"{name} is .*; it has to be a number from"):
+            NodeParameters.from_mapping({"chains": ARM, name: value})
+
+
+def test_defaults_are_those_of_the_table() -> None:
+    made = NodeParameters.from_mapping({"chains": ARM})
+    own = [each.name for each in fields(NodeParameters) if each.name != "machine"]
+    assert {name: getattr(made, name) for name in own} == {name: PARAMETERS[name].default for name in own}
 
 
 @pytest.mark.parametrize(

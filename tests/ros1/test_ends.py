@@ -6,6 +6,7 @@ import math
 import os
 import re
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -120,6 +121,16 @@ def test_a_node_without_arguments_and_parameters_asks_for_a_description(ros: Ros
     master = ros.start(f"exec roscore -p {ros.port}")
     until(ros.has_master, "the ROS master answers", master.must_live)
     assert ros.run("rosrun ros_canopen ros_canopenmasternode", status=1).endswith(sentence)
+
+
+def test_simulated_time_and_best_effort_are_refused(ros: Ros) -> None:
+    master = ros.start(f"exec roscore -p {ros.port}")
+    until(ros.has_master, "the ROS master answers", master.must_live)
+    node = "rosrun ros_canopen ros_canopenmasternode single_device.csv"
+    printed = ros.run(f"{node} _joint_states_reliability:=best_effort", status=1)
+    assert "joint_states_reliability is best_effort, which ROS 1 does not have" in printed
+    ros.run([sys.executable, "-c", "import rospy; rospy.set_param('/use_sim_time', True)"])
+    assert "/use_sim_time is true, but this node cannot follow /clock" in ros.run(node, status=1)
 
 
 def test_the_manuals_launch_file_as_printed(ros: Ros) -> None:

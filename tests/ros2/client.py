@@ -142,14 +142,14 @@ def six_velocities(client: Client, velocity: float) -> None:
 
 
 class NodeProcess:
-    """`python -m canopen_ros.ros2` with arguments. `output()`: what it printed so far, on both streams."""
+    """`python -m canopen_ros.ros2`, or another module, with arguments. `output()`: what it printed so far, on both streams."""
 
-    def __init__(self, folder: Path, *arguments: str) -> None:
+    def __init__(self, folder: Path, *arguments: str, module: str = "canopen_ros.ros2") -> None:
         self._output = folder / f"node{time.monotonic_ns()}.txt"
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "ROS_LOG_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
         with self._output.open("wb") as stream:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "canopen_ros.ros2", *arguments], stdout=stream, stderr=subprocess.STDOUT, env=environment
+                [sys.executable, "-m", module, *arguments], stdout=stream, stderr=subprocess.STDOUT, env=environment
             )
 
     def output(self) -> str:

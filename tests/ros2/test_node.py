@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,9 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from canopen_ros import names
-from tests.ros2.client import Client, NodeProcess, parameters, running
+from tests.ros2.client import Client, NodeProcess, parameters, running, six_velocities
 
+NODE = "ros_canopen"
 JOINTS = [f"joint{number}" for number in range(1, 7)]
 CHAINS = "arm " + " ".join(f"{joint} can0 {node}" for node, joint in enumerate(JOINTS, 3))
 
@@ -50,7 +52,7 @@ def ready(client: Client) -> Client:
 
 def is_homed(client: Client) -> bool:
     client.listen_to_diagnostics()
-    chain = next(status for status in client.next("/diagnostics").status if status.name == "chain: arm")
+    chain = next(status for status in client.next("/diagnostics").status if status.name == f"{NODE}: chain: arm")
     return "yes" in {each.value for each in chain.values if each.key == "homed"}
 
 
@@ -138,6 +140,25 @@ def test_velocities_move_until_they_stop_coming(ready: Client) -> None:
 
     ready.until(send_and_look, "joint1 moves")
     ready.until(lambda: abs(position(ready, 0) - position(ready, 0)) < 1e-9, "joint1 stands, without a further command")
+
+
+def test_a_single_zero_lets_velocities_be_taken_also_if_the_node_is_late(ready: Client, node: NodeProcess) -> None:
+    """A zero, and what follows it at once: the node finds all of them when it comes to look."""
+    assert ready.trigger("/arm/init").success  # nobody has the joints
+    before = position(ready, 0)
+    six_velocities(ready, 0.0)
+    ready.until(lambda: position(ready, 0) == before, "it has heard of the publisher")
+    assert ready.trigger("/arm/init").success
+    node.process.send_signal(signal.SIGSTOP)
+    for velocity in (0.0, 0.05, 0.05):
+        six_velocities(ready, velocity)
+    node.process.send_signal(signal.SIGCONT)
+
+    def send_and_look() -> bool:
+        six_velocities(ready, 0.05)
+        return position(ready, 0) > before + 0.001
+
+    ready.until(send_and_look, "joint1 moves")
 
 
 def test_too_few_velocities_are_refused_and_logged(ready: Client, node: NodeProcess) -> None:
@@ -234,9 +255,9 @@ def test_an_object_is_written_and_read_back(ready: Client) -> None:
 def test_diagnostics_tell_of_bus_chain_and_joints(ready: Client) -> None:
     ready.listen_to_diagnostics()
     statuses = {status.name: status for status in ready.next("/diagnostics").status}
-    assert set(statuses) == {"bus: can0", "chain: arm", *(f"arm: {joint}" for joint in JOINTS)}
+    assert set(statuses) == {f"{NODE}: {name}" for name in ("bus: can0", "chain: arm", *(f"arm: {joint}" for joint in JOINTS))}
     assert {status.level for status in statuses.values()} == {b"\0"}
-    values = {each.key: each.value for each in statuses["arm: joint1"].values}
+    values = {each.key: each.value for each in statuses[f"{NODE}: arm: joint1"].values}
     assert {"state", "statusword", "error code (603F)", "emergency"} <= set(values)
 
 
@@ -244,10 +265,17 @@ def test_diagnostics_tell_of_bus_chain_and_joints(ready: Client) -> None:
 
 
 def test_ctrl_c_ends_it_with_status_0(tmp_path: Path) -> None:
-    """In a namespace. The drives are looked at in test_ends.py."""
+    """In a namespace, which its diagnostics name. The drives are looked at in test_ends.py."""
     given = [*parameters(chains=f'"{CHAINS}"', simulate="true"), "-r", "__ns:=/second"]
     with running(tmp_path, *given) as second, Client() as client:
         assert client.trigger("/second/arm/init").success
+        client.listen_to_diagnostics()
+        client.until(
+            lambda: any(
+                status.name == f"second/{NODE}: arm: joint1" for each in client.heard["/diagnostics"] for status in each.status
+            ),
+            "its diagnostics",
+        )
         second.interrupt()
         assert second.ended() == 0, second.output()
 
@@ -256,3 +284,23 @@ def test_without_arguments_and_parameters_it_says_what_it_needs(tmp_path: Path) 
     node = NodeProcess(tmp_path)
     assert node.ended() == 1
     assert names.NO_FILE in node.output()
+
+
+def test_controllers_wait_for_the_states_of_all_their_joints(tmp_path: Path) -> None:
+    """As the launch file lets them: the one that misses a joint goes on waiting. In a namespace without another node."""
+    module, space = "canopen_ros.ros2.await_joints", ["-r", "__ns:=/third"]
+    with Client() as client:
+        waiting = NodeProcess(tmp_path, "joint1", "joint2", "--ros-args", *space, module=module)
+        short = NodeProcess(tmp_path, "joint1", "joint9", "--ros-args", *space, module=module)
+        try:
+            client.until(lambda: "waiting for the joint states of joint1" in waiting.output(), "it waits")
+            client.until(lambda: "waiting for the joint states of joint1" in short.output(), "the other one waits")
+            assert waiting.process.poll() is None
+            with running(tmp_path, *parameters(chains='"arm joint1 can0 3 joint2 can0 4"', simulate="true"), *space):
+                assert waiting.ended() == 0, waiting.output()
+                client.until(lambda: "no joint states of joint9 yet" in short.output(), "what is missing")
+            short.interrupt()
+            assert short.ended() == 1
+        finally:
+            for each in (waiting, short):
+                each.process.kill()

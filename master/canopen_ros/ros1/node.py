@@ -19,7 +19,7 @@ from canopen_master.errors import MasterClosed, MasterError
 from canopen_proto.machine import SECOND
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.chain_bridge import ChainBridge
-from canopen_ros.diagnostics import Diagnostic
+from canopen_ros.diagnostics import Diagnostic, named
 from canopen_ros.names import (
     COMMAND_VELOCITIES,
     DIAGNOSTICS,
@@ -33,7 +33,7 @@ from canopen_ros.names import (
     TRAJECTORY,
     Name,
 )
-from canopen_ros.parameters import NodeParameters, NoMachine
+from canopen_ros.parameters import BEST_EFFORT, NodeParameters, NoMachine, ParameterError
 from canopen_ros.reply import Reply
 from canopen_ros.ros1 import messages
 from canopen_ros.ros1.action import TrajectoryAction, trajectory_goal
@@ -43,6 +43,10 @@ from canopen_ros.samples import Sample
 from canopen_ros.threads import Outgoing, Portal, open_portal, until_stopped
 
 NODE: Final = "ros_canopen"
+SIMULATED_TIME: Final = (
+    "/use_sim_time is true, but this node cannot follow /clock: it leads drives in real time, and its stamps have to be those of "
+    "this computer's clock. Set it to false before the node starts"
+)
 QUEUE: Final = 10
 """Messages that rospy keeps for each slow subscriber."""
 
@@ -160,9 +164,9 @@ class Node:
         key_value = message_class("msg", "diagnostic_msgs/KeyValue")
         message = message_class("msg", DIAGNOSTICS.type)()
         message.header.stamp = rospy().Time.now()
-        for each in found:
+        for each in named(found, rospy().get_name()):
             status = message_class("msg", "diagnostic_msgs/DiagnosticStatus")(
-                level=int(each.level), name=f"{NODE}: {each.name}", message=each.message, hardware_id=each.hardware_id
+                level=int(each.level), name=each.name, message=each.message, hardware_id=each.hardware_id
             )
             status.values = [key_value(key, value) for key, value in each.values.items()]
             message.status.append(status)
@@ -201,7 +205,12 @@ def parameters_of(arguments: Sequence[str]) -> NodeParameters:
     given = dict(given) if isinstance(given, Mapping) else {}
     if arguments:
         given["machine" if arguments[0].endswith(".toml") else "chains"] = arguments[0]
-    return NodeParameters.from_mapping(given)
+    if rospy().get_param("/use_sim_time", False):
+        raise ParameterError((SIMULATED_TIME,))
+    parameters = NodeParameters.from_mapping(given)
+    if parameters.joint_states_reliability == BEST_EFFORT:
+        raise ParameterError(("joint_states_reliability is best_effort, which ROS 1 does not have: its topics are reliable",))
+    return parameters
 
 
 def main() -> int:

@@ -22,7 +22,7 @@ import trio
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future as RosFuture
 from sensor_msgs.msg import JointState as JointStateType
 from std_msgs.msg import Float64MultiArray, String
@@ -33,7 +33,8 @@ from canopen_master.errors import MasterClosed
 from canopen_ros import names
 from canopen_ros.bridge import Bridge
 from canopen_ros.chain_bridge import ChainBridge
-from canopen_ros.diagnostics import Diagnostic
+from canopen_ros.diagnostics import Diagnostic, named
+from canopen_ros.parameters import BEST_EFFORT
 from canopen_ros.reply import COMMAND_ERRORS, Reply
 from canopen_ros.ros2 import messages
 from canopen_ros.ros2.rcl import (
@@ -56,8 +57,9 @@ from canopen_ros.threads import Outgoing, Portal
 Args = TypeVarTuple("Args")
 
 QUEUE: Final = QoSProfile(depth=10)
-NEWEST: Final = QoSProfile(depth=1)
-"""For commands that replace each other. Reliable: a last command that got lost would leave the joints where they are."""
+"""Reliable, also for commands: a last one that got lost would leave the joints where they are. Not only the newest is kept: a
+single zero, which takes command_vel over, would be lost behind the velocity that follows it."""
+BEST: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 INACTIVE: Final = "the node is not active, so it commands no drive. Try: ros2 lifecycle set NODE activate"
@@ -80,7 +82,8 @@ class Interface:
         self._subscriptions: list[object] = []
         self._services: list[object] = []
         try:
-            self._joint_states = self._publisher(JointStateType, bridge.parameters.joint_states, QUEUE)
+            quality = BEST if bridge.parameters.joint_states_reliability == BEST_EFFORT else QUEUE
+            self._joint_states = self._publisher(JointStateType, bridge.parameters.joint_states, quality)
             self._diagnostics = self._publisher(DiagnosticArray, names.DIAGNOSTICS.name, QUEUE)
             self._states = {
                 chain.name: self._publisher(String, names.STATE.of(chain.name), LATCHED) for chain in bridge.chains.values()
@@ -145,8 +148,8 @@ class Interface:
         def trajectory(message: JointTrajectory) -> None:
             self._portal.submit(chain.command_trajectory, messages.goal(message)).add_done_callback(self._tell_failure)
 
-        self._subscribe(Float64MultiArray, names.COMMAND_VELOCITIES.of(chain.name), velocities, NEWEST)
-        self._subscribe(JointStateType, names.JOINT_COMMANDS.of(chain.name), positions, NEWEST)
+        self._subscribe(Float64MultiArray, names.COMMAND_VELOCITIES.of(chain.name), velocities, QUEUE)
+        self._subscribe(JointStateType, names.JOINT_COMMANDS.of(chain.name), positions, QUEUE)
         self._subscribe(JointTrajectoryType, names.TRAJECTORY.of(chain.name), trajectory, QUEUE)
 
     # ---- services ----
@@ -233,7 +236,7 @@ class Interface:
         self._joint_states.publish(messages.joint_state(sample))
 
     def _send_diagnostics(self, found: list[Diagnostic], now: int) -> None:
-        self._diagnostics.publish(messages.diagnostics(found, now))
+        self._diagnostics.publish(messages.diagnostics(named(found, self._node.get_fully_qualified_name()), now))
 
     def _send_state(self, chain: str, state: str) -> None:
         self._states[chain].publish(messages.text(state))

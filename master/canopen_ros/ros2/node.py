@@ -8,7 +8,8 @@
 - deactivate halts all joints, and shuts their drives down.
 - cleanup and shutdown close the buses; so does an error. Leaving the master halts drives that still move.
 
-A transition that fails says why in the log. A parameter that would have no effect cannot be set: see `_refuse_parameters`.
+A transition that fails says why in the log. Parameters are declared with their types, ranges and descriptions
+(ros2/declared.py). One that would have no effect cannot be set: see `_refuse_parameters`.
 
 With `autostart` (a parameter, true by default) the node configures and activates itself, and ends with exit status 1 if it
 cannot; set it to false for a manager of life cycles.
@@ -35,21 +36,19 @@ from canopen_data import DataError
 from canopen_data.findings import DictionaryError
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.chain_bridge import ChainBridge
-from canopen_ros.parameters import NodeParameters
+from canopen_ros.parameters import NodeParameters, ParameterError
 from canopen_ros.reply import COMMAND_ERRORS
+from canopen_ros.ros2.declared import AUTOSTART, OF_ROS, SIM_TIME, declare, problem_of
 from canopen_ros.ros2.interface import Interface
 from canopen_ros.ros2.rcl import Executor, NamedParameter
 from canopen_ros.threads import Outgoing, Portal, open_portal, until_stopped
 
 NAME: Final = "ros_canopen"
 
-AUTOSTART: Final = "autostart"
-OF_ROS: Final = {
-    "use_sim_time": "has no effect: stamps are those of this computer's clock",
-    "start_type_description_service": "is read once, when the node starts",
-    AUTOSTART: "is read once, when the node starts",
-}
-"""Parameters of the node that say nothing about the machine, and why they cannot be set later."""
+SIMULATED_TIME: Final = (
+    "use_sim_time is true, but this node cannot follow /clock: it leads drives in real time, and its stamps are those of this "
+    "computer's clock. Set it to false for this node"
+)
 
 PATIENCE: Final = 2.0
 """Seconds for the executor's last callbacks at the end of the node, and for its thread."""
@@ -115,8 +114,7 @@ class CanopenNode(LifecycleNode):
     ) -> None:
         """arguments: a description file, or none."""
         super().__init__(NAME, automatically_declare_parameters_from_overrides=True, allow_undeclared_parameters=True)
-        if not self.has_parameter(AUTOSTART):
-            self.declare_parameter(AUTOSTART, True)
+        declare(self)
         self.add_on_set_parameters_callback(self._refuse_parameters)
         self.has_failed = False
         self._arguments = arguments
@@ -166,12 +164,17 @@ class CanopenNode(LifecycleNode):
     # ---- what they do ----
 
     def _refuse_parameters(self, parameters: Sequence[NamedParameter]) -> SetParametersResult:
-        """Refuse what would have no effect: configure reads the parameters of the machine, the start reads the others."""
+        """Refuse what would have no effect, and what configure would refuse: configure reads the parameters of the machine."""
         is_configured = "is read-only while the node is configured; cleanup, set it, then configure (ros2 lifecycle set)"
         for each in parameters:
-            why = OF_ROS.get(each.name, is_configured if self._bridge is not None else "")
+            if each.name in OF_ROS:
+                why = SIMULATED_TIME if each.name == SIM_TIME and each.value is True else ""
+            elif self._bridge is not None:
+                why = f"{each.name} {is_configured}"
+            else:
+                why = problem_of(each.name, each.value)
             if why:
-                return SetParametersResult(successful=False, reason=f"{each.name} {why}")
+                return SetParametersResult(successful=False, reason=why)
         return SetParametersResult(successful=True)
 
     def _step(self, step: Callable[[], None], failed: TransitionCallbackReturn) -> TransitionCallbackReturn:
@@ -183,6 +186,8 @@ class CanopenNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
+        if self.get_parameter(SIM_TIME).value:
+            raise ParameterError((SIMULATED_TIME,))
         parameters = NodeParameters.from_mapping(self._given())
         bridge = self._portal.call(self._machine.open, parameters)
         try:

@@ -149,6 +149,9 @@ class Node(Protocol):
     def get_logger(self) -> Logger:
         """Its logger."""
 
+    def get_fully_qualified_name(self) -> str:
+        """Its namespace and name, from the root: /arm/ros_canopen."""
+
     def get_parameters_by_prefix(self, prefix: str) -> Mapping[str, Parameter]:
         """Its parameters; with "" all of them."""
 
@@ -178,6 +181,22 @@ class Node(Protocol):
 
     def trigger_activate(self) -> object:
         """Go from inactive to active."""
+
+
+class DeclaringNode(Protocol):
+    """A node whose parameters are declared."""
+
+    def has_parameter(self, name: str, /) -> bool:
+        """Whether it is declared."""
+
+    def get_parameter(self, name: str, /) -> Parameter:
+        """A declared parameter."""
+
+    def undeclare_parameter(self, name: str, /) -> None:
+        """Take it back."""
+
+    def declare_parameter(self, name: str, value: Any, descriptor: object, /, *, ignore_override: bool) -> object:
+        """Declare it with a value."""
 
 
 class Executor(Protocol):
