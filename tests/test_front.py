@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 import inspect
 import pkgutil
+import re
 import subprocess
 import sys
 from types import ModuleType
@@ -19,6 +20,7 @@ import canopen_master
 import canopen_proto
 import canopen_proto.procedures
 import canopen_transports
+from canopen_proto import drive
 from tests import user_example, user_mistakes
 
 LAZY = [canopen_proto, canopen_proto.procedures, canopen_master, canopen_transports]
@@ -92,3 +94,10 @@ def test_what_a_user_writes_passes_mypy_strict_and_mistakes_do_not(pytestconfig:
     command += [user_example.__file__, user_mistakes.__file__]
     done = subprocess.run(command, capture_output=True, text=True, timeout=590, check=False, cwd=place)
     assert (done.stdout, done.stderr) == ("Success: no issues found in 2 source files\n", "")
+
+
+def test_each_procedure_that_the_text_of_drive_lists_is_there() -> None:
+    rows = re.findall(r"^    ([a-z_]+(?:, [a-z_]+)*)", drive.__doc__ or "", re.MULTILINE)
+    listed = [name for row in rows for name in row.split(", ")]
+    assert "shut_down" in listed
+    assert [name for name in listed if not hasattr(drive, name)] == []

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
 import pytest
+
+import canopen_proto
 
 Graph: TypeAlias = "dict[str, set[str]]"
 
@@ -120,3 +123,14 @@ def test_a_circle_would_be_seen() -> None:
     text = "def f():\n    from canopen_proto.frame import Frame\nif TYPE_CHECKING:\n    import canopen_proto.machine"
     known = {"canopen_proto.frame", "canopen_proto.machine"}
     assert set(imported(ast.parse(text), known)) == known
+
+
+def test_the_page_of_the_house_names_each_folder_and_file_at_the_root_of_the_core() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "contract.md").read_text(encoding="utf-8")
+    places = [
+        f"{each.name}/" if each.is_dir() else each.name
+        for each in Path(str(canopen_proto.__file__)).parent.iterdir()
+        if (each.suffix == ".py" and each.name != "__init__.py") or (each / "__init__.py").is_file()
+    ]
+    assert "sdo/" in places
+    assert sorted(place for place in places if not re.search(rf"\b{re.escape(place)}", page)) == []

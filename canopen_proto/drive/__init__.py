@@ -7,8 +7,6 @@
     home          homing, to its end; home_if_needed                          manual: homing
     start_interpolation                                                       manual: enableIPmode
     start_cyclic_position, start_cyclic_velocity, start_cyclic_torque
-    start_slow_position, feed_targets    set-points in profile position, for drives without ip and csp (slow_position.py)
-    plan_motion, exchange_planned    the mode and the PDOs for set-points, by the drive's file alone (motion_plan.py)
     move_to       profile position: to one target
     move_along    profile position: a set of targets, each with its own profile
     apply_torque  profile torque for a time, then a halt
@@ -19,6 +17,9 @@
     quick_stop    the drive stops by 0x605A
     engage_brake  down to Ready to switch on                                  manual: enableBreak
     shut_down     unpowered (Switch on disabled)                              manual: shutdownDevice, with NMT stop
+
+Chains take two more from their modules: set-points in profile position, for drives without ip and csp (slow_position.py), and the
+mode and the PDOs for set-points by the drive's file alone (motion_plan.py).
 
 A procedure that moves the drive halts it if the procedure is cancelled or fails. While one moves the drive, another is refused
 (AxisBusy), and a stop takes over: the first ends with TakenOver (one_motion.py). Bit 4 is cleared before each homing and each
