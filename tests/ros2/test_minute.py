@@ -72,7 +72,7 @@ class Record:
         )
 
     def _keep_count(self, message: Any, info: Mapping[str, Any]) -> None:
-        (chain,) = [status for status in message.status if status.name == "chain: arm"]
+        (chain,) = [status for status in message.status if status.name == "ros_canopen: chain: arm"]
         values = {each.key: each.value for each in chain.values}
         cycles, skipped = int(values["SYNC cycles"]), int(values["skipped cycles"])
         self.counts.append(Count(info["source_timestamp"], values["state"], cycles, skipped))
