@@ -142,10 +142,9 @@ async def run(drives: str, first: int, steps: list[tuple[str, object]], on: set[
             match kind, what:
                 case "call", str(service):
                     followed = world.arm.state in ("following", "moving")
-                    await world.arm.call(service)
-                    is_taken = (
-                        is_taken and followed and (service == "IPmode" or service in MODE_SERVICES)
-                    )  # they change nothing then
+                    reply = await world.arm.call(service)
+                    changes_nothing = "it is busy" in reply.message or (followed and service in ("IPmode", *MODE_SERVICES))
+                    is_taken = is_taken and changes_nothing
                 case "switch", int(number):
                     sources[number].is_on = not sources[number].is_on
                     is_taken |= number == 2  # behind a pause a trajectory is a new one
