@@ -17,7 +17,7 @@ window, tells which it was (`_look_closer`): late answers make the window longer
 asked for both as 0 and as 1, until somebody says yes. So loss costs a window, and makes no wrong bit. Silence counts after the
 whole window only; after an answer a guard time is enough for the others. At the end the slave that should have been selected is
 asked for its identity.
-"Nobody" is believed the third time, after a long window, and if also 0x4C is not answered.
+"Nobody" is believed the third time, after two long windows, and if also 0x4C is not answered.
 """
 
 from __future__ import annotations
@@ -344,16 +344,17 @@ def _time_over(numbers: Sequence[int]) -> str:
 
 
 def _anybody(tool: LssTool, pace: Pace, first: bool) -> Procedure[bool]:
-    """Begin a fastscan; return whether anybody takes part. Silence is believed the third time, after a long window."""
+    """Begin a fastscan; return whether anybody takes part. Silence is believed the third time, after two long windows."""
     known = False
     for silent in range(1, 1 + ATTEMPTS + TRIES):
         believed = TRIES * pace.repeats
-        reply = yield from _question(tool, pace, 0, CONFIRM, 0, 0, None, pace.patience if silent == believed else pace.window)
+        window = pace.patience if silent >= believed - 1 else pace.window  # one patient question may be lost
+        reply = yield from _question(tool, pace, 0, CONFIRM, 0, 0, None, window)
         if reply.count:
             pace.learn(reply)
             return True
         if first:  # else those that are selected answer this
-            others = yield from ask(tool, lambda now: tool.master.identify_non_configured(now, window=pace.window))
+            others = yield from ask(tool, lambda now, window=window: tool.master.identify_non_configured(now, window=window))  # type: ignore[misc]
             if others.count:
                 pace.learn(others)
                 known = True

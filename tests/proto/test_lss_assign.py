@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
+from hypothesis import example
 from hypothesis import given as given_by
 from hypothesis import strategies as st
 
@@ -291,6 +292,17 @@ def is_told_as_two(result: Assignment, address: LssAddress) -> bool:
     storing=st.lists(st.sampled_from([0, 0, 0, 1, 2, None]), min_size=5, max_size=5),
     agrees=st.booleans(),
     is_twin=st.booleans(),
+)
+@example(  # one long question and the short ones before it were lost, or answered late
+    seed=5211,
+    count=1,
+    loss=0.1,
+    latest=30 * MILLISECOND,
+    copies=0.05,
+    same=TYPE[:1],
+    storing=[0] * 5,
+    agrees=False,
+    is_twin=False,
 )
 def test_each_device_has_its_node_id_for_good_or_is_named(
     seed: int,
