@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 from canopen_cli.importing import LibraryMissing, importing
@@ -16,5 +17,13 @@ def main() -> int:
             from canopen_cli.app import main as run
         return run()
     except LibraryMissing as missing:
-        print(f"canopen: {missing}", file=sys.stderr)
+        print(_document(missing) if "--json" in sys.argv else f"canopen: {missing}", file=sys.stderr)
         return CANNOT_OPEN
+
+
+def _document(missing: LibraryMissing) -> str:
+    failed, _, step = str(missing).partition("\nTry: ")
+    from canopen_cli.problem import ExitCode, Problem
+
+    problem = Problem(ExitCode.CANNOT_OPEN, "", failed, tries=(step,))
+    return json.dumps({**problem.as_json(), "notes": []})

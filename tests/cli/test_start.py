@@ -5,6 +5,7 @@ Modules are counted, never time.
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -121,3 +122,9 @@ def test_a_library_that_is_missing_is_named_when_it_is_needed(arguments: list[st
     ended = python(missing, *arguments)
     assert ended.returncode == ExitCode.CANNOT_OPEN
     assert ended.stderr.startswith("canopen: the command line needs rich, which is not installed.\n")
+
+
+def test_with_json_a_library_that_is_missing_is_named_in_a_document() -> None:
+    missing = "import sys; sys.modules['rich'] = None; from canopen_cli.entry import main; sys.exit(main())"
+    error = json.loads(python(missing, "no-such-command", "--json").stderr)
+    assert (error["kind"], error["try"]) == ("cannot_open", ["pip install 'canopen-proto[master]'"])
