@@ -481,7 +481,8 @@ def assert_the_rest_is_imported(whole: Value, place: str, junk: str, folder: Pat
     assert_every_key_is_told(made, path)
     left = {name: each.node_id for name, each in parse_machine(made.text).nodes.items()}
     for name, node in wanted.nodes.items():
-        key = "nodes.node2" if name == "elbow" else f"nodes.{name}"  # ROS1 names one otherwise
+        named = {each.entries["name"].text: key for key, each in whole.entries["nodes"].entries.items() if "name" in each.entries}
+        key = f"nodes.{named.get(name, name)}"
         if place != "nodes" and not f"{place}.".startswith(f"{key}."):
             assert left[name] == node.node_id, (place, junk, name)
 
