@@ -28,18 +28,20 @@ class Questions:
     async def ask(self, question: str, default: str = "", *, shown: str | None = None) -> str:
         """Return the answer, without blanks around it. shown: what is shown as the default, instead of itself."""
         offered = default if shown is None else shown
-        self._screen.ask(f"{escape(question)} {escape(f'[{offered}]' if offered else '')} ")
+        asked = f"{escape(question)} {escape(f'[{offered}]' if offered else '')} "
         if self.agrees:
-            self._screen.say("")
+            self._screen.say(asked)
             return default
+        self._screen.ask(asked)
         return (await self._line()).strip() or default
 
     async def may(self, question: str) -> bool:
         """Return whether something may be done. Anything but yes is no."""
-        self._screen.ask(f"[bold]{escape(question)}[/] {escape('[y/N]')} ")
+        asked = f"[bold]{escape(question)}[/] {escape('[y/N]')} "
         if self.agrees:
-            self._screen.say("yes (--yes)")
+            self._screen.say(f"{asked}yes (--yes)")
             return True
+        self._screen.ask(asked)
         return (await self._line()).strip().lower() in ("y", "yes")
 
     async def number(self, question: str, default: float | None, unit: str = "", *, above_zero: bool = False) -> float | None:
