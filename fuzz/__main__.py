@@ -5,9 +5,9 @@
     python -m fuzz show crash-...
     python -m fuzz keep sdo_server
     python -m fuzz sdo_clients 100000 [SEED]
-    python -m fuzz flash_lives [FIRST [COUNT]]
+    python -m fuzz flash_lives|damaged_recordings [FIRST [COUNT]]
 
-`sdo_clients` and `flash_lives` need no atheris: they draw as many cases as they are told.
+`sdo_clients`, `flash_lives` and `damaged_recordings` need no atheris: they draw as many cases as they are told.
 
 `python -m fuzz.mutants` plants bugs and says whether the inputs below and the tests find them.
 
@@ -38,6 +38,10 @@ def main(arguments: list[str]) -> int:
         from fuzz import flash_lives
 
         return flash_lives.main(arguments[1:])
+    if arguments and arguments[0] == "damaged_recordings":
+        from fuzz import damaged_recordings
+
+        return damaged_recordings.main(arguments[1:])
     names = sorted(path.name for path in (HERE / "corpus").iterdir())
     if len(arguments) == 2 and arguments[0] == "keep" and arguments[1] in names:
         found = HERE / "found" / arguments[1]
@@ -45,7 +49,8 @@ def main(arguments: list[str]) -> int:
         return 0
     if not arguments or arguments[0] not in names:
         print(f"usage: python -m fuzz {{{','.join(names)}}} [libFuzzer options]")
-        print("       python -m fuzz show FILE | keep TARGET | sdo_clients COUNT [SEED] | flash_lives [FIRST [COUNT]]")
+        print("       python -m fuzz show FILE | keep TARGET | sdo_clients COUNT [SEED]")
+        print("       python -m fuzz flash_lives | damaged_recordings [FIRST [COUNT]]")
         return 2
     try:
         import atheris

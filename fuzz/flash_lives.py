@@ -7,12 +7,9 @@ the same life, so one that fails is repeated by `python -m fuzz flash_lives NUMB
 from __future__ import annotations
 
 import random
-import time
-from typing import Final
 
+from fuzz.cases import run_cases
 from tests.proto.test_program_identity import FALLS, IDENTITIES, LONGEST, VERSIONS, Ways, judge
-
-COUNT: Final = 1000
 
 
 def life(number: int) -> tuple[Ways, bool, bool, bool]:
@@ -31,15 +28,5 @@ def life(number: int) -> tuple[Ways, bool, bool, bool]:
 
 
 def main(arguments: list[str]) -> int:
-    """Live so many lives from a number on: [FIRST [COUNT]]. The exit status: 0, or 1 if one has failed, which is printed."""
-    first, count = [*map(int, arguments), *(0, COUNT)[len(arguments) :]]
-    failed = 0
-    for number in range(first, first + count):
-        lived = life(number)
-        try:
-            judge(*lived)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is told and counted
-            failed += 1
-            print(f"life {number} has failed: {lived}\n    {type(error).__name__}: {error}", flush=True)
-    print(f"{count} lives from {first} on: {failed} failed, {time.process_time():.0f} s of CPU time")
-    return int(failed > 0)
+    """Live so many lives; see run_cases."""
+    return run_cases("life", "lives", life, lambda lived: judge(*lived), arguments)

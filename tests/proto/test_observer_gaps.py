@@ -25,7 +25,11 @@ def test_nothing_is_found_in_a_clean_recording(number: int) -> None:
 @given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))
 @examples(300)
 def test_a_damaged_recording_shows_that_it_is_damaged_and_nothing_else(number: int, seed: int) -> None:
-    """But for a size or a toggle bit that is said to be likely: the loss of most of two transfers can look like one of these."""
+    judge(number, seed)
+
+
+def judge(number: int, seed: int) -> None:
+    """Nothing else but a size or a toggle bit that is said to be likely: the loss of most of two transfers can look like one."""
     session = damaged(clean(number), seed)
     told = findings(session)
     accused = [each for each in told if each.rule not in OF_THE_RECORDER and each.rule != "boot-up"]
