@@ -220,6 +220,20 @@ def test_a_script_that_stops_names_how_late_our_own_sync_was(turns: Sequence[Tur
     run()
 
 
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_drive_that_comes_back_to_its_path_has_a_whole_interval_for_each_step(waits: bool) -> None:
+    """A script that makes up for lost time sends SYNC early, cycle after cycle: steps at the speed limit were too fast then."""
+    late = [(True, 0.0, 0.0), (True, 0.0188, 0.0391), (False, 0.2458, 0.2484), (False, 0.0, 0.0041), (False, 0.0098, 0.0059)]
+
+    @virtual_time
+    async def run() -> None:
+        async with scripted(*NODES, waits=waits) as script:
+            assert await outcome(script, late) is None
+            assert script.largest <= LIMIT + 1 / PERIOD  # positions are whole counts
+
+    run()
+
+
 @virtual_time
 async def test_a_drive_that_does_not_tell_where_it_is_is_halted_before_sync() -> None:
     async with scripted(*NODES) as script:

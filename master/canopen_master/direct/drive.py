@@ -97,6 +97,7 @@ class DirectDrive:
         self._running: set[trio.CancelScope] = set()  # its sequences
         self._is_following = False
         self._is_new = False  # the rPDO is to be sent before the next SYNC
+        self.comes_back = False  # its last step, which the next SYNC ends, leads back to its path
         self._taken: deque[tuple[Time, float]] = deque(maxlen=STEPS)  # the set-points of the last SYNCs; at first: where it stood
         self._wanted = 0.0  # the set-point of the user; `_within` knows what is sent in its place behind a late SYNC
         self._within = WithinReach([0.0], [math.inf])
@@ -297,7 +298,8 @@ class DirectDrive:
 
     def take_given(self) -> None:
         """Let the next SYNC take what was given."""
-        self._is_new = bool(self._given) or not self.is_on_path
+        self.comes_back = not self.is_on_path
+        self._is_new = bool(self._given) or self.comes_back
         if self._given:
             self._wanted = self._given.popleft()
         if self._is_new:
@@ -334,6 +336,7 @@ class DirectDrive:
 
     def _stand_at(self, position: float) -> None:
         self._wanted = position
+        self.comes_back = False
         self._within.stand_at([position], [position])
         self._taken = deque([(self.master.now(), position)], maxlen=STEPS)
 

@@ -11,7 +11,8 @@ SYNC, they are sent at once, and so are those that follow.
 
 - a drive that may be out of reach of its set-point is asked where it is, and stays there at this SYNC (gap_guard.py); it comes
   back to the script's path from there. If that cannot be known, the drives are halted;
-- the next SYNC comes an interval after the late one, not earlier, whatever the phase was.
+- the next SYNC comes an interval after the late one, whatever the phase was, or at most a part of ON_TIME earlier;
+- while a drive comes back, SYNC is not early at all: its steps use its whole speed limit, in the interval that it was told.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ class HandDriven(Protocol):
     """A drive that gets its set-points here: a DirectDrive; see there."""
 
     interval: int
+    comes_back: bool
 
     @property
     def device(self) -> Device: ...
@@ -80,11 +82,13 @@ class HandSync:
     async def send(self, interval: Time) -> None:
         """Send the set-points that wait, then SYNC. interval: ns until the next one; 0: the script keeps the time.
 
-        While drives follow, it waits first until most of the last interval is over. Raises BusError.
+        While drives follow, it waits first until most of the last interval is over, and until a drive that comes back to its
+        path has had the whole interval that it was told. Raises BusError.
         """
         master = self._master
-        if self._drives and self._interval and self._sent_at != NEVER_SENT:
-            earliest = self._sent_at + self._interval - self._interval // ON_TIME
+        if self._drives and self._sent_at != NEVER_SENT:
+            whole = (drive.interval * MILLISECOND for drive in self._drives if drive.comes_back)
+            earliest = self._sent_at + max(self._interval - self._interval // ON_TIME, *whole, 0)
             await trio.sleep(max(0, earliest - master.now()) / SECOND)
         for drive in self._drives:
             drive.take_given()

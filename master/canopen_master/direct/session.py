@@ -196,7 +196,7 @@ class Session:
         In a loop it keeps time: the wait ends `milliseconds` after the end of the last one, so that the other work of the loop
         does not add to the period. A loop that was late goes on slowly: the next SYNC comes `milliseconds` after the late one (at
         most a twentieth earlier). If drives that follow may have gone too far meanwhile, they are asked where they are before
-        SYNC is sent, and come back to the set-points of the script slowly.
+        SYNC is sent, and come back to the set-points of the script slowly; until they are there, no SYNC is early.
         """
 
         interval = round(milliseconds * MILLISECOND)
