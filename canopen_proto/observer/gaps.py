@@ -35,6 +35,11 @@ class Gaps:
             found.append(Finding("missing", node_id, f"frames are missing here: {text}", is_certain=False))
         self.last = now
 
+    def lost(self, text: str, now: Time) -> Finding:
+        """Take the receiver's own word that it lost frames; return it, as certain."""
+        self.last = now
+        return Finding("missing", 0, f"frames are missing here: {text}")
+
     def copied(self, node_id: int, text: str, now: Time, found: list[Finding]) -> None:
         """Take a frame that has come twice."""
         if now - self._copied > QUIET:

@@ -199,6 +199,14 @@ class Observer:
         _, summaries = self._sequences.take()
         return tuple(found), summaries
 
+    def lost(self, text: str, now: Time) -> Finding:
+        """Take the receiver's own word that it lost frames here (an overrun), and return it as a finding.
+
+        What such frames would have shown is no other finding then. text: the receiver's words. now: ns, as for `observe`.
+        """
+        self._now = max(now, self._now)
+        return self._gaps.lost(text, self._now)
+
     def unfinished(self) -> tuple[Summary, ...]:
         """Return the sequences that are not over yet, and forget them: behind the last frame of a recording."""
         self._sequences.overdue(NEVER)

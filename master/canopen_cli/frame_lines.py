@@ -74,6 +74,13 @@ class Buses:
         observer = self._observers[record.channel]
         return self.seconds(record.time), observer.observe(record.frame, record.time - self._first)
 
+    def lost(self, text: str, time: Time) -> Finding | None:
+        """Tell the observers that the receiver lost frames of some bus; see `Observer.lost`. None: nothing has come yet."""
+        found = None
+        for observer in self._observers.values():
+            found = observer.lost(text, time - (self._first or 0))
+        return found
+
     def idle(self, time: Time) -> Iterator[tuple[str, tuple[Finding, ...], tuple[Summary, ...]]]:
         """Return what each bus shows by its silence; see `Observer.idle`. time: all frames before it have been observed."""
         for channel, observer in self._observers.items():

@@ -257,16 +257,21 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
     stories: dict[str, Story] = {}  # by channel
     counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
     lines: list[str] = []  # of findings, which follow the story
-    number = 0
+    number = overruns = 0
     for number, record in enumerate(reader, 1):
         if number % 256 == 0:
             screen.check_reader()
+        lost = None
+        if reader.overruns > overruns:  # several recorders may be one file: which one lost frames is not looked at
+            overruns = reader.overruns
+            lost = buses.lost("the controller of the recorder was overrun", record.time)
         seconds, observation = buses.observe(record)
+        findings = observation.findings if lost is None else (lost, *observation.findings)
         story = stories.get(record.channel)
         if story is None:
             story = stories[record.channel] = Story()
         events = story.add(record.frame, observation, record.time)
-        if not (events or observation.findings):
+        if not (events or findings):
             continue
         where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
         for event in events:
@@ -275,7 +280,7 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
                 screen.out.out(json_text(where | told), highlight=False)
             else:
                 screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {event_text(event)}", highlight=False)
-        for finding in observation.findings:
+        for finding in findings:
             counts[finding.rule, finding.is_certain] += 1
             if settings.json:
                 screen.out.out(json_text(where | finding._asdict()), highlight=False)

@@ -19,6 +19,7 @@ from canopen_cli.running import first_of, run_until_interrupted
 from canopen_cli.screen import Screen, counted, escape
 from canopen_cli.session import read_dictionary
 from canopen_proto.machine import SECOND, Time
+from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.record import Record
 
 QUIET: Final = 0.5
@@ -128,6 +129,8 @@ class Watch:
                 self._shown += 1
                 await outlet.put(lines.frame(seconds, heard, observation))
         elif self._live is not None:
+            if isinstance(heard, ReceiveOverrun):
+                buses.lost(heard.seen, self._live.now())  # the line below tells it
             await outlet.put(lines.report(buses.seconds(self._live.now()), self._live.now(), heard))
 
     async def _tell_silence(self, time: Time, buses: Buses, lines: FrameLines, outlet: Outlet) -> None:

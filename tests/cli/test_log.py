@@ -356,6 +356,19 @@ def test_check_tells_the_story_before_the_findings(run: Run) -> None:
     assert [each.get("is_certain") for each in told] == [True, None, None]
 
 
+def test_check_believes_the_recorder_that_it_lost_frames(run: Run) -> None:
+    """What is missing behind an overrun has its cause: it is told once, as certain, and with the cause."""
+    overrun = "(1.15) can0 20000004#0001000000000000\n"
+    Path("a.log").write_text(FAULT.replace("(1.2)", f"{overrun}(1.2)"))
+    told = [json.loads(line) for line in run("log", "check", "a.log", "--json").out.splitlines()]
+    assert [(each["rule"], each["is_certain"], each["text"]) for each in told if each.get("rule") == "missing"] == [
+        ("missing", True, "frames are missing here: the controller of the recorder was overrun")
+    ]
+    Path("b.log").write_text(overrun + BAD)
+    outcome = run("log", "check", "b.log")
+    assert ("1 x missing (likely)" in outcome.err, outcome.status) == (True, 1)  # nothing was heard before it
+
+
 def test_aborts_alone_are_no_fault(run: Run) -> None:
     Path("a.log").write_text("(1.0) can0 605#4000200000000000\n(1.1) can0 585#8000200000000206\n")
     outcome = run("log", "check", "a.log")

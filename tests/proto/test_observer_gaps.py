@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.machine import SECOND
 from canopen_proto.observer.finding import Finding
 from canopen_proto.observer.observer import Observer
 from tests.examples import examples
@@ -49,6 +50,26 @@ def boot_ups_without_a_reason(session: Session) -> int:
         elif text[:3] in (f"70{NODE:X}", f"58{NODE:X}"):
             is_up = True
     return count
+
+
+@given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))
+@examples(60)
+def test_what_an_overrun_has_cost_is_told_by_the_overrun_alone(number: int, place: int) -> None:
+    """A frame is lost, and the receiver says so: nothing else is found within a second."""
+    session = clean(number)
+    place %= len(session)
+    at = session.pop(place)[0]
+    observer = Observer(bitrate=1_000_000)
+    told = [finding for now, frame in session[:place] for finding in observer.observe(frame, now).findings]
+    told.append(observer.lost("overrun", at))
+    told += [
+        finding
+        for now, frame in session[place:]
+        if now <= at + SECOND
+        for finding in observer.observe(frame, now).findings
+        if finding.rule != "boot-up"
+    ]
+    assert told == [Finding("missing", 0, "frames are missing here: overrun")]
 
 
 @given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))

@@ -35,7 +35,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="SocketCAN is Li
     ],
 )
 def test_what_an_error_frame_says(kinds: int, data: str, state: BusState | None, text: str) -> None:
-    from canopen_transports.socketcan.error_frames import ErrorReport
+    from canopen_transports.error_frames import ErrorReport
 
     report = ErrorReport(kinds, bytes.fromhex(data))
     assert (report.state, report.text) == (state, text)

@@ -100,7 +100,22 @@ def test_what_is_no_frame_is_counted(tmp_path: Path) -> None:
         assert (frames, reader.skipped) == (FRAMES, 1)
         assert last in reader.last_skip
     _, reader, _ = read(tmp_path / "a.asc", b"base hex\n\n 0.5 1  ErrorFrame\n")
-    assert (reader.skipped, reader.last_skip) == (1, "an error frame")
+    assert (reader.skipped, reader.last_skip, reader.overruns) == (1, "an error frame", 0)
+
+
+@pytest.mark.parametrize(
+    ("line", "overruns"),
+    [
+        ("(1.5) can0 20000004#0001000000000000", 1),
+        ("(1.5) can0 20000004#0004000000000000", 0),  # it warns of errors
+        ("(1.5) can0 20000080#0001", 0),  # a bus error: its second byte says nothing
+        ("(1.5) can0 20000004#0", 0),
+        ("can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME", 1),
+    ],
+)
+def test_a_recorder_that_was_overrun_says_so(tmp_path: Path, line: str, overruns: int) -> None:
+    _, reader, _ = read(tmp_path / "a.log", f"{line}\n".encode())
+    assert (reader.skipped, reader.last_skip, reader.overruns) == (1, "an error frame", overruns)
 
 
 @pytest.mark.parametrize(

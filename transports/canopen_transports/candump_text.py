@@ -14,6 +14,7 @@ from datetime import datetime
 from typing import Final
 
 from canopen_proto.frame import Frame
+from canopen_transports.error_frames import ErrorReport
 from canopen_transports.record import Record
 
 EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (a line as `candump -L` writes it)"
@@ -25,11 +26,19 @@ _SHOWN: Final = re.compile(
     r"([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[([0-9]{1,2})\](?:\s+(.*))?"
 )
 _RAW_DLC: Final = re.compile(r"_[0-9A-Fa-f]$")  # how candump shows a DLC of 9 to 15, which means 8 bytes
+_BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2}){0,8}")
 _ERROR_FRAME: Final = 0x20000000
 
 
 class NotAFrame(ValueError):
-    """The line is candump's, but not a frame of classical CAN. The text says what it is."""
+    """The line is candump's, but not a frame of classical CAN. The text says what it is.
+
+    is_overrun: it is an error frame by which the recorder's controller says that it lost frames.
+    """
+
+    def __init__(self, text: str, *, is_overrun: bool = False) -> None:
+        super().__init__(text)
+        self.is_overrun = is_overrun
 
 
 def parse_line(line: str) -> Record:
@@ -59,22 +68,24 @@ def _logged_frame(text: str) -> Frame:
     identifier, _, data = text.partition("#")
     if data.startswith("#"):
         raise NotAFrame("a CAN FD frame")
-    _check_identifier(identifier)
+    _check_identifier(identifier, data)
     return Frame.parse(_RAW_DLC.sub("", text))
 
 
 def _shown_frame(identifier: str, length: str, rest: str) -> Frame:
     if len(length) == 2:  # "[08]", "[64]": classical CAN has one digit
         raise NotAFrame("a CAN FD frame")
-    _check_identifier(identifier)
+    data = rest.split()[: int(length)]  # with -a, the bytes follow as text
+    _check_identifier(identifier, "".join(data))
     if rest.startswith("remote request"):
         return Frame.parse(f"{identifier}#R{length}")
-    data = rest.split()[: int(length)]  # with -a, the bytes follow as text
     if len(data) < int(length) or not all(len(byte) == 2 for byte in data):
         raise ValueError(f"the line announces {length} bytes, but has {rest[:40]!r}")
     return Frame.parse(f"{identifier}#{''.join(data)}")
 
 
-def _check_identifier(identifier: str) -> None:
+def _check_identifier(identifier: str, data: str) -> None:
     if len(identifier) == 8 and int(identifier, 16) & _ERROR_FRAME:
-        raise NotAFrame("an error frame")
+        pairs = _BYTES.match(data)
+        report = ErrorReport(int(identifier, 16), bytes.fromhex(pairs[0] if pairs else ""))
+        raise NotAFrame("an error frame", is_overrun=report.overrun)

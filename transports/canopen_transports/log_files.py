@@ -111,12 +111,13 @@ class LogReader:
 
     path: its ending says the kind; `.txt` is candump's text, like `.log`. stream: candump's text, or a capture, from elsewhere
     (standard input); path then only names it. skipped: how many entries were not classical CAN frames so far; last_skip: why the
-    last was not.
+    last was not. overruns: how many of these say that the recorder lost frames there: candump's error frames.
     """
 
     def __init__(self, path: Path, stream: BufferedReader | None = None) -> None:
         self.path = path
         self.skipped = 0
+        self.overruns = 0
         self.last_skip = ""
         self._stream = stream
         self._kind = ".log" if stream is not None or path.suffix.lower() == ".txt" else kind_of(path)
@@ -163,6 +164,7 @@ class LogReader:
                 yield parse_line(line.strip())
             except NotAFrame as reason:
                 self._skip(str(reason))
+                self.overruns += reason.is_overrun
             except ValueError as error:
                 raise self._not_understood(str(error), number, EXAMPLE) from error
 

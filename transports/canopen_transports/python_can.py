@@ -34,6 +34,7 @@ from canopen_proto.frame import Frame
 from canopen_transports import diagnosis, peak
 from canopen_transports.diagnosis import QUIET_TIME, ROOM_POLL, ROOM_TIME
 from canopen_transports.driver_calls import call
+from canopen_transports.error_frames import ErrorReport
 from canopen_transports.errors import (
     NOT_ACKNOWLEDGED,
     BusState,
@@ -315,8 +316,6 @@ class PythonCanTransport(trio.abc.AsyncResource):
         if self._peak is not None:
             self.last_error = peak.error_text(message)
         elif self._locator.interface == "socketcan":
-            from canopen_transports.socketcan.error_frames import ErrorReport  # only now, as its package is Linux's alone
-
             report = ErrorReport(message.arbitration_id, bytes(message.data))
             self.last_error, state = report.text, report.state
             if report.overrun:

@@ -39,6 +39,7 @@ import trio
 from canopen_proto.frame import EXTENDED, REMOTE, Frame, RoutingKey
 from canopen_transports import diagnosis
 from canopen_transports.diagnosis import QUIET_TIME, ROOM_POLL, ROOM_TIME
+from canopen_transports.error_frames import ErrorReport
 from canopen_transports.errors import (
     BUS_LOST,
     BusState,
@@ -52,7 +53,6 @@ from canopen_transports.socketcan import kernel
 from canopen_transports.socketcan.batch import BATCH, Batch
 from canopen_transports.socketcan.bit_rate import bitrate_of
 from canopen_transports.socketcan.broadcast import Broadcast, check_cyclic
-from canopen_transports.socketcan.error_frames import ErrorReport
 from canopen_transports.transport import MAX_LENGTH, MAX_STANDARD_ID, Received, check_frame
 
 UP_POLL: Final = 0.05
