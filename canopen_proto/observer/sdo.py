@@ -538,6 +538,8 @@ class SdoFollower:
         self._sent = number
         if number == len(self._pending) + 1:
             self._pending.append(segment[1:])
+        elif self._pending and number == len(self._pending) and segment[1:] != self._pending[-1]:
+            self._is_doubtful = True  # one of the two is late, from another block
         if is_final or number >= self._block_size:
             self._was_final = is_final
             self._phase = _Phase.BLOCK_ACKNOWLEDGEMENT

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import SECOND
@@ -24,6 +24,7 @@ def test_nothing_is_found_in_a_clean_recording(number: int) -> None:
 
 
 @given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))
+@example(6, 600766789)  # a segment that is 30 frames late, in a block of another transfer, before the one with its number
 @examples(300)
 def test_a_damaged_recording_shows_that_it_is_damaged_and_nothing_else(number: int, seed: int) -> None:
     judge(number, seed)
