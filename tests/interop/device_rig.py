@@ -42,6 +42,13 @@ class Rig:
             assert time.monotonic() < end, f"not within {LIMIT} s"
             time.sleep(0.001)
 
+    def stop_sync(self) -> None:
+        """Stop the peer's periodic SYNC. Its thread may be on its way into the bus: no SYNC of it comes after this."""
+        task = self.peer.sync._task
+        task.stop()
+        task._task.thread.join(LIMIT)
+        assert not task._task.thread.is_alive()
+
     def start(self) -> None:
         self.remote.nmt.state = "OPERATIONAL"
         self.wait(lambda: self.device.state is NmtState.OPERATIONAL)

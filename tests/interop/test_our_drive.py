@@ -170,7 +170,7 @@ def interpolated_position(rig: Rig) -> None:
     steps = (20, 40, 60, 80)
     for step in steps:
         sdo[0x60C1][1].raw = start + step
-    sync.stop()
+    rig.stop_sync()
     rig.remote.controlword = 0x1F
     rig.wait(lambda: bool(sdo[0x6041].raw & 0x1000))
     for number, step in enumerate(steps, 1):
