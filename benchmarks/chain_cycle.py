@@ -27,9 +27,9 @@ from contextlib import nullcontext
 import trio
 
 from canopen_master import Chain, ChainSettings, open_master, powerballs, simulate
+from canopen_proto.drives.trajectory import Path, from_function
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, TPDO1, Frame
 from canopen_proto.machine import SECOND
-from canopen_proto.trajectory import Path, from_function
 from canopen_transports import Received, Report, VirtualTransport
 
 WARM_UP = 0.2  # seconds of the path before the recording takes over: each joint's mode was read by then

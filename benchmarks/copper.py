@@ -1,6 +1,6 @@
 """A bus for many networks in virtual time: one frame after the other, at all of them at once, as copper does it.
 
-`tests/proto/bus.py` gives each receiver a delay and faults of its own, which costs a step per frame and receiver; this one is
+`tests/core/bus.py` gives each receiver a delay and faults of its own, which costs a step per frame and receiver; this one is
 for a hundred nodes. A frame takes `frame_time` plus a jitter from the seed (as if other traffic came between); the order in which
 networks want to send is the order in which they were attached.
 """

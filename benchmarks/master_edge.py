@@ -27,7 +27,7 @@ from direct import record, variable
 from measure import Case, Result
 
 from canopen_master import Master, open_master, simulate
-from canopen_master.simulation import DeviceModel
+from canopen_master.simulation.host import DeviceModel
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.frame import Frame

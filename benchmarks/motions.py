@@ -26,7 +26,7 @@ from functools import partial
 import chain_cycle
 
 from canopen_master.trajectories.point_to_point import plan
-from canopen_proto.trajectory import JointLimits, PathClock, PathPoint
+from canopen_proto.drives.trajectory import JointLimits, PathClock, PathPoint
 
 COUNTS = (6, 12, 30)
 CYCLES_MS = (1, 4, 10)

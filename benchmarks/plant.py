@@ -18,9 +18,9 @@ from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 
 HEARTBEAT = 250 * MILLISECOND
 SETTINGS = DriveSettings(shape=Shape.SCHUNK_POWERBALL)

@@ -37,8 +37,8 @@ import canopen
 import trio
 
 from canopen_master import open_master
-from canopen_master.alarm import FineAlarm
 from canopen_master.node import Node
+from canopen_master.participant.alarm import FineAlarm
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Event
 from canopen_proto.network import Network

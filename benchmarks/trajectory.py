@@ -27,7 +27,7 @@ from measure import Case, Result, measure, table
 
 from canopen_master.trajectories.point_to_point import plan
 from canopen_master.trajectories.target_stream import TargetStream
-from canopen_proto.trajectory import JointLimits, Path, PathClock, PathPoint
+from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathPoint
 
 COUNTS = (6, 12, 30)
 LIMITS = JointLimits(-90.0, 90.0, 100.0, 400.0, 4000.0)

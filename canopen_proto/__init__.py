@@ -1,8 +1,8 @@
 """CANopen as pure state machines: frames and time go in, frames and events come out. See docs/contract.md.
 
 These are the names for a program that runs the core in its own loop. `canopen_proto.procedures` has sequences of requests,
-`canopen_proto.drive` the sequences for a CiA 402 drive, `canopen_proto.dictionary` the description of a device. Import every
-other name from its module.
+`canopen_proto.drives.axis` the sequences for a CiA 402 drive, `canopen_proto.dictionary` the description of a device. Import
+every other name from its module.
 """
 
 from typing import TYPE_CHECKING
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from canopen_proto.abort import AbortCode as AbortCode
     from canopen_proto.dictionary.model import NotInDictionary as NotInDictionary
     from canopen_proto.dictionary.model import ObjectDictionary as ObjectDictionary
-    from canopen_proto.drive.axis import Axis as Axis
-    from canopen_proto.drive.axis import AxisSettings as AxisSettings
+    from canopen_proto.drives.axis.axis import Axis as Axis
+    from canopen_proto.drives.axis.axis import AxisSettings as AxisSettings
     from canopen_proto.emcy import EmcyReceived as EmcyReceived
     from canopen_proto.frame import Frame as Frame
     from canopen_proto.frame import RoutingKey as RoutingKey
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from canopen_proto.sdo.events import SdoAborted as SdoAborted
     from canopen_proto.sdo.events import SdoDownloaded as SdoDownloaded
     from canopen_proto.sdo.events import SdoUploaded as SdoUploaded
-    from canopen_proto.simulated_drive.node import powerball as powerball
+    from canopen_proto.simulation.drive.node import powerball as powerball
 else:
     from canopen_proto.lazy_names import lazy_names
 
@@ -61,9 +61,9 @@ else:
         globals(),
         {
             "canopen_proto.abort": "AbortCode",
-            "canopen_proto.simulated_drive.node": "powerball",
+            "canopen_proto.simulation.drive.node": "powerball",
             "canopen_proto.dictionary.model": "NotInDictionary ObjectDictionary",
-            "canopen_proto.drive.axis": "Axis AxisSettings",
+            "canopen_proto.drives.axis.axis": "Axis AxisSettings",
             "canopen_proto.emcy": "EmcyReceived",
             "canopen_proto.frame": "Frame RoutingKey routing_key",
             "canopen_proto.group": "Group",

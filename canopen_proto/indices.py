@@ -1,6 +1,6 @@
 """The indices of the objects of CiA 301 (and a few of CiA 302) that this package uses, by their names in the standard.
 
-CiA 402's objects are in cia402/objects.py. dictionary/standard.py describes all of them: type, access, subindices. Use
+CiA 402's objects are in drives/cia402/objects.py. dictionary/standard.py describes all of them: type, access, subindices. Use
 them as `indices.GUARD_TIME`; `mux(indices.GUARD_TIME)` is the key of `Values.store`.
 
 Sources: CiA 301 v4.2.0, 7.5.2; from 0x1F20 on CiA 302.

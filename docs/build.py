@@ -33,33 +33,33 @@ from matplotlib.figure import Figure
 from rich.console import Console, RenderableType
 
 from canopen_cli.app import main as run_command
-from canopen_cli.courses import courses_of_record
-from canopen_cli.fleet import simulated_devices
-from canopen_cli.motion_plot import write_motion_plot
-from canopen_cli.top_view import BusShown, TopView
-from canopen_cli.top_view import picture as draw_top
-from canopen_cli.watch_view import Around
-from canopen_cli.watch_view import picture as draw_watch
-from canopen_cli.watched import Watched
+from canopen_cli.live.top_view import BusShown, TopView
+from canopen_cli.live.top_view import picture as draw_top
+from canopen_cli.live.watch_view import Around
+from canopen_cli.live.watch_view import picture as draw_watch
+from canopen_cli.live.watched import Watched
+from canopen_cli.plot.courses import courses_of_record
+from canopen_cli.plot.motion import write_motion_plot
 from canopen_data import load_dictionary
 from canopen_data.configured import configure
 from canopen_master import Chain, ChainSettings, Master, open_master, read_record
 from canopen_master.motion.device import Device
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import describe_status
-from canopen_proto.cia402.states import POWERED, state_of
+from canopen_master.simulation.fleet import simulated_devices
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.drive.settings import AxisSettings
-from canopen_proto.drive.units import Unit
+from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import describe_status
+from canopen_proto.drives.cia402.states import POWERED, state_of
 from canopen_proto.frame import EMCY
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import Mux
 from canopen_proto.observer.bus_view import BusView
 from canopen_proto.observer.observer import Observer
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.plant import Mechanics
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.plant import Mechanics
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports.log_files import LogReader
 from canopen_transports.record import Record
 
@@ -244,7 +244,7 @@ import trio
 from canopen_data.path_file import read_path
 from canopen_master import Chain, MotionReplaced, PathRefused, together
 from canopen_master.trajectories.through_points import through_points
-from canopen_proto.trajectory import cubic, from_function
+from canopen_proto.drives.trajectory import cubic, from_function
 """
 """The names that the blocks of the page find."""
 

@@ -55,7 +55,7 @@ def main(arguments: list[str]) -> int:
     try:
         import atheris
     except ImportError:
-        print("atheris is not installed: 'pip install atheris' (Linux); tests/proto/test_fuzz_corpus.py runs the same bodies")
+        print("atheris is not installed: 'pip install atheris' (Linux); tests/core/test_fuzz_corpus.py runs the same bodies")
         return 2
     with atheris.instrument_imports(include=["canopen_proto"]):
         from fuzz.targets import TARGETS

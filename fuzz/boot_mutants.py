@@ -6,19 +6,19 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
-COMPARISON: Final = ("tests/proto/test_boot_comparison.py",)
-ONE: Final = ("tests/proto/test_boot_node.py",)
-SUPERVISED: Final = ("tests/proto/test_supervised.py",)
-ALL: Final = ("tests/proto/test_boot_network.py", "tests/proto/test_boot_moments.py")
+COMPARISON: Final = ("tests/manager/test_boot_comparison.py",)
+ONE: Final = ("tests/manager/test_boot_node.py",)
+SUPERVISED: Final = ("tests/manager/test_supervised.py",)
+ALL: Final = ("tests/manager/test_boot_network.py", "tests/manager/test_boot_moments.py")
 WORDS: Final = ("tests/cli/test_boot_summary.py",)
 NET: Final = ("tests/cli/test_net.py",)
-ANY_FAULT: Final = ("tests/proto/test_boot_twenty.py",)
+ANY_FAULT: Final = ("tests/manager/test_boot_twenty.py",)
 
-_NODE: Final = "boot/node_boot.py"
-_NETWORK: Final = "boot/network_boot.py"
-_MEMBER: Final = "boot/member.py"
-_SUMMARY: Final = "canopen_cli/boot_summary.py"
-_COMMANDS: Final = "boot/commands.py"
+_NODE: Final = "manager/boot/node_boot.py"
+_NETWORK: Final = "manager/boot/network_boot.py"
+_MEMBER: Final = "manager/boot/member.py"
+_SUMMARY: Final = "canopen_cli/net/boot_summary.py"
+_COMMANDS: Final = "manager/boot/commands.py"
 
 BOOT_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -285,7 +285,7 @@ BOOT_MUTANTS: Final = tuple(
         ),
         (
             "absent_pdo_has_a_can_id",
-            "boot/comparison.py",
+            "manager/boot/comparison.py",
             "    return COB_ID_INVALID - 1 if cob_id & COB_ID_INVALID else _WITHOUT_RTR",
             "    return _WITHOUT_RTR",
             "the CAN-ID of a PDO that does not exist makes a configuration a different one",

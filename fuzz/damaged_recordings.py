@@ -1,7 +1,7 @@
 """Clean recordings with frames dropped, copied, delayed and held back: the observer says nothing but that frames are missing.
 
-The model and the oracle are those of tests/proto/test_observer_gaps.py. A recording is known by its number, so one that fails is
-repeated by `python -m fuzz damaged_recordings NUMBER 1`.
+The model and the oracle are those of tests/observer/test_observer_gaps.py. A recording is known by its number, so one that fails
+is repeated by `python -m fuzz damaged_recordings NUMBER 1`.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import random
 
 from fuzz.cases import run_cases
-from tests.proto.observer_sessions import CLEAN
-from tests.proto.test_observer_gaps import judge
+from tests.observer.observer_sessions import CLEAN
+from tests.observer.test_observer_gaps import judge
 
 
 def recording(number: int) -> tuple[int, int]:

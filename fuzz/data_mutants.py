@@ -17,7 +17,7 @@ ENCODINGS: Final = ("tests/data/test_eds_encodings.py",)
 BACKUP: Final = ("tests/data/test_backup_file.py",)
 XDD: Final = ("tests/data/test_xdd.py",)
 RULES: Final = ("tests/data/test_checks_rules.py",)
-COB_IDS: Final = ("tests/proto/test_cob_ids_without_value.py",)
+COB_IDS: Final = ("tests/core/test_cob_ids_without_value.py",)
 LATE: Final = ("tests/check/test_conformance_late.py",)
 OBJECTS: Final = ("tests/check/test_conformance_objects.py",)
 
@@ -163,7 +163,7 @@ DATA_MUTANTS: Final = tuple(
         ),
         (
             "described_on_any_can_id",
-            "procedures/described_pdos.py",
+            "pdo/described.py",
             " and check_can_id(cob_id) is None and entries:",
             " and entries:",
             "an RPDO of a file is sent as an NMT command",
@@ -171,7 +171,7 @@ DATA_MUTANTS: Final = tuple(
         ),
         (
             "sent_on_any_can_id",
-            "procedures/configure_pdo.py",
+            "pdo/configure.py",
             "if settings.direction is Direction.RPDO and check_can_id(settings.cob_id) is not None:",
             "if False:",
             "an RPDO of a device is sent as an NMT command",

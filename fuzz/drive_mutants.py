@@ -6,24 +6,24 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
-LIMITS: Final = ("tests/proto/test_limits.py", "tests/proto/test_move_limits.py")
-FOLLOWING: Final = ("tests/proto/test_following.py", "tests/master/test_following.py")
-ANY_SITUATION: Final = ("tests/proto/test_drive_stateful.py",)
-TABLES: Final = ("tests/proto/test_cia402_tables.py",)
-WALK: Final = ("tests/proto/test_drive_state_walk.py",)
-HOMING: Final = ("tests/proto/test_master_homing.py",)
-HOMED: Final = ("tests/proto/test_homed_means_homed.py",)
-KILLS: Final = ("tests/proto/test_kill_table.py",)
-STOP_FIRST: Final = ("tests/proto/test_stop_first.py",)
+LIMITS: Final = ("tests/drives/test_limits.py", "tests/drives/test_move_limits.py")
+FOLLOWING: Final = ("tests/drives/test_following.py", "tests/master/test_following.py")
+ANY_SITUATION: Final = ("tests/simulation/test_drive_stateful.py",)
+TABLES: Final = ("tests/drives/test_cia402_tables.py",)
+WALK: Final = ("tests/simulation/test_drive_state_walk.py",)
+HOMING: Final = ("tests/drives/test_master_homing.py",)
+HOMED: Final = ("tests/drives/test_homed_means_homed.py",)
+KILLS: Final = ("tests/drives/test_kill_table.py",)
+STOP_FIRST: Final = ("tests/drives/test_stop_first.py",)
 BY_HAND: Final = ("tests/master/test_enabled_by_hand.py",)
 STOP_COMMAND: Final = ("tests/cli/test_stop.py",)
 
-_STATE: Final = "drive/state.py"
-_HALTING: Final = "drive/halting.py"
-_HOMING: Final = "drive/homing.py"
-_WATCHING: Final = "drive/watching.py"
-_TABLE: Final = "cia402/states.py"
-_DRIVE: Final = "simulated_drive/drive.py"
+_STATE: Final = "drives/axis/state.py"
+_HALTING: Final = "drives/axis/halting.py"
+_HOMING: Final = "drives/axis/homing.py"
+_WATCHING: Final = "drives/axis/watching.py"
+_TABLE: Final = "drives/cia402/states.py"
+_DRIVE: Final = "simulation/drive/drive.py"
 
 DRIVE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -47,7 +47,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "zeros_are_methods",
-            "drive/homing_parameters.py",
+            "drives/axis/homing_parameters.py",
             "        if method:\n",
             "        if method is not None:\n",
             "a list of zeros refuses every method",
@@ -63,7 +63,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "always_in_time",
-            "drive/axis.py",
+            "drives/axis/axis.py",
             "return max(self._settings.reaction_time, 2 * (self.answer_time or self._was_answer_time))",
             "return self._settings.reaction_time",
             "a drive that answers late is not given its time, and an old end is believed",
@@ -143,7 +143,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "stop_sent_once",
-            "drive/controlword.py",
+            "drives/axis/controlword.py",
             "TRIES: Final = 2",
             "TRIES: Final = 1",
             "a stop that is lost is not sent again",
@@ -151,7 +151,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "disturbed_stop_sent_once",
-            "drive/controlword.py",
+            "drives/axis/controlword.py",
             "not in (AbortOrigin.TIMEOUT, AbortOrigin.CONTESTED) or not left",
             "is not AbortOrigin.TIMEOUT or not left",
             "one frame of another SDO client keeps a drive running that was told to stop",
@@ -175,7 +175,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "stop_by_nmt_unannounced",
-            "canopen_cli/drive_stop.py",
+            "canopen_cli/drive/stop.py",
             "        yield from act(lambda now: node.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, now))\n        outcomes",
             "        yield from act(lambda now: node.send_nmt(NmtCommand.STOP, now))\n        outcomes",
             "a node is sent another NMT command than was announced",
@@ -199,7 +199,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "failed_move_goes_on",
-            "drive/profile_position.py",
+            "drives/axis/profile_position.py",
             "        yield from halt_after(axis, cause)\n        raise",
             "        raise",
             "a move that is cancelled leaves the drive moving",
@@ -207,7 +207,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "failed_homing_goes_on",
-            "drive/homing.py",
+            "drives/axis/homing.py",
             "        yield from halt_after(axis, cause)\n        raise",
             "        raise",
             "a homing that is cancelled leaves the drive moving",
@@ -215,7 +215,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "homed_too_early",
-            "drive/homing.py",
+            "drives/axis/homing.py",
             "return ending if is_new or heard_at - self._shown_since >= self._reaction_time else None",
             "return ending",
             "the end of the homing before is taken for this one's",
@@ -252,7 +252,7 @@ DRIVE_MUTANTS: Final = tuple(
             "State.READY_TO_SWITCH_ON: (0x6F, 0x21)",
             "State.READY_TO_SWITCH_ON: (0x4F, 0x01)",
             "bit 5 belongs to the pattern",
-            ("tests/proto/test_cia402_states.py",),
+            ("tests/simulation/test_cia402_states.py",),
         ),
         (
             "reset_by_level",
@@ -264,7 +264,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "stays_from_six",
-            "cia402/option_codes.py",
+            "drives/cia402/option_codes.py",
             "STAYS_FROM: Final = 5",
             "STAYS_FROM: Final = 6",
             "605Ah = 5 stays in Quick stop active",
@@ -281,7 +281,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "slow_quick_stop",
-            "simulated_drive/parameters.py",
+            "simulation/drive/parameters.py",
             "        if option == 1:\n            return self.rate(objects.PROFILE_DECELERATION)",
             "        if option in (1, 2):\n            return self.rate(objects.PROFILE_DECELERATION)",
             "a quick stop by the slow-down ramp",
@@ -289,7 +289,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "sync_not_awaited",
-            "simulated_drive/synchronous_modes.py",
+            "simulation/drive/synchronous_modes.py",
             "        self.due = self.servo.time + self._sync_timeout\n",
             "",
             "a lost SYNC stops nothing",
@@ -297,7 +297,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "mode_not_sent",
-            "simulated_drive/node.py",
+            "simulation/drive/node.py",
             "        self._trigger(MODES_OF_OPERATION_DISPLAY, change.axis, now)",
             "        pass",
             "an event-driven TPDO does not tell a new mode",
@@ -306,7 +306,7 @@ DRIVE_MUTANTS: Final = tuple(
         # ---- the grip ----
         (
             "watch_too_long",
-            "procedures/grip.py",
+            "drives/axis/grip.py",
             "return self.node_id << 16 | self.timeout // MILLISECOND",
             "return self.node_id << 16 | 4 * self.timeout // MILLISECOND",
             "a drive that watches for its master four times too long",
@@ -314,7 +314,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "limit_nearly_kept",
-            "drive/limits.py",
+            "drives/axis/limits.py",
             "EXACT: Final = 1 + 1e-6",
             "EXACT: Final = 1.02",
             "a motion may exceed its limits by two hundredths",
@@ -322,7 +322,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "silent_for_longer",
-            "drive/following.py",
+            "drives/axis/following.py",
             "SILENT_SYNCS: Final = 3",
             "SILENT_SYNCS: Final = 5",
             "a drive that falls silent is followed for two cycles more than is said",
@@ -330,7 +330,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "following_limit_too_late",
-            "drive/following.py",
+            "drives/axis/following.py",
             "UNCERTAIN: Final = 2",
             "UNCERTAIN: Final = 4",
             "a drive may be four cycles of its motion behind, not two",

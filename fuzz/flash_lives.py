@@ -1,6 +1,6 @@
 """Random lives of devices that get a new program: how they lie, fail, and lose their power.
 
-The model and the oracle are those of tests/proto/test_program_identity.py. A life is known by its number: the same number gives
+The model and the oracle are those of tests/manager/test_program_identity.py. A life is known by its number: the same number gives
 the same life, so one that fails is repeated by `python -m fuzz flash_lives NUMBER 1`.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import random
 
 from fuzz.cases import run_cases
-from tests.proto.test_program_identity import FALLS, IDENTITIES, LONGEST, VERSIONS, Ways, judge
+from tests.manager.test_program_identity import FALLS, IDENTITIES, LONGEST, VERSIONS, Ways, judge
 
 
 def life(number: int) -> tuple[Ways, bool, bool, bool]:

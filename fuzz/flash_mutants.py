@@ -6,11 +6,11 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
-TRANSFER: Final = ("tests/proto/test_program_download.py",)
-IDENTITY: Final = ("tests/proto/test_program_identity.py",)
+TRANSFER: Final = ("tests/manager/test_program_download.py",)
+IDENTITY: Final = ("tests/manager/test_program_identity.py",)
 
-_DOWNLOAD: Final = "procedures/program_download.py"
-_OBJECTS: Final = "procedures/program_objects.py"
+_DOWNLOAD: Final = "manager/programs/download.py"
+_OBJECTS: Final = "manager/programs/objects.py"
 
 FLASH_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -73,7 +73,7 @@ FLASH_MUTANTS: Final = tuple(
         ),
         (
             "clear_answered_at_once",
-            "boot_loader.py",
+            "simulation/boot_loader.py",
             "self.settings.is_deaf or self.settings.holds_clear else None",
             "self.settings.is_deaf else None",
             "the answer to clear is never held, so a master that does not poll is refused",

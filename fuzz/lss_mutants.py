@@ -6,11 +6,11 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
-ASSIGN: Final = ("tests/proto/test_lss_assign.py",)
-SCAN: Final = ("tests/proto/test_lss_scan.py",)
+ASSIGN: Final = ("tests/lss/test_lss_assign.py",)
+SCAN: Final = ("tests/lss/test_lss_scan.py",)
 
-_ASSIGN: Final = "procedures/lss_assign.py"
-_SCAN: Final = "procedures/lss_scan.py"
+_ASSIGN: Final = "lss/assign.py"
+_SCAN: Final = "lss/scan.py"
 
 LSS_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)

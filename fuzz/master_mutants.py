@@ -28,7 +28,7 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "known_after_the_pump",
-            "canopen_master/participant.py",
+            "canopen_master/participant/participant.py",
             "self._begun = self._participant.start(procedure)\n        self._participant.pump.pump()",
             "begun = self._participant.start(procedure)\n        self._participant.pump.pump()\n        self._begun = begun",
             "a procedure that ends, or is taken back, while its first frames are sent is waited for without end, or runs on",
@@ -44,7 +44,7 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "dropped_uncounted",
-            "canopen_master/subscription.py",
+            "canopen_master/participant/subscription.py",
             "            self.dropped += 1\n",
             "",
             "a slow reader is not told what it has lost",
@@ -52,7 +52,7 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "end_before_the_rest",
-            "canopen_master/subscription.py",
+            "canopen_master/participant/subscription.py",
             "        while not self._events:\n            if self._end",
             "        while not self._events or self._end is not None:\n            if self._end",
             "the end of the master swallows the events before it",
@@ -60,7 +60,7 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "watcher_of_all_buses",
-            "canopen_master/dispatch.py",
+            "canopen_master/participant/dispatch.py",
             "(watcher.bus is None or watcher.bus is bus) and ",
             "",
             "a node hears what its namesake on another bus has sent",
@@ -68,7 +68,7 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "keeper_forgets_the_others",
-            "canopen_master/parameter_keeper.py",
+            "canopen_master/simulation/parameter_keeper.py",
             "after = {**self._kept, node_id: dict(parameters)}",
             "after = {node_id: dict(parameters)}",
             "storing the parameters of one device loses those of all others",
@@ -76,7 +76,7 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "one_tick_after_a_stall",
-            "canopen_master/pump.py",
+            "canopen_master/participant/pump.py",
             "self._quiet_ticks if late > _STALL else _TICKS",
             "_TICKS",
             "after a stall the master acts on what it heard before it has heard the rest",

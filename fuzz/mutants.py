@@ -6,7 +6,7 @@ A NAME is that of a bug, or of a wing of the house (`WINGS`): all its bugs. A bu
 that it names have to find it; in the wing `sdo` the corpus has to find it too. Both run first in the copy without a bug, where
 both have to pass: else a failure would say nothing. The exit status is 0 if both find every bug; 1 if one of them misses a bug,
 or does not end; 2 for an unknown name; 3 if something fails without a bug.
-tests/proto/test_fuzz_mutants.py checks that each bug can still be planted.
+tests/core/test_fuzz_mutants.py checks that each bug can still be planted.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ FOLDERS: Final = {
     "canopen_cli": "master",
 }
 """The folder of the repository that each package but the core is in."""
-BLOCKS: Final = ("tests/proto/test_sdo_block_client.py", "tests/proto/test_sdo_block_server.py")
-PIECES: Final = ("tests/proto/test_sdo_block_server_pieces.py",)
-FAULTS: Final = ("tests/proto/test_sdo_single_faults.py", "tests/proto/test_sdo_block_pauses.py")
-PLAIN: Final = ("tests/proto/test_sdo_client.py", "tests/proto/test_sdo_client_faults.py", "tests/proto/test_sdo_server.py")
-STREAMS: Final = ("tests/proto/test_sdo_block_streams.py",)
-FALL_BACK: Final = ("tests/proto/test_sdo_block_fall_back.py",)
-FATE: Final = ("tests/proto/test_sdo_not_confirmed.py",)
-LATE: Final = ("tests/proto/test_sdo_late_answers.py",)
-HEARTBEAT: Final = ("tests/proto/test_heartbeat.py",)
+BLOCKS: Final = ("tests/core/test_sdo_block_client.py", "tests/core/test_sdo_block_server.py")
+PIECES: Final = ("tests/core/test_sdo_block_server_pieces.py",)
+FAULTS: Final = ("tests/core/test_sdo_single_faults.py", "tests/core/test_sdo_block_pauses.py")
+PLAIN: Final = ("tests/core/test_sdo_client.py", "tests/core/test_sdo_client_faults.py", "tests/core/test_sdo_server.py")
+STREAMS: Final = ("tests/core/test_sdo_block_streams.py",)
+FALL_BACK: Final = ("tests/core/test_sdo_block_fall_back.py",)
+FATE: Final = ("tests/core/test_sdo_not_confirmed.py",)
+LATE: Final = ("tests/core/test_sdo_late_answers.py",)
+HEARTBEAT: Final = ("tests/core/test_heartbeat.py",)
 
 
 _RECEIVER: Final = "sdo/block_receiver.py"

@@ -6,11 +6,11 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
-SERVICES: Final = ("tests/proto/test_observer_services.py",)
-SDO: Final = ("tests/proto/test_observer_sdo.py",)
-FRAMES: Final = ("tests/proto/test_observer.py",)
-MIDLIFE: Final = ("tests/proto/test_observer_midlife.py",)
-GAPS: Final = ("tests/proto/test_observer_gaps.py",)
+SERVICES: Final = ("tests/observer/test_observer_services.py",)
+SDO: Final = ("tests/observer/test_observer_sdo.py",)
+FRAMES: Final = ("tests/observer/test_observer.py",)
+MIDLIFE: Final = ("tests/observer/test_observer_midlife.py",)
+GAPS: Final = ("tests/observer/test_observer_gaps.py",)
 
 _GAPS: Final = "observer/gaps.py"
 _NODES: Final = "observer/node_rules.py"

@@ -20,7 +20,7 @@ from canopen_proto.frame import SYNC
 from canopen_proto.observer.observer import RULES
 from tests.interop.faults import CHANGES, KNOWN, SCENES, Found, Session, found_in
 from tests.interop.recorded import FOLDER, Line, load
-from tests.proto.observer_sessions import CLEAN, clean
+from tests.observer.observer_sessions import CLEAN, clean
 
 PLACES = 4
 """In each recording, of each fault."""

@@ -3,7 +3,7 @@
     python -m fuzz sdo_clients 100000 [SEED]
 
 runs so many random cases, tells each false word with the case that shows it, and how the requests ended. SEED (0 by default) and
-the number of a case make that case again. The everyday tests run some (tests/proto/test_sdo_contention.py).
+the number of a case make that case again. The everyday tests run some (tests/core/test_sdo_contention.py).
 
 The bus is a CAN without losses: one order of frames, queues of any length at each end. One to three clients are ours; a stranger
 follows no rule. The oracle is the server's own history: what an object held while a read of it was open, what was written to it
@@ -24,7 +24,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event
 from canopen_proto.sdo.client import Block, SdoAborted, SdoChunk, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.codec import INITIATE, LEAST_REQUEST, complete
 from canopen_proto.sdo.server import SdoServer
-from tests.proto.bus import Wire
+from tests.core.bus import Wire
 
 MOST_SHOWN: Final = 10
 """False words that are shown with their cases; the rest is counted."""

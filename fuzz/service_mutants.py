@@ -6,25 +6,25 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
-PDO_LIFE: Final = ("tests/proto/test_pdo_midlife.py",)
-PDO: Final = ("tests/proto/test_pdo_machines.py",)
-HELD: Final = ("tests/proto/test_held_rpdos.py",)
-NMT: Final = ("tests/proto/test_nmt.py",)
-HEARTBEAT: Final = ("tests/proto/test_heartbeat.py",)
-SYNC: Final = ("tests/proto/test_sync.py",)
-LSS: Final = ("tests/proto/test_lss.py",)
-LSS_LIFE: Final = ("tests/proto/test_lss_midlife.py",)
-CHANNELS: Final = ("tests/proto/test_sdo_channels.py",)
-FAIRNESS: Final = ("tests/proto/test_sdo_fairness.py",)
-SERVER: Final = ("tests/proto/test_sdo_server.py",)
-HOST: Final = ("tests/proto/test_sdo_server_host.py",)
+PDO_LIFE: Final = ("tests/core/test_pdo_midlife.py",)
+PDO: Final = ("tests/core/test_pdo_machines.py",)
+HELD: Final = ("tests/core/test_held_rpdos.py",)
+NMT: Final = ("tests/core/test_nmt.py",)
+HEARTBEAT: Final = ("tests/core/test_heartbeat.py",)
+SYNC: Final = ("tests/core/test_sync.py",)
+LSS: Final = ("tests/lss/test_lss.py",)
+LSS_LIFE: Final = ("tests/lss/test_lss_midlife.py",)
+CHANNELS: Final = ("tests/core/test_sdo_channels.py",)
+FAIRNESS: Final = ("tests/core/test_sdo_fairness.py",)
+SERVER: Final = ("tests/core/test_sdo_server.py",)
+HOST: Final = ("tests/core/test_sdo_server_host.py",)
 
 _PRODUCER: Final = "pdo/producer.py"
 _CONSUMER: Final = "pdo/consumer.py"
 _SLAVE: Final = "lss/slave.py"
 _SDO_CLIENT: Final = "sdo/client.py"
 _CONTENTION: Final = "sdo/contention.py"
-CONTENTION: Final = ("tests/proto/test_sdo_contention.py",)
+CONTENTION: Final = ("tests/core/test_sdo_contention.py",)
 
 SERVICE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -160,11 +160,11 @@ SERVICE_MUTANTS: Final = tuple(
         ),
         (
             "disturbed_backup_is_complete",
-            "procedures/backup.py",
+            "manager/parameters/backup.py",
             "return not self.others_doing and not any(",
             "return not any(",
             "a backup that met another client counts as complete",
-            ("tests/proto/test_backup.py",),
+            ("tests/manager/test_backup.py",),
         ),
         # ---- PDO ----
         (

@@ -1,4 +1,4 @@
-"""Bodies of the fuzz targets: ordinary functions of bytes, which the normal tests run too (tests/proto/test_fuzz_corpus.py).
+"""Bodies of the fuzz targets: ordinary functions of bytes, which the normal tests run too (tests/core/test_fuzz_corpus.py).
 
 The oracle is one sentence of the core's contract: nothing but LocalProtocolError may be raised, and that only by a wrong call of
 our own side. Besides: each request has one outcome, served time does not want to be served again, memory is bounded. Two targets
@@ -26,8 +26,8 @@ from canopen_proto.sdo.server import SdoServer
 from canopen_proto.sdo.store import ValuesStore
 from fuzz.steps import decode
 from fuzz.two_ended import sdo_pair
+from tests.core.devices import io_device
 from tests.data.subjects import LocalSubject, RemoteSubject, held
-from tests.proto.devices import io_device
 
 LARGEST_TRANSFER: Final = 64
 MOST_STEPS: Final = 2000

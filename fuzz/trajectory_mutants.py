@@ -11,17 +11,17 @@ from typing import Final
 
 from fuzz.mutant import Mutant
 
-CLOCK: Final = ("tests/proto/test_path_clock.py",)
+CLOCK: Final = ("tests/drives/test_path_clock.py",)
 ROUNDED: Final = ("tests/data/test_path_rounding.py",)
-STOPS: Final = ("tests/proto/test_stop_check.py",)
-LIMITS: Final = ("tests/proto/test_path_limits.py",)
+STOPS: Final = ("tests/drives/test_stop_check.py",)
+LIMITS: Final = ("tests/drives/test_path_limits.py",)
 
-_CHECK: Final = "trajectory/limit_check.py"
-_CLOCK: Final = "trajectory/path_clock.py"
-_FITTING: Final = "trajectory/fitting.py"
-_RESERVE: Final = "trajectory/reserve.py"
-_SPEED: Final = "trajectory/speed_change.py"
-_STOP: Final = "trajectory/stop_check.py"
+_CHECK: Final = "drives/trajectory/limit_check.py"
+_CLOCK: Final = "drives/trajectory/path_clock.py"
+_FITTING: Final = "drives/trajectory/fitting.py"
+_RESERVE: Final = "drives/trajectory/reserve.py"
+_SPEED: Final = "drives/trajectory/speed_change.py"
+_STOP: Final = "drives/trajectory/stop_check.py"
 
 TRAJECTORY_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)

@@ -29,8 +29,8 @@ from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, KIND, MAX_BLOCK_SIZE, 
 from canopen_proto.sdo.client import AUTO_BLOCK, Block, SdoAborted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.codec import BLOCK_UPLOAD, INITIATE
 from canopen_proto.sdo.server import SdoServer
-from tests.proto.block_pair import BY_HOST, INDEX, LARGEST, BlockPair, Store, pattern
-from tests.proto.bus import Bus, Fate
+from tests.core.block_pair import BY_HOST, INDEX, LARGEST, BlockPair, Store, pattern
+from tests.core.bus import Bus, Fate
 
 MOST_STEPS: Final = 30_000
 MOST_TIME: Final = 60 * SECOND

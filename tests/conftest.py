@@ -1,7 +1,7 @@
 """For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
 
 Every day, and in .ci/run, they are few. All that the tests name: `pytest --hypothesis-profile=full`.
-To search further: `pytest --hypothesis-profile=search --timeout=0 tests/proto/test_group.py`. The number of examples is then
+To search further: `pytest --hypothesis-profile=search --timeout=0 tests/core/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
 """
 

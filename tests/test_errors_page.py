@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from canopen_cli.app import CLOSED_PIPE
-from canopen_cli.failures import problem_of
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.failures import problem_of
+from canopen_cli.shared.problem import ExitCode
 from canopen_master import errors
 from canopen_master.direct.connection import AlreadyConnected, NotConnected
 from canopen_proto.abort import AbortCode, AbortOrigin

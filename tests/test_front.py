@@ -20,7 +20,7 @@ import canopen_master
 import canopen_proto
 import canopen_proto.procedures
 import canopen_transports
-from canopen_proto import drive
+from canopen_proto.drives import axis as drive
 from tests import user_example, user_mistakes
 
 LAZY = [canopen_proto, canopen_proto.procedures, canopen_master, canopen_transports]
@@ -62,8 +62,14 @@ def test_a_name_that_is_not_there(package: ModuleType) -> None:
     ("statement", "absent"),
     [
         ("import canopen_proto", {"canopen_proto.frame", "canopen_proto.machine"}),
-        ("from canopen_proto import Frame, Outbox", {"canopen_proto.network", "canopen_proto.sdo", "canopen_proto.cia402"}),
-        ("from canopen_proto import LocalNode", {"canopen_proto.cia402", "canopen_proto.drive", "canopen_proto.remote_node"}),
+        (
+            "from canopen_proto import Frame, Outbox",
+            {"canopen_proto.network", "canopen_proto.sdo", "canopen_proto.drives.cia402"},
+        ),
+        (
+            "from canopen_proto import LocalNode",
+            {"canopen_proto.drives.cia402", "canopen_proto.drives.axis", "canopen_proto.remote_node"},
+        ),
         ("from canopen_transports import Transport, TransportError", {"can", "trio"}),
         ("import canopen_master.plain_text", {"canopen_master.master", "trio", "can"}),
     ],

@@ -8,10 +8,10 @@ from types import ModuleType
 
 import pytest
 
-from canopen_proto.cia402.homing_methods import HOMING_METHODS, homing_name
-from canopen_proto.cia402.modes import Mode, mode_name
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.drives.cia402.homing_methods import HOMING_METHODS, homing_name
+from canopen_proto.drives.cia402.modes import Mode, mode_name
+from canopen_proto.drives.cia402.states import State
 from tests.docs_build import DOCS, load_build
 
 PAGES = sorted(path.stem for path in (DOCS / "modes").glob("*.md"))

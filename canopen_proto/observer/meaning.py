@@ -9,12 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
-from canopen_proto.cia402.modes import describe_command
-from canopen_proto.cia402.names import names_in_mode
-from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.drives.cia402.modes import describe_command
+from canopen_proto.drives.cia402.names import names_in_mode
+from canopen_proto.drives.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.frame import Frame
 from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.multiplexer import mux

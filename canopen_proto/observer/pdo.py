@@ -15,10 +15,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, TypeAlias
 
-from canopen_proto.cia402.axes import AXIS_STEP, MAX_AXES
-from canopen_proto.cia402.objects import STATUSWORD
 from canopen_proto.datatypes import ValueRangeError, bit_length_of
 from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.drives.cia402.axes import AXIS_STEP, MAX_AXES
+from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
 from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.multiplexer import index_of

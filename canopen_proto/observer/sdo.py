@@ -494,8 +494,8 @@ class SdoFollower:
         is_complete: the CRC is right. Even then the size may have been announced for another transfer, whose rest is missing.
         """
         announced, length = self._announced, self._length
-        is_odd, self._odd = self._odd, ""
         if announced is not None and length != announced:
+            self._odd = ""
             self._is_sound = False
             is_doubtful = self._is_paused or self._gaps.is_near(self._now)
             if (is_doubtful and not is_complete) or abs(announced - length) >= _SEGMENT:
@@ -503,13 +503,18 @@ class SdoFollower:
                 return
             text = f"{name_of(self._place)} was announced with {announced} bytes, and has {length}"
             self._say("size", text, is_certain=False)
-        if is_odd and announced == length and (self._is_odd_proven or not self._gaps.is_near(self._now)):
-            self._say("toggle", f"{is_odd}, and no segment is missing", is_certain=self._is_odd_proven)
-        elif is_odd:
-            self._is_sound = False
-            self._lost(is_odd)
+        self._check_odd()
         if self._is_intruded and announced == length:
             self._say("two masters", "a transfer in the middle of another one: another SDO client uses this channel")
+
+    def _check_odd(self) -> None:
+        """Tell a toggle bit that did not alternate, once the size tells whether a segment is missing."""
+        odd, self._odd = self._odd, ""
+        if odd and self._announced == self._length and (self._is_odd_proven or not self._gaps.is_near(self._now)):
+            self._say("toggle", f"{odd}, and no segment is missing", is_certain=self._is_odd_proven)
+        elif odd:
+            self._is_sound = False
+            self._lost(odd)
 
     def _end_oddly(self) -> None:
         """A transfer ends before its size could tell whether a segment is missing."""
@@ -686,6 +691,7 @@ class SdoFollower:
 
     def _written(self) -> Say:
         """The server has confirmed all of a download."""
+        self._check_odd()  # of this last answer: the size was looked at when the last segment came
         self._end()
         data = bytes(self._data) if self._is_whole and self._length == len(self._data) else None
         if data is not None:

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from canopen_proto.cia402.objects import STATUSWORD
-from canopen_proto.cia402.states import State, state_of
+from canopen_proto.drives.cia402.objects import STATUSWORD
+from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.frame import MAX_NODE_ID, Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import index_of

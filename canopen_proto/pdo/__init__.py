@@ -1,5 +1,8 @@
 """Process data: the bits of a PDO (`mapping`), receiving and sending one (`consumer`, `producer`), a device's own PDOs
-(`parameters`, by the `rules`), setting one up (`settings`), and multiplexed PDOs (`multiplexed`)."""
+(`parameters`, by the `rules`), the places of its parameters (`settings`), and multiplexed PDOs (`multiplexed`).
+
+Procedures for the PDOs of another node: `configure` writes one, `described` exchanges those of the node's file, `of_device` those
+that the node has set up; `slots` finds places for further ones."""
 
 from canopen_proto.pdo.consumer import PdoConsumer as PdoConsumer
 from canopen_proto.pdo.consumer import PdoLengthError as PdoLengthError

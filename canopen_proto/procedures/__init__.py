@@ -1,19 +1,12 @@
 """Procedures: sequences of requests over the machines, without I/O.
 
-    steps.py           the steps of a procedure: upload, download, sleep, wait_for_event, all_of
-    runner.py          `Runner`, which runs procedures; usually called through `Network.run`
-    streams.py         read and write large objects piece by piece: firmware images, recordings
-    objects.py         read and write a node's objects by name and value
-    grip.py            make a drive stop by itself if its master is gone
-    configure_pdo.py   `define_pdo` and its parts: change a PDO of a device
-    described_pdos.py  exchange the PDOs of a device's file; device_pdos.py: those that the device has set up
-    scan.py            find the nodes of a bus
-    lss_scan.py        find devices by LSS: fastscan, search; lss_assign.py: give them node-IDs; lss_bit_rate.py: another bit rate
-    program_download.py  write a new program into a device (CiA 302-3); program_objects.py: its objects, read in spite of losses
-    backup.py          read all objects of a node; walk.py: the same without knowing its objects
-    restore.py         set a node to given values, in the order that CiA 302 asks for
+    steps.py     the steps of a procedure: upload, download, sleep, wait_for_event, all_of
+    runner.py    `Runner`, which runs procedures; usually called through `Network.run`
+    streams.py   read and write large objects piece by piece: firmware images, recordings
+    objects.py   read and write a node's objects by name and value
 
-Import from here what your own procedures need; import a procedure of the product from its module.
+Import from here what your own procedures need; import a procedure of the product from its room: pdo/, lss/,
+manager/, drives/axis/.
 """
 
 from typing import TYPE_CHECKING

@@ -28,8 +28,8 @@ from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
+from canopen_proto.manager.parameters.backup import Backup, Reading, ReadResult
 from canopen_proto.multiplexer import Mux, split_mux
-from canopen_proto.procedures.backup import Backup, Reading, ReadResult
 
 MAX_DESCRIPTION: Final = 243
 """Characters; CiA 306-1."""

@@ -15,9 +15,9 @@ from canopen_data import DataError, content_of, expanded, load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_data.reading import read_description
 from canopen_proto import indices
-from canopen_proto.cia402.axes import with_names_of_axes
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import ObjectDictionary
+from canopen_proto.drives.cia402.axes import with_names_of_axes
 
 __all__ = ["load_description", "load_description_with_names", "read_file", "samples", "with_names"]
 

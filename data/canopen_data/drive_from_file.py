@@ -20,16 +20,16 @@ from types import MappingProxyType
 from typing import Final
 
 from canopen_proto import indices
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
 from canopen_proto.datatypes import Value, range_of
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import find_standard
-from canopen_proto.drive.set_points import SET_POINT_OF
+from canopen_proto.drives.axis.set_points import SET_POINT_OF
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.multiplexer import mux, split_mux
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.fallbacks import FALLBACKS
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.fallbacks import FALLBACKS
+from canopen_proto.simulation.drive.settings import Shape
 
 SHOWN: Final = (
     objects.ERROR_CODE,

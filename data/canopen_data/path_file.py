@@ -11,7 +11,7 @@ Without velocities it is a spline, at rest at both ends, or straight lines. All 
 **Positions with few decimals.** A spline through them would tremble: 0.01 degrees of rounding at 10 ms are a jerk of 40,000
 degrees/s³. So if the rows are samples of a motion (50 ms or less apart, with a decimal at least), no rougher than their rounding,
 the spline goes through the smoothest positions within half a unit of the last decimal of the column
-(canopen_proto.trajectory.fitting); the first one, the last one, and holds stay. Everything else is taken as it is.
+(canopen_proto.drives.trajectory.fitting); the first one, the last one, and holds stay. Everything else is taken as it is.
 
 Commas, semicolons or tabs separate columns, whichever the header has; quotes around a cell are left out. Blank lines are skipped,
 and lines that begin with `#`. Numbers have a decimal point. The times rise, and may begin anywhere.
@@ -33,9 +33,9 @@ from typing import Final, NamedTuple
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_data.rows import Cell
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.trajectory.fitting import smoothed
-from canopen_proto.trajectory.interpolation import cubic, linear, quintic
-from canopen_proto.trajectory.path import TIME_TOLERANCE, Path, PathError
+from canopen_proto.drives.trajectory.fitting import smoothed
+from canopen_proto.drives.trajectory.interpolation import cubic, linear, quintic
+from canopen_proto.drives.trajectory.path import TIME_TOLERANCE, Path, PathError
 
 TIME: Final = "time"
 POSITION, VELOCITY, ACCELERATION = "position", "velocity", "acceleration"

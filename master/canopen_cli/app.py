@@ -9,53 +9,59 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from canopen_cli.importing import LibraryMissing, importing
-from canopen_cli.lazy import LazyGroup
-from canopen_cli.options import Settings, common
-from canopen_cli.problem import NO_ROOM, ExitCode, Problem, usage
-from canopen_cli.streams import open_closed_streams, put_lost_terminal_to_rest, put_to_rest
+from canopen_cli.shared.importing import LibraryMissing, importing
+from canopen_cli.shared.lazy import LazyGroup
+from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.problem import NO_ROOM, ExitCode, Problem, usage
+from canopen_cli.shared.streams import open_closed_streams, put_lost_terminal_to_rest, put_to_rest
 
 if TYPE_CHECKING:
     import trio
 
-    from canopen_cli.screen import Screen
+    from canopen_cli.shared.screen import Screen
 
 CLOSED_PIPE = 128 + 13
 """The status that a shell reports for a command whose reader went away (SIGPIPE)."""
 
 COMMANDS: Final = {
-    "demo": ("demo", "A six-joint arm boots, homes itself and moves."),
-    "plot": ("plot_file", "Draw a recording (--record): position, velocity, acceleration and following error."),
-    "doctor": ("doctor", "Check adapters, drivers and permissions; with -b also what is heard on a bus."),
-    "scan": ("scan", "Find the nodes of a bus."),
-    "info": ("info", "Show a node's identity, state, errors and PDOs."),
-    "read": ("objects", "Read objects of a node."),
-    "write": ("objects", "Write an object of a node, and show its value before and after."),
-    "nmt": ("nmt", "Start, stop or reset a node, or all of them."),
-    "lss": ("lss", "Give devices their node-ID and bit rate over the bus itself (CiA 305)."),
-    "listen": ("listen", "Hear who is on a bus, and with --bitrates find its bit rate."),
-    "monitor": ("monitor", "Show what each frame on a bus means, until Ctrl-C."),
-    "top": ("top", "Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong."),
-    "watch": ("watch", "Show the values of a node's objects, live."),
-    "net": ("net", "The network of a machine file: check it, boot it, watch it (CiA 302-2)."),
-    "drive": ("drive", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
-    "move": ("move", "Move chains to a target, or along a path."),
-    "jog": ("jog", "Move joints of a chain by keys, as long as a key is held."),
-    "home": ("home", "Home drives (CiA 402), all at the same time."),
-    "backup": ("backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),
-    "restore": ("restore", "Write those settings of a DCF or XDC to a node that differ from its own."),
-    "flash": ("flash", "Write a new program (firmware) into a device that takes it by CiA 302-3, and start it."),
-    "compare": ("compare", "Compare the values of a node, or of a file, with those of another file."),
-    "dump": ("dump", "Read all objects of a node, and show them."),
-    "check": ("check", "Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone."),
-    "bus": ("bus", "Run a bus in software, for several terminals or programs."),
-    "log": ("log", "Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng."),
-    "sim": ("sim", "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own."),
-    "plan": ("plan", "Does this network fit? Load, worst latency of each PDO, margins, and the shortest cycle that fits."),
-    "eds": ("eds", "Device descriptions: EDS, DCF, XDD and XDC files."),
-    "machine": ("machine", "The machine file: one file with the buses, devices, joints and chains of a machine."),
-    "ros": ("ros", "ROS: write a package with launch files for a machine."),
-    "data": ("data", "The object dictionary and the chain files."),
+    "demo": ("demo.demo", "A six-joint arm boots, homes itself and moves."),
+    "plot": ("plot.plot", "Draw a recording (--record): position, velocity, acceleration and following error."),
+    "doctor": ("bus.doctor", "Check adapters, drivers and permissions; with -b also what is heard on a bus."),
+    "scan": ("bus.scan", "Find the nodes of a bus."),
+    "info": ("node.info", "Show a node's identity, state, errors and PDOs."),
+    "read": ("node.objects", "Read objects of a node."),
+    "write": ("node.objects", "Write an object of a node, and show its value before and after."),
+    "nmt": ("bus.nmt", "Start, stop or reset a node, or all of them."),
+    "lss": ("lss.group", "Give devices their node-ID and bit rate over the bus itself (CiA 305)."),
+    "listen": ("live.listen", "Hear who is on a bus, and with --bitrates find its bit rate."),
+    "monitor": ("live.monitor", "Show what each frame on a bus means, until Ctrl-C."),
+    "top": ("live.top", "Show a bus at a glance: nodes, states, rates, load, SYNC, errors, and what is wrong."),
+    "watch": ("live.watch", "Show the values of a node's objects, live."),
+    "net": ("net.group", "The network of a machine file: check it, boot it, watch it (CiA 302-2)."),
+    "drive": ("drive.group", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
+    "move": ("motion.move", "Move chains to a target, or along a path."),
+    "jog": ("motion.jog", "Move joints of a chain by keys, as long as a key is held."),
+    "home": ("drive.home_many", "Home drives (CiA 402), all at the same time."),
+    "backup": ("node.backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),
+    "restore": ("node.restore", "Write those settings of a DCF or XDC to a node that differ from its own."),
+    "flash": ("node.flash", "Write a new program (firmware) into a device that takes it by CiA 302-3, and start it."),
+    "compare": ("node.compare", "Compare the values of a node, or of a file, with those of another file."),
+    "dump": ("node.dump", "Read all objects of a node, and show them."),
+    "check": ("node.check", "Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone."),
+    "bus": ("bus.serve", "Run a bus in software, for several terminals or programs."),
+    "log": ("live.log", "Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng."),
+    "sim": (
+        "simulation.sim",
+        "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.",
+    ),
+    "plan": (
+        "machine.plan",
+        "Does this network fit? Load, worst latency of each PDO, margins, the shortest cycle that fits.",
+    ),
+    "eds": ("eds.group", "Device descriptions: EDS, DCF, XDD and XDC files."),
+    "machine": ("machine.group", "The machine file: one file with the buses, devices, joints and chains of a machine."),
+    "ros": ("machine.ros", "ROS: write a package with launch files for a machine."),
+    "data": ("machine.data", "The object dictionary and the chain files."),
 }
 """Listed in the order to try them."""
 
@@ -106,7 +112,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             put_to_rest(sys.stdout)
         with importing():
-            from canopen_cli.failures import problem_of
+            from canopen_cli.shared.failures import problem_of
         return _show(settings, problem_of(error))
     except BaseExceptionGroup as group:  # trio reports a Ctrl-C like this if nothing has begun yet
         if group.subgroup(KeyboardInterrupt) is None:

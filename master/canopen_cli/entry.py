@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
-from canopen_cli.importing import LibraryMissing, importing
+from canopen_cli.shared.importing import LibraryMissing, importing
 
 CANNOT_OPEN = 3
 
@@ -23,7 +23,7 @@ def main() -> int:
 
 def _document(missing: LibraryMissing) -> str:
     failed, _, step = str(missing).partition("\nTry: ")
-    from canopen_cli.problem import ExitCode, Problem
+    from canopen_cli.shared.problem import ExitCode, Problem
 
     problem = Problem(ExitCode.CANNOT_OPEN, "", failed, tries=(step,))
     return json.dumps({**problem.as_json(), "notes": []})

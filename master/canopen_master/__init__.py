@@ -11,9 +11,6 @@ For scripts without async there is `canopen_master.direct`, the manual's blockin
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from canopen_master.bus import BusChanged as BusChanged
-    from canopen_master.bus import FramesLost as FramesLost
-    from canopen_master.bus import FramesNotSent as FramesNotSent
     from canopen_master.errors import BusError as BusError
     from canopen_master.errors import ChainError as ChainError
     from canopen_master.errors import ChainFault as ChainFault
@@ -62,18 +59,21 @@ if TYPE_CHECKING:
     from canopen_master.motion.target_motion import Targets as Targets
     from canopen_master.node import Node as Node
     from canopen_master.node_pdos import PdoDiffers as PdoDiffers
+    from canopen_master.participant.bus import BusChanged as BusChanged
+    from canopen_master.participant.bus import FramesLost as FramesLost
+    from canopen_master.participant.bus import FramesNotSent as FramesNotSent
+    from canopen_master.participant.subscription import Subscription as Subscription
     from canopen_master.session import MasterSession as MasterSession
     from canopen_master.session import open_master as open_master
-    from canopen_master.simulation import DeviceModel as DeviceModel
-    from canopen_master.simulation import Host as Host
-    from canopen_master.simulation import powerballs as powerballs
-    from canopen_master.simulation import simulate as simulate
-    from canopen_master.simulation import standard_drives as standard_drives
-    from canopen_master.subscription import Subscription as Subscription
-    from canopen_proto.drive.axis import SCHUNK_POWERBALL as SCHUNK_POWERBALL
-    from canopen_proto.drive.axis import AxisSettings as AxisSettings
-    from canopen_proto.drive.axis import HomingStyle as HomingStyle
-    from canopen_proto.procedures.grip import Grip as Grip
+    from canopen_master.simulation.host import DeviceModel as DeviceModel
+    from canopen_master.simulation.host import Host as Host
+    from canopen_master.simulation.host import powerballs as powerballs
+    from canopen_master.simulation.host import simulate as simulate
+    from canopen_master.simulation.host import standard_drives as standard_drives
+    from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL as SCHUNK_POWERBALL
+    from canopen_proto.drives.axis.axis import AxisSettings as AxisSettings
+    from canopen_proto.drives.axis.axis import HomingStyle as HomingStyle
+    from canopen_proto.drives.axis.grip import Grip as Grip
     from canopen_transports.realtime import Realtime as Realtime
 else:
     from canopen_proto.lazy_names import lazy_names
@@ -81,7 +81,7 @@ else:
     __getattr__, __dir__, __all__ = lazy_names(
         globals(),
         {
-            "canopen_master.bus": "BusChanged FramesLost FramesNotSent",
+            "canopen_master.participant.bus": "BusChanged FramesLost FramesNotSent",
             "canopen_master.errors": (
                 "BusError ChainError ChainFault ChainFileError ChainHalted HaltNotConfirmed MasterClosed MasterError "
                 "MotionReplaced NodeError NodeSilent PackageMissing PathRefused PlanRefused RealtimeRefused SdoContested "
@@ -102,10 +102,10 @@ else:
             "canopen_master.node": "Node",
             "canopen_master.node_pdos": "PdoDiffers",
             "canopen_master.session": "MasterSession open_master",
-            "canopen_master.simulation": "DeviceModel Host powerballs simulate standard_drives",
-            "canopen_master.subscription": "Subscription",
-            "canopen_proto.drive.axis": "AxisSettings HomingStyle SCHUNK_POWERBALL",
-            "canopen_proto.procedures.grip": "Grip",
+            "canopen_master.simulation.host": "DeviceModel Host powerballs simulate standard_drives",
+            "canopen_master.participant.subscription": "Subscription",
+            "canopen_proto.drives.axis.axis": "AxisSettings HomingStyle SCHUNK_POWERBALL",
+            "canopen_proto.drives.axis.grip": "Grip",
             "canopen_transports.realtime": "Realtime",
         },
     )

@@ -17,7 +17,7 @@ from typing import Final
 
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortCode, AbortOrigin, text_of
-from canopen_proto.cia402.states import State
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.explained import Explained
 from canopen_proto.machine import SECOND, Time

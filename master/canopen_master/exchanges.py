@@ -16,10 +16,10 @@ from typing import Final, NamedTuple
 from canopen_master.planning import Background, Exchange, fits, streams_of
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
-from canopen_proto.drive.motion_plan import MotionPlan
+from canopen_proto.drives.axis.motion_plan import MotionPlan
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
-from canopen_proto.linking import LinkPlan
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Time
+from canopen_proto.manager.linking import LinkPlan
 from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.mapping import MAX_BITS
 from canopen_proto.pdo.settings import (

@@ -8,8 +8,8 @@ core with a Device's axis (`Axis.grip`), the blocking API, a controlword that is
 - checks that no other node has its node-ID: it listens for two periods at least;
 - sends its heartbeat from then on (`OwnHeartbeat`), and not before: a program that only reads must not keep the drives of a dead
   master alive;
-- has the drive watch it (procedures/grip.py), and waits for the next heartbeat, with which the drive begins to watch: drives that
-  are enabled together wait for the same one. A drive that boots forgets that; it is taken hold of again when it is enabled.
+- has the drive watch it (drives/axis/grip.py), and waits for the next heartbeat, with which the drive begins to watch: drives
+  that are enabled together wait for the same one. A drive that boots forgets that; it is taken hold of again when it is enabled.
 
 `let_go` restores the objects that `hold` changed, when the drive is shut down, or when the master is left and the drive stands or
 was disabled by hand. The heartbeat ends with the last drive of its bus. A drive that did not confirm that it stands keeps
@@ -27,13 +27,13 @@ import logging
 from collections import defaultdict
 from typing import Final
 
-from canopen_master.bus import Bus
-from canopen_master.participant import Participant
-from canopen_master.peer import Peer
+from canopen_master.participant.bus import Bus
+from canopen_master.participant.participant import Participant
+from canopen_master.participant.peer import Peer
 from canopen_master.plain_text import clean
+from canopen_proto.drives.axis.grip import Grip, Hold, not_held, release, take_hold
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event
-from canopen_proto.procedures.grip import Grip, Hold, not_held, release, take_hold
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
 
 LOGGER: Final = logging.getLogger("canopen_master")
@@ -215,7 +215,7 @@ def _next_beat(heartbeat: OwnHeartbeat) -> Procedure[None]:
 
 
 class NodeGrip:
-    """The grip of one drive, as its Axis uses it; see canopen_proto.drive.axis.AxisGrip."""
+    """The grip of one drive, as its Axis uses it; see canopen_proto.drives.axis.axis.AxisGrip."""
 
     def __init__(self, grips: Grips, node: Peer, axis: int) -> None:
         self._grips = grips

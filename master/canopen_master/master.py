@@ -15,7 +15,6 @@ from trio.lowlevel import enable_ki_protection
 
 from canopen_data import load_dictionary
 from canopen_data.descriptions import load_description_with_names
-from canopen_master.bus import Bus
 from canopen_master.grip import Grips, NodeGrip
 from canopen_master.motion.chain import Chain, ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
@@ -23,12 +22,13 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt, halt_node
 from canopen_master.motion.path_motion import LONGEST_STOP
 from canopen_master.node import Node
-from canopen_master.participant import Participant, nanoseconds
-from canopen_master.subscription import Subscription
+from canopen_master.participant.bus import Bus
+from canopen_master.participant.participant import Participant, nanoseconds
+from canopen_master.participant.subscription import Subscription
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drive.axis import Axis, AxisSettings
+from canopen_proto.drives.axis.axis import Axis, AxisSettings
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.machine import Event, LocalProtocolError
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_proto.procedures.steps import all_of
 from canopen_proto.remote_node import RemoteNode
 from canopen_transports import Transport

@@ -11,9 +11,9 @@ from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
 from canopen_master.motion.chain_errors import not_now
 from canopen_master.motion.chain_view import ChainState
-from canopen_proto.boot.entry import BootEntry
-from canopen_proto.boot.network_boot import BootReport, NetworkBoot
-from canopen_proto.procedures.program_download import updating
+from canopen_proto.manager.boot.entry import BootEntry
+from canopen_proto.manager.boot.network_boot import BootReport, NetworkBoot
+from canopen_proto.manager.programs.download import updating
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.remote_node import RemoteNode
 

@@ -10,28 +10,28 @@ from typing import TypeVar
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.bus import Bus
 from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, SdoError, UnexpectedAnswer
 from canopen_master.grip import Grips
 from canopen_master.node_pdos import NodePdos
-from canopen_master.participant import Participant
-from canopen_master.peer import Peer
+from canopen_master.participant.bus import Bus
+from canopen_master.participant.participant import Participant
+from canopen_master.participant.peer import Peer
+from canopen_master.participant.subscription import Subscription
 from canopen_master.silence import missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
-from canopen_master.subscription import Subscription
-from canopen_proto.cia402.axes import axes_of, axis_of, swapped
-from canopen_proto.cia402.names import names_in_mode
-from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
-from canopen_proto.cia402.states import Command, enables_operation
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
-from canopen_proto.drive.axis import Axis
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.grip import NotHeldError
+from canopen_proto.drives.cia402.axes import axes_of, axis_of, swapped
+from canopen_proto.drives.cia402.names import names_in_mode
+from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
+from canopen_proto.drives.cia402.states import Command, enables_operation
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.procedures.device_pdos import PdoDifference
-from canopen_proto.procedures.grip import NotHeldError
+from canopen_proto.pdo.of_device import PdoDifference
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 

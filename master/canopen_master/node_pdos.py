@@ -9,12 +9,12 @@ from __future__ import annotations
 import logging
 from typing import Final
 
-from canopen_master.participant import Participant, ProcedureSlot
-from canopen_master.peer import Peer
+from canopen_master.participant.participant import Participant, ProcedureSlot
+from canopen_master.participant.peer import Peer
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.device_pdos import PdoDifference, exchange_device_pdos
+from canopen_proto.pdo.of_device import PdoDifference, exchange_device_pdos
 from canopen_proto.procedures.steps import Procedure, ProcedureError
 
 log: Final = logging.getLogger("canopen_master")

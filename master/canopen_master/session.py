@@ -34,8 +34,8 @@ from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.plain_text import clean
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.machine import SECOND, LocalProtocolError
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_transports import NarrowTransport, Transport, TransportError, open_transport
 from canopen_transports.realtime import Grant, Realtime
 

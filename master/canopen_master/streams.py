@@ -24,8 +24,8 @@ from typing import Final, TypeAlias
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.peer import Peer
-from canopen_master.requests import OpenRequest
+from canopen_master.participant.peer import Peer
+from canopen_master.participant.requests import OpenRequest
 from canopen_proto.machine import LocalProtocolError, Outcome
 from canopen_proto.sdo.block_client import lacks_blocks
 from canopen_proto.sdo.client import AUTO_BLOCK, MAX_UPLOAD, Block

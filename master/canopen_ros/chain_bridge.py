@@ -30,7 +30,7 @@ from canopen_master.motion.chain_errors import not_now
 from canopen_master.motion.chain_view import ChainState
 from canopen_master.motion.device import Device
 from canopen_master.node import Node
-from canopen_proto.cia402.modes import short_name
+from canopen_proto.drives.cia402.modes import short_name
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
 from canopen_ros.goal_motion import GoalMotion, Tell

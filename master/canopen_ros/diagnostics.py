@@ -6,11 +6,11 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from canopen_master.bus import Bus
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_view import ChainState
 from canopen_master.motion.device import Device
-from canopen_proto.cia402.states import State, StatusBit
+from canopen_master.participant.bus import Bus
+from canopen_proto.drives.cia402.states import State, StatusBit
 from canopen_proto.error_codes import error_text
 from canopen_proto.machine import SECOND, Time
 from canopen_transports import BusState

@@ -22,8 +22,8 @@ from enum import Enum, IntEnum
 from typing import Final, NamedTuple
 
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.trajectory import Path, PathPoint, Segment
-from canopen_proto.trajectory.interpolation import quintic, spline_velocities
+from canopen_proto.drives.trajectory import Path, PathPoint, Segment
+from canopen_proto.drives.trajectory.interpolation import quintic, spline_velocities
 
 START: Final = 0.01
 """Radians, or metres, by which a motion may begin off a joint (`start_tolerance`): as MoveIt's `allowed_start_tolerance`."""

@@ -8,11 +8,11 @@ from typing import Final
 from canopen_master.errors import CHAIN_NOT_READY, UNKNOWN_CHAIN, ChainError, UnknownChain
 from canopen_master.master import Master
 from canopen_master.node import Node
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.axes import axis_of, swapped
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.drive.set_points import SET_POINT_OF
+from canopen_proto.drives.axis.set_points import SET_POINT_OF
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.axes import axis_of, swapped
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_ros.reply import COMMAND_ERRORS, Reply
 

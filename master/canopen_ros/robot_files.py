@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 from canopen_master.machine_file import ChainEntry, JointEntry, MachineFile
-from canopen_proto.drive.units import Unit
+from canopen_proto.drives.axis.units import Unit
 from canopen_ros import names
 
 URDF: Final = "urdf/machine.urdf"

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 
 from canopen_master.errors import ChainError
 from canopen_master.motion.device import Device
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
-from canopen_proto.drive.settings import SCHUNK_POWERBALL, AxisSettings, HomingStyle
-from canopen_proto.drive.units import Unit
+from canopen_proto.drives.axis.settings import SCHUNK_POWERBALL, AxisSettings, HomingStyle
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.machine import MILLISECOND, Time
 
 NO_UNIT: Final = "CO325"

@@ -14,10 +14,10 @@ import trio
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
 from canopen_master.machine_file import MachineFile, NodeEntry
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_master.simulation import DeviceMaker, DeviceModel, Host, simulate
-from canopen_proto.cia402.names import is_drive
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
+from canopen_master.simulation.host import DeviceMaker, DeviceModel, Host, simulate
+from canopen_proto.drives.cia402.names import is_drive
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
 
 BOOT_TIME: Final = 0.05

@@ -28,7 +28,7 @@ import trio
 from canopen_master.errors import CHAIN_NOT_READY, ChainError
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.device import Device
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.machine import SECOND
 from canopen_ros.goals import START
 from canopen_ros.samples import STALE

@@ -12,7 +12,7 @@ from canopen_master.errors import MotionReplaced
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.target_motion import Jog, Targets
 from canopen_master.trajectories.point_to_point import RESERVE
-from canopen_proto.trajectory import JointLimits
+from canopen_proto.drives.trajectory import JointLimits
 from canopen_ros.reply import COMMAND_ERRORS
 
 QUIET: Final = 0.5

@@ -14,7 +14,7 @@ from canopen_proto.pdo.settings import COB_ID, INHIBIT_TIME, SYNC_START, communi
 from canopen_proto.sdo.codec import ABORT, INITIATE_UPLOAD, SPECIFIER
 from canopen_proto.sdo.server import Pending
 from tests.check.faulty_nodes import SelfStarting
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 SYNC_PERIOD_US = 100_000
 PRODUCES_SYNC = full_device(standard_object(0x1005, 0x4000_0080), standard_object(0x1006, SYNC_PERIOD_US))

@@ -25,8 +25,8 @@ from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.events import ObjectAccessPending
 from canopen_proto.verdict import Result, Verdict
-from tests.proto.bus import Bus
-from tests.proto.full_device import NODE_ID, full_device
+from tests.core.bus import Bus
+from tests.core.full_device import NODE_ID, full_device
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, verdict_of
 from tests.check.faulty_nodes import Endless, without_crc
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 LOSES = [("605#815501(.*)", r"605#810000\1")]
 NO_BLOCKS = Fault("no blocks", heard=[("605#[AC].*", "605#E000000000000000")])

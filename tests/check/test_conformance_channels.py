@@ -10,7 +10,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import KeepsChannels, KeepsCommunication, KeepsNothing
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 SERVERS, CLIENTS = (0x1201, 0x1202), (0x1280, 0x1281)
 ONE_MORE = full_device(*(standard_object(index) for index in (0x1203, 0x1282)))

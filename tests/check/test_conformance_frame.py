@@ -14,7 +14,7 @@ from canopen_proto.machine import Outbox
 from canopen_proto.procedures.steps import Procedure, StepTimeout, act
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Site
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 PAGE = Path(__file__).parent.parent.parent / "docs" / "conformance.md"
 

@@ -9,7 +9,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, verdict_of
 from tests.check.faulty_nodes import KeepsAll, KeepsNothing
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 NO_PRODUCER = Fault("no producer", sent=[("585#60051000.*", "585#8005100030000906")])
 DEAF = Fault("deaf to heartbeats", heard=[("70[1-46-9]#05", None)])

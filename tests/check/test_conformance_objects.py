@@ -18,7 +18,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, Site, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import BusyWhenOperational, CountsStarts, Inverting, KeepsCommunication
-from tests.proto.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device
+from tests.core.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 

@@ -18,7 +18,7 @@ from canopen_proto.machine import Time
 from canopen_proto.sdo.server import Pending
 from canopen_proto.verdict import Result, Verdict
 from tests.check.conformance_rig import Fault, Site, verdict_of
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 PDO_FIELDS = (*range(0x1400, 0x1404), *range(0x1800, 0x1804))
 

@@ -17,7 +17,7 @@ from canopen_proto.sdo.server import Pending
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, verdict_of
 from tests.check.faulty_nodes import SelfStarting
-from tests.proto.full_device import INPUT_16, OUTPUT_16, full_device
+from tests.core.full_device import INPUT_16, OUTPUT_16, full_device
 
 MAPPINGS = (*range(0x1600, 0x1800), *range(0x1A00, 0x1C00))
 

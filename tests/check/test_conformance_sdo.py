@@ -17,7 +17,7 @@ from canopen_proto.sdo.server import Pending
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import Endless
-from tests.proto.full_device import LIMITED, SECRET, full_device
+from tests.core.full_device import LIMITED, SECRET, full_device
 
 
 class Forgetful(LocalNode):

@@ -9,7 +9,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, verdict_of
 from tests.check.faulty_nodes import AlwaysGuarded, EagerPdos, KeepsAll, RatherGuarded, SelfStarting, Talkative
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 DEAF = Fault("deaf to requests", heard=[("705#R1", None)])
 

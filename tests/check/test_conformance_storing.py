@@ -12,7 +12,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import KeepsNothing, RestoresNothing
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 SAVE, LOAD = "73617665", "6C6F6164"
 ANY_SIGNATURE = Fault("any signature", heard=[("605#231010(..)77726F6E", rf"605#231010\g<1>{SAVE}"),

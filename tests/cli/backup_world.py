@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli import session
+from canopen_cli.shared import session
 from canopen_data.configured import configure
 from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
-from canopen_master.simulation import simulate
+from canopen_master.simulation.host import simulate
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary
@@ -22,8 +22,8 @@ from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
 from tests.cli.cli_support import Run
-from tests.proto.devices import TEXT
-from tests.proto.restore_bench import GAIN, Strict, device
+from tests.core.devices import TEXT
+from tests.manager.restore_bench import GAIN, Strict, device
 
 NODE = ("5", "-b", "demo")
 EDS = ("-e", "device.eds")

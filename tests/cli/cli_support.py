@@ -13,12 +13,16 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_cli import chain_session, demonstration, live_source, session, sim
 from canopen_cli.app import main
-from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_devices, simulated_fleet
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_cli.demo import run as demonstration
+from canopen_cli.live import source as live_source
+from canopen_cli.motion import chain_session
+from canopen_cli.shared import session
+from canopen_cli.simulation import sim
+from canopen_master.simulation.fleet import DEMO_LOCATOR, Fleet, simulated_devices, simulated_fleet
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.machine import SECOND, Outbox
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulation.drive.node import DriveNode
 
 LATER = 10**9 * SECOND
 SHORT = ("--seconds", "0.5", "--cycle", "20ms")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_cli.fleet import Fleet
+from canopen_master.simulation.fleet import Fleet
 from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
 
 

@@ -8,21 +8,21 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli.backup import bit_rate_of, write_dcf
-from canopen_cli.options import Settings
-from canopen_cli.problem import ExitCode
+from canopen_cli.node.backup import bit_rate_of, write_dcf
+from canopen_cli.shared.options import Settings
+from canopen_cli.shared.problem import ExitCode
 from canopen_data.describing import describe
 from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import write_eds
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, Variable
+from canopen_proto.manager.parameters.backup import Backup
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.backup import Backup
 from tests.cli.backup_world import EDS, NODE, Lasting, answering, change, lasting_device
 from tests.cli.cli_support import Run, runner_in_folder
-from tests.proto.devices import LIMITED, TEXT
-from tests.proto.restore_bench import GAIN, Strict, device
+from tests.core.devices import LIMITED, TEXT
+from tests.manager.restore_bench import GAIN, Strict, device
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from canopen_data.descriptions import load_description
 from canopen_proto.datatypes import Value, is_integer, range_of
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.roles import Role, roles_in
-from canopen_proto.procedures.backup import same_value
+from canopen_proto.manager.parameters.backup import same_value
 from tests.cli.backup_world import NODE, lasting
 from tests.cli.cli_support import runner
 from tests.vendor_files import ALL_NAMES, needs_vendor_files, path_of

@@ -12,18 +12,18 @@ from dataclasses import dataclass
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_cli.boot_summary import NodeRow, NodeState, by_state, policy, problem_of, rows_of, success, tally
-from canopen_cli.net_check import Checked, verdict
-from canopen_cli.problem import ExitCode
+from canopen_cli.net.boot_summary import NodeRow, NodeState, by_state, policy, problem_of, rows_of, success, tally
+from canopen_cli.net.check import Checked, verdict
+from canopen_cli.shared.problem import ExitCode
 from canopen_proto.abort import AbortCode
-from canopen_proto.boot.assignment import Startup
-from canopen_proto.boot.comparison import Compared, NodeComparison
-from canopen_proto.boot.entry import NetworkEntry
-from canopen_proto.boot.network_boot import BootReport
-from canopen_proto.boot.outcome import BootLetter, BootOutcome, BootStep
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND
+from canopen_proto.manager.boot.assignment import Startup
+from canopen_proto.manager.boot.comparison import Compared, NodeComparison
+from canopen_proto.manager.boot.entry import NetworkEntry
+from canopen_proto.manager.boot.network_boot import BootReport
+from canopen_proto.manager.boot.outcome import BootLetter, BootOutcome, BootStep
 from tests.examples import examples
-from tests.proto.boot_bench import KEPT, MANDATORY, OPTIONAL, SERIAL, SETTING, BootBench, beating, entry, u32
+from tests.manager.boot_bench import KEPT, MANDATORY, OPTIONAL, SERIAL, SETTING, BootBench, beating, entry, u32
 
 OPERATIONAL = 5
 SILENT, WRONG, REFUSES, NO_BEAT, RIGHT = "silent", "wrong", "refuses", "no beat", "right"

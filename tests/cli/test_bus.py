@@ -13,7 +13,7 @@ import pytest
 import trio
 
 from canopen_cli.app import main
-from canopen_cli.fleet import simulated_fleet
+from canopen_master.simulation.fleet import simulated_fleet
 from canopen_transports.log_files import LogReader
 from canopen_transports.tcp import BusServer, serve_bus
 from tests.cli.cli_support import Outcome, Run, runner

@@ -14,13 +14,13 @@ import pytest
 import trio
 
 from canopen_check.catalogue import CASES
-from canopen_cli import session
-from canopen_cli.check_report import Report, write_junit
-from canopen_cli.fleet import DEMO_LOCATOR, simulated_devices
-from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.node.check_report import Report, write_junit
+from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_data.describing import describe
 from canopen_data.descriptions import load_description, read_file
 from canopen_data.eds.writer import write_eds
+from canopen_master.simulation.fleet import DEMO_LOCATOR, simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -28,7 +28,7 @@ from canopen_proto.machine import Event, Outbox, Time
 from canopen_proto.nmt import NmtState, NmtStateChanged
 from tests.check.faulty_nodes import SelfStarting
 from tests.cli.cli_support import Outcome, Run, runner_in_folder
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 SAMPLE = "sample_io.eds"
 NODE = ("5", "-b", "demo", "-e", SAMPLE)

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import pytest
 
 from canopen_check.catalogue import CASES, run_all
-from canopen_cli.screen import Screen
-from canopen_cli.sim_devices import models
+from canopen_cli.shared.screen import Screen
+from canopen_cli.simulation.devices import models
 from canopen_data.reading import read_description
-from canopen_master.plant import DeviceEntry
+from canopen_master.simulation.plant import DeviceEntry
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, Site
-from tests.proto.full_device import NODE_ID
+from tests.core.full_device import NODE_ID
 from tests.vendor_files import ALL_NAMES, load, needs_vendor_files, path_of
 
 

@@ -15,7 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_cli import app, session
+from canopen_cli import app
+from canopen_cli.shared import session
 from canopen_data.configured import with_configured
 from canopen_data.describing import describe
 from canopen_data.description import Commissioning, DeviceInfo, FileInfo
@@ -27,9 +28,9 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_transports import TransportError
 from tests.cli.backup_world import Lasting, answering, lasting
 from tests.cli.cli_support import Run, runner_in_folder
+from tests.core.devices import TEXT
 from tests.examples import examples
-from tests.proto.devices import TEXT
-from tests.proto.restore_bench import GAIN, device
+from tests.manager.restore_bench import GAIN, device
 
 EVIL = "\x1b]0;gone\x07\x1b[2J\x9b31m\x08\x7f\u202e[bold]x[/]"
 """A title, a cleared screen, colours, a step back, text from right to left; and markup of the library that draws."""

@@ -13,18 +13,18 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli import session
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
-from canopen_cli.screen import Screen
-from canopen_master.simulation import simulate
-from canopen_proto.cia402.objects import PROFILE_VELOCITY
+from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.screen import Screen
+from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.host import simulate
 from canopen_proto.datatypes import Value
+from canopen_proto.drives.cia402.objects import PROFILE_VELOCITY
 from canopen_proto.local_node import LocalNode
 from canopen_transports import open_transport
 from canopen_transports.log_files import LogReader
 from tests.cli.cli_support import SHORT, Alarm, Run, stands
-from tests.proto.devices import io_device
+from tests.core.devices import io_device
 
 DEMO = ("-b", "demo")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from canopen_data.describing import describe
 from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import write_eds
@@ -17,8 +17,8 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from tests.cli.backup_world import EDS, NODE, Lasting, answering, change, lasting_device
 from tests.cli.cli_support import Run, runner_in_folder
-from tests.proto.devices import LIMITED, TEXT
-from tests.proto.restore_bench import GAIN, device
+from tests.core.devices import LIMITED, TEXT
+from tests.manager.restore_bench import GAIN, device
 
 
 @pytest.fixture

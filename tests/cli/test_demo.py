@@ -16,15 +16,15 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_cli import demonstration
-from canopen_cli.fleet import Fleet, simulated_fleet
-from canopen_cli.plot import write_plot
-from canopen_cli.problem import ExitCode
-from canopen_cli.recording import Recording
+from canopen_cli.demo import run as demonstration
+from canopen_cli.plot.cycles import write_plot
+from canopen_cli.plot.recording import Recording
+from canopen_cli.shared.problem import ExitCode
 from canopen_master.master import Master
 from canopen_master.session import open_master
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
+from canopen_master.simulation.fleet import Fleet, simulated_fleet
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
 from tests.cli.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, stands
 from tests.cli.test_demo_eds import written
 
@@ -392,7 +392,7 @@ def recordings_drawn(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
         drawn.append(recording)
         write_plot(path, recording, *titles)
 
-    command = importlib.import_module("canopen_cli.demo")  # the package has a command of that name
+    command = importlib.import_module("canopen_cli.demo.demo")  # the package has a command of that name
     monkeypatch.setattr(command, "write_plot", draw)
     return drawn
 

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.fleet import Fleet
 from canopen_data.configured import with_configured
 from canopen_data.describing import describe
 from canopen_data.description import Commissioning, DeviceInfo, FileKind
 from canopen_data.eds.writer import write_eds
-from canopen_proto.cia402.homing_methods import HOMING_METHODS
+from canopen_master.simulation.fleet import Fleet
 from canopen_proto.dictionary import Direction
-from canopen_proto.procedures.described_pdos import described_pdos
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.drives.cia402.homing_methods import HOMING_METHODS
+from canopen_proto.pdo.described import described_pdos
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import Shape
 from tests import vendor_files
 from tests.cli.cli_support import SHORT, TWO, Alarm, Run, runner, watched_fleets
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from rich.console import Console
 
-from canopen_cli.demo_view import DemoView, JointView
-from canopen_cli.screen import Screen
+from canopen_cli.motion.view import DemoView, JointView
+from canopen_cli.shared.screen import Screen
 
 
 @pytest.mark.parametrize("columns", [80, 120])

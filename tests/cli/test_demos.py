@@ -18,7 +18,7 @@ from canopen_cli.demos import (
     multiple_devices,
     single_device,
 )
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from canopen_master import direct
 from canopen_master.direct import connection
 from tests.master.direct_world import devices, near_home

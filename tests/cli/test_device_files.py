@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from tests.cli.cli_support import Run, runner
 from tests.data.xdd_files import xdd
 

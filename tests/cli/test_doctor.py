@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli import doctor as command
+from canopen_cli.bus import doctor as command
 from canopen_transports.doctor import Finding, Health
 from canopen_transports.errors import BusState
 from canopen_transports.receive_test import Heard

@@ -11,24 +11,24 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_cli import session
-from canopen_cli.fleet import Fleet, simulated_fleet
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode
 from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
-from canopen_master.simulation import simulate
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
+from canopen_master.simulation.fleet import Fleet, simulated_fleet
+from canopen_master.simulation.host import simulate
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import Shape
 from canopen_transports import open_transport
 from tests.cli.cli_support import Alarm, Run, stands
-from tests.proto.devices import io_device
+from tests.core.devices import io_device
 
 DEMO = ("-b", "demo")
 WINDOW = 10

@@ -9,12 +9,12 @@ import pytest
 from canopen_data.describing import describe
 from canopen_data.descriptions import load_description_with_names
 from canopen_data.eds.writer import write_eds
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.axes import axes_of
-from canopen_proto.cia402.states import State
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.axes import axes_of
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings
 from tests.cli.cli_support import Alarm, Run, only_drive
 
 TWO = DriveSettings(further_axes=(DriveSettings(position=-7_000.0),))

@@ -12,16 +12,17 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli import drive_commission, questions
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
-from canopen_cli.screen import Screen
+from canopen_cli.drive import commission as drive_commission
+from canopen_cli.shared import questions
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.screen import Screen
 from canopen_master.machine_file import read_machine
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.units import Unit
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_master.simulation.fleet import Fleet
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings
 from tests.cli.cli_support import Alarm, Outcome, Run, only_drive, stands
 
 Commission = Callable[..., Outcome]

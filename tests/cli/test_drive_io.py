@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
+from canopen_master.simulation.fleet import Fleet
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402 import objects
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.multiplexer import mux
-from canopen_proto.simulated_drive.answers import Answer
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_proto.simulation.drive.answers import Answer
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from tests.cli.cli_support import Alarm, Run, only_drive
 
 DEMO = ("-b", "demo")

@@ -7,13 +7,13 @@ import signal
 
 import pytest
 
-from canopen_cli.problem import ExitCode
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.plant import Mechanics
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_cli.shared.problem import ExitCode
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.plant import Mechanics
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from tests.cli.cli_support import Alarm, Run, only_drive, stands
 
 ON_IT = ("-b", "demo", "--seconds", "0.5")

@@ -8,15 +8,15 @@ import signal
 import pytest
 import trio
 
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
+from canopen_cli.shared.problem import ExitCode
+from canopen_master.simulation.fleet import Fleet
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from tests.cli.cli_support import Alarm, Run, only_drive, stands
 
 DEMO = ("-b", "demo")

@@ -9,18 +9,18 @@ from types import MappingProxyType
 
 import pytest
 
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from canopen_data.descriptions import load_description
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_data.eds.writer import write_eds
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
+from canopen_master.simulation.fleet import Fleet
 from canopen_proto.dictionary import Access
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import ERROR_CONTROL, Frame
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports.log_files import LogReader
 from tests.cli.cli_support import Alarm, Run, only_drive
 from tests.cli.test_drive import DEMO, powered, prepare

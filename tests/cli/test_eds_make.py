@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli import eds_html, eds_markdown, eds_page
+from canopen_cli.eds import html as eds_html
+from canopen_cli.eds import markdown as eds_markdown
+from canopen_cli.eds import page as eds_page
 from canopen_data.description import FileKind
 from canopen_data.eds.reader import read_eds
 from canopen_data.eds.writer import write_eds

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from canopen_cli import object_files, session
-from canopen_cli.problem import ExitCode
+from canopen_cli.node import object_files
+from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access
 from canopen_proto.dictionary.model import Object, Variable
@@ -21,10 +22,10 @@ from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
 from tests.cli.cli_support import Run, runner
+from tests.core.block_pair import pattern
+from tests.core.devices import io_device
 from tests.master.test_streams import IMAGE, OldNode
 from tests.master.world import simulated
-from tests.proto.block_pair import pattern
-from tests.proto.devices import io_device
 
 DEMO = ("-b", "demo")
 LOG, COMMAND = 0x2300, 0x2301

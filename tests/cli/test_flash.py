@@ -12,21 +12,22 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_cli import flash, questions, session
-from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_devices
-from canopen_cli.problem import ExitCode
+from canopen_cli.node import flash
+from canopen_cli.shared import questions, session
+from canopen_cli.shared.problem import ExitCode
 from canopen_master.errors import BusError
+from canopen_master.simulation.fleet import DEMO_LOCATOR, Fleet, simulated_devices
 from canopen_proto.abort import AbortCode
-from canopen_proto.boot_loader import BootDone, BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_proto.indices import FLASH_STATUS
 from canopen_proto.lss.messages import LssConfiguration
 from canopen_proto.machine import MILLISECOND, Outbox
-from canopen_proto.programs import FlashError, ProgramControl
+from canopen_proto.manager.programs.identity import FlashError, ProgramControl
 from canopen_proto.sdo.access import Pending
+from canopen_proto.simulation.boot_loader import BootDone, BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_transports import TransportError
 from canopen_transports.errors import BUS_LOST
 from tests.cli.cli_support import Alarm, Run
-from tests.proto.block_pair import pattern
+from tests.core.block_pair import pattern
 
 IMAGE = pattern(3000)
 DEMO = ("-b", "demo")
@@ -100,7 +101,7 @@ def test_no_is_no(run: Run, world: World, monkeypatch: pytest.MonkeyPatch) -> No
         return b"n\n"
 
     monkeypatch.setattr(questions, "read_input", answer)
-    monkeypatch.setattr("canopen_cli.questions.is_asked", lambda screen: True)
+    monkeypatch.setattr("canopen_cli.shared.questions.is_asked", lambda screen: True)
     outcome = run("flash", "5", "firmware.bin", *DEMO)
     assert "Write it? The old program is erased." in outcome.err
     assert (outcome.status, "by you: nothing was written" in outcome.err) == (ExitCode.INTERRUPTED, True)
@@ -131,7 +132,7 @@ def test_what_nothing_verifies_is_told_before_and_after(run: Run, world: World, 
         return b"n\n"
 
     monkeypatch.setattr(questions, "read_input", answer)
-    monkeypatch.setattr("canopen_cli.questions.is_asked", lambda screen: True)
+    monkeypatch.setattr("canopen_cli.shared.questions.is_asked", lambda screen: True)
     assert "Nothing will verify it. Write it?" in run("flash", "5", "firmware.bin", *DEMO).err
 
 

@@ -7,13 +7,13 @@ from functools import partial
 
 import pytest
 
-from canopen_cli import session
-from canopen_cli.fleet import simulated_fleet
-from canopen_cli.problem import ExitCode
-from canopen_master.simulation import DeviceMaker
-from canopen_proto.simulated_drive.homing import METHODS
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
+from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode
+from canopen_master.simulation.fleet import simulated_fleet
+from canopen_master.simulation.host import DeviceMaker
+from canopen_proto.simulation.drive.homing import METHODS
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from tests.cli.cli_support import Run
 
 DEMO = ("-b", "demo")

@@ -12,13 +12,14 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_cli import jog, terminal_keys
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
-from canopen_cli.terminal_keys import END, LEFT, RIGHT, Keys
+from canopen_cli.motion import jog
+from canopen_cli.shared import terminal_keys
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.terminal_keys import END, LEFT, RIGHT, Keys
 from canopen_master import read_record
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
-from canopen_proto.cia402.states import State
+from canopen_master.simulation.fleet import Fleet
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
 from tests.cli.cli_support import Outcome, Run, stands
 from tests.master.test_recording import wait_for_file
 

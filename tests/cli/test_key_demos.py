@@ -13,11 +13,11 @@ import pytest
 import trio
 
 from canopen_cli.demos import interactive_homing, keys, move_single_device, move_until_user_interrupt
-from canopen_cli.problem import ExitCode
-from canopen_cli.terminal_keys import END
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.terminal_keys import END
 from canopen_master.direct import hold_to_run
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
-from canopen_proto.cia402.states import State
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
 from tests.cli.test_demos import _own_signals  # noqa: F401 - a fixture
 from tests.master.direct_world import LIMIT, Devices, devices
 from tests.master.test_direct_script import environment

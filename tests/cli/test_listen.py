@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import trio
 
-from canopen_cli import doctor
+from canopen_cli.bus import doctor
 from canopen_proto.frame import Frame
 from canopen_transports import open_transport
 from canopen_transports.receive_test import Each, Heard
@@ -48,7 +48,7 @@ def test_nothing_is_sent(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         heard.append(str(await other.receive()))  # type: ignore[attr-defined]
 
     real = doctor.hear
-    monkeypatch.setattr("canopen_cli.listen.hear", hear)
+    monkeypatch.setattr("canopen_cli.live.listen.hear", hear)
     run("listen", "-b", "virtual:x")
     assert heard == []
 

@@ -16,9 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from canopen_cli.live_source import AHEAD, BATCH, INPUT, Heard, LiveSource, StampClock, open_live_source
-from canopen_cli.options import Settings
-from canopen_cli.problem import Problem
+from canopen_cli.live.source import AHEAD, BATCH, INPUT, Heard, LiveSource, StampClock, open_live_source
+from canopen_cli.shared.options import Settings
+from canopen_cli.shared.problem import Problem
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_transports import BusState, BusStateChanged, open_transport
@@ -120,7 +120,7 @@ def test_what_a_bus_reports_comes_in_its_place(monkeypatch: pytest.MonkeyPatch) 
         assert locator == "pcan:PCAN_USBBUS1@500k?listen_only=true"
         return Reporting()
 
-    monkeypatch.setattr("canopen_cli.live_source.open_transport", opening)
+    monkeypatch.setattr("canopen_cli.live.source.open_transport", opening)
 
     async def body() -> None:
         async with open_live_source(Settings(bus="pcan:PCAN_USBBUS1@500k"), None) as live:

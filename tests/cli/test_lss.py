@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli import fleet, questions
-from canopen_cli.lss_set import read_table
-from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.lss.set import read_table
+from canopen_cli.shared import questions
+from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_master.simulation import fleet
 from canopen_proto.lss.slave import LssSlave
 from tests.cli.cli_support import Run
 

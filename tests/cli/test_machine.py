@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from canopen_cli import demonstration, session
-from canopen_cli.fleet import simulated_fleet
-from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.demo import run as demonstration
+from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_master import ChainState, Master
 from canopen_master.machine_file import parse_machine
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_master.simulation.fleet import simulated_fleet
+from canopen_proto.simulation.drive.settings import Shape
 from canopen_proto.sync import SyncSent
 from tests.cli.cli_support import SHORT, TWO, Run
 

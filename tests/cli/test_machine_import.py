@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_cli.shared.problem import ExitCode
+from canopen_master.simulation.fleet import Fleet
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from tests.cli.cli_support import Run
 from tests.ros_configurations import FOLDER, SETS, needs_configurations
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_cli import live_source
+from canopen_cli.live import source as live_source
 from canopen_proto.frame import Frame
 from canopen_transports import BusState, BusStateChanged, open_transport
 from canopen_transports.errors import ReceiveOverrun, TransportError

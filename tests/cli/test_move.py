@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.fleet import Fleet
-from canopen_cli.problem import ExitCode
-from canopen_cli.streams import put_lost_terminal_to_rest
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.streams import put_lost_terminal_to_rest
 from canopen_master import read_record
 from canopen_master.errors import PlanRefused
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
-from canopen_proto.cia402.states import State
+from canopen_master.simulation.fleet import Fleet
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
 from tests.cli.cli_support import Alarm, Run, stands
 from tests.master.test_recording import wait_for_file
 
@@ -128,7 +128,7 @@ def test_what_is_refused_when_the_drives_have_power_has_another_status(run: Run,
     async def refuse(*_: object) -> None:
         raise PlanRefused("it cannot be planned", seen="nothing")
 
-    monkeypatch.setattr("canopen_cli.move.legs_of", refuse)
+    monkeypatch.setattr("canopen_cli.motion.move.legs_of", refuse)
     assert run(*DEMO, "--to", "1,1,1,1,1,1").status == ExitCode.DRIVE_FAULT
 
 

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import pytest
 import trio
 
-from canopen_cli import net_boot, net_support
 from canopen_cli.app import CLOSED_PIPE
-from canopen_cli.fleet import Fleet, simulated_devices
-from canopen_cli.problem import ExitCode
-from canopen_cli.screen import Screen
+from canopen_cli.net import boot as net_boot
+from canopen_cli.net import support as net_support
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.screen import Screen
 from canopen_data.configured import with_configured
 from canopen_data.describing import describe
 from canopen_data.description import Commissioning
@@ -26,17 +26,18 @@ from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import write_eds
 from canopen_master.machine_file import BootSettings, read_machine
 from canopen_master.network_booting import network_boot
-from canopen_master.simulation import DeviceMaker
-from canopen_proto.boot.network_boot import NetworkBoot
-from canopen_proto.boot_loader import BootLoader, BootLoaderSettings, ProgramMemory
+from canopen_master.simulation.fleet import Fleet, simulated_devices
+from canopen_master.simulation.host import DeviceMaker
 from canopen_proto.datatypes import Value
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND
+from canopen_proto.manager.boot.network_boot import NetworkBoot
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand
+from canopen_proto.simulation.boot_loader import BootLoader, BootLoaderSettings, ProgramMemory
 from canopen_transports.log_files import LogReader
 from tests.cli.cli_support import Alarm, Run, runner_in_folder
-from tests.proto.full_device import full_device
+from tests.core.full_device import full_device
 
 DEMO = ("-b", "demo")
 CELL = """

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from canopen_data.descriptions import load_description
 from canopen_master.whole_file import whole_file
 from canopen_proto.abort import AbortCode
 from tests.cli.backup_world import Lasting, answering, change, lasting_device
 from tests.cli.cli_support import Run, runner_in_folder
-from tests.proto.devices import TEXT
-from tests.proto.restore_bench import GAIN
+from tests.core.devices import TEXT
+from tests.manager.restore_bench import GAIN
 
 OLD = "what was there"
 DEMO = ("-b", "demo")

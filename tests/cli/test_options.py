@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 import pytest
 
-from canopen_cli.options import Duration, Fault, NodeIds, Settings, node_id_of
-from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.values import as_json, hex_text, parse_value, value_text
+from canopen_cli.shared.options import Duration, Fault, NodeIds, Settings, node_id_of
+from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.values import as_json, hex_text, parse_value, value_text
 from canopen_data import load_dictionary
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import ConstantNotFound, Object, ObjectDictionary, Variable

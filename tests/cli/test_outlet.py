@@ -11,9 +11,9 @@ from typing import IO
 import pytest
 import trio
 
-from canopen_cli import outlet
-from canopen_cli.outlet import Outlet, open_outlet
-from canopen_cli.screen import Screen
+from canopen_cli.live import outlet
+from canopen_cli.live.outlet import Outlet, open_outlet
+from canopen_cli.shared.screen import Screen
 
 LINE = "x" * 99
 MANY = 3000

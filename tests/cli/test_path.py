@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_cli.path import MAX_ACCELERATION, MAX_SPEED, Path
+from canopen_cli.demo.path import MAX_ACCELERATION, MAX_SPEED, Path
 
 STEP = 0.002
 

@@ -12,7 +12,7 @@ from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
 from canopen_master.planning import Background, Exchange, bounds, plan, simulate, streams_of
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports.wire import QueueOrder
 from tests.cli.cli_support import Run, runner
 from tests.examples import examples

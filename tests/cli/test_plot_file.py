@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.courses import Course, Courses, accelerations, courses_of_record, velocities
-from canopen_cli.fleet import Fleet
-from canopen_cli.motion_plot import write_motion_plot
-from canopen_cli.problem import ExitCode
+from canopen_cli.plot.courses import Course, Courses, accelerations, courses_of_record, velocities
+from canopen_cli.plot.motion import write_motion_plot
+from canopen_cli.shared.problem import ExitCode
 from canopen_master import read_record
 from canopen_master.motion.record_files import CsvFile
+from canopen_master.simulation.fleet import Fleet
 from tests.cli.cli_support import TWO, Alarm, Run
 from tests.master.test_recording import pyarrow, wait_for_file
 

@@ -18,29 +18,29 @@ import trio
 
 from canopen_cli import entry
 from canopen_cli.app import main
-from canopen_cli.failures import in_words_of_files, problem_of
-from canopen_cli.problem import ExitCode, Problem
-from canopen_cli.running import notes_of
-from canopen_cli.screen import Screen
+from canopen_cli.shared.failures import in_words_of_files, problem_of
+from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.running import notes_of
+from canopen_cli.shared.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_master import errors
-from canopen_master.channel_claim import ChannelTaken
-from canopen_master.hooks import ScriptError
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.set_point_check import FASTER, NO_SCALE
-from canopen_master.parameter_keeper import StateFileError
+from canopen_master.participant.channel_claim import ChannelTaken
+from canopen_master.simulation.hooks import ScriptError
+from canopen_master.simulation.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.drive import DriveFault, HomingFailed, ModeUnsupported
-from canopen_proto.drive.axis import Axis
+from canopen_proto.drives.axis import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.machine import LocalProtocolError, Outbox
+from canopen_proto.manager.programs.download import ProgramDownload, ProgramDownloadFailed
 from canopen_proto.procedures.objects import UnexpectedLength
-from canopen_proto.procedures.program_download import ProgramDownload, ProgramDownloadFailed
 from canopen_proto.procedures.steps import ProcedureError, SdoFailed
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports import TransportError
 from canopen_transports.log_files import LogFileError
 from tests.cli.cli_support import TWO_JOINTS
@@ -320,8 +320,8 @@ def test_the_rest_is_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from canopen_cli.options import Settings
-    from canopen_cli.running import run
+    from canopen_cli.shared.options import Settings
+    from canopen_cli.shared.running import run
 
     async def command() -> None:
         try:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from canopen_master.machine_file import read_machine
 from tests.cli.cli_support import Run
 

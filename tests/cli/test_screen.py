@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.screen import Screen
+from canopen_cli.shared.screen import Screen
 from tests.cli.cli_support import Run, runner
 
 

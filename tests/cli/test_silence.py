@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_cli import session
-from canopen_cli.failures import advice, problem_of
-from canopen_cli.problem import ExitCode, Problem
+from canopen_cli.shared import session
+from canopen_cli.shared.failures import advice, problem_of
+from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_master.silence import LONGER, SCAN

@@ -7,17 +7,17 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_cli.fleet import simulated_devices
-from canopen_cli.options import Settings
-from canopen_cli.problem import ExitCode
-from canopen_cli.sim_devices import models, wanted
+from canopen_cli.shared.options import Settings
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.simulation.devices import models, wanted
 from canopen_master import open_master
-from canopen_master.hooks import Script, ScriptError
-from canopen_master.parameter_keeper import ParameterKeeper
-from canopen_master.plant import DeviceEntry
-from canopen_master.simulation import DeviceModel
+from canopen_master.simulation.fleet import simulated_devices
+from canopen_master.simulation.hooks import Script, ScriptError
+from canopen_master.simulation.host import DeviceModel
+from canopen_master.simulation.parameter_keeper import ParameterKeeper
+from canopen_master.simulation.plant import DeviceEntry
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulation.drive.node import DriveNode
 from tests.cli.cli_support import Run, runner
 from tests.master.world import BUS, virtual_time
 

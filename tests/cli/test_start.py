@@ -16,9 +16,13 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 
-from canopen_cli import app, drive, eds, lss, net
-from canopen_cli.lazy import LazyGroup
-from canopen_cli.problem import ExitCode
+from canopen_cli import app
+from canopen_cli.drive import group as drive
+from canopen_cli.eds import group as eds
+from canopen_cli.lss import group as lss
+from canopen_cli.net import group as net
+from canopen_cli.shared.lazy import LazyGroup
+from canopen_cli.shared.problem import ExitCode
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
 
@@ -46,9 +50,8 @@ def test_version_and_help_import_click_and_next_to_nothing_of_ours(option: str) 
     ended = python(WHAT_IS_IMPORTED, option)
     assert ended.returncode == 0, ended.stderr
     ours, _, others = ended.stdout.splitlines()[-1].partition(" | ")
-    command = {
-        f"canopen_cli.{name}" for name in ("app", "chosen_machine", "entry", "importing", "lazy", "options", "problem", "streams")
-    }
+    shared = ("chosen_machine", "importing", "lazy", "options", "problem", "streams")
+    command = {f"canopen_cli.{name}" for name in ("app", "entry", "shared", *(f"shared.{each}" for each in shared))}
     assert set(ours.split()) == command | {
         f"canopen_proto.{name}" for name in ("compiling", "explained", "frame", "lazy_names", "machine")
     }
@@ -102,7 +105,7 @@ import os, signal, sys
 from canopen_cli.entry import main
 class Finder:
     def find_spec(self, name, *rest):
-        if name == "canopen_cli.scan":
+        if name == "canopen_cli.bus.scan":
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Finder())
 sys.exit(main())

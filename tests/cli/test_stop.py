@@ -15,20 +15,20 @@ import trio
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_cli import session
-from canopen_cli.fleet import Fleet, simulated_fleet
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared import session
+from canopen_cli.shared.problem import ExitCode
 from canopen_master.master import Master
 from canopen_master.session import open_master
-from canopen_master.simulation import DeviceMaker
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
+from canopen_master.simulation.fleet import Fleet, simulated_fleet
+from canopen_master.simulation.host import DeviceMaker
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.plant import Mechanics
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.plant import Mechanics
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import VirtualTransport
 from tests.cli.cli_support import Run, runner
 from tests.examples import examples

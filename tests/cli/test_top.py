@@ -10,8 +10,8 @@ import pytest
 import trio
 from rich.console import Console, RenderableType
 
-from canopen_cli import live_source
-from canopen_cli.top_view import SILENT, BusShown, TopView, is_silent, picture
+from canopen_cli.live import source as live_source
+from canopen_cli.live.top_view import SILENT, BusShown, TopView, is_silent, picture
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.bus_view import BusView

@@ -15,12 +15,12 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_cli import live_source
-from canopen_cli.fleet import DEMO_LOCATOR, Fleet, simulated_fleet
+from canopen_cli.live import source as live_source
+from canopen_master.simulation.fleet import DEMO_LOCATOR, Fleet, simulated_fleet
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import open_transport
 from canopen_transports.log_files import LogReader
 from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
@@ -251,7 +251,7 @@ def test_no_room_for_what_is_printed_ends_it(run: Run, monkeypatch: pytest.Monke
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("canopen_cli.watch._tell_json", full)
+    monkeypatch.setattr("canopen_cli.live.watch._tell_json", full)
     outcome = run("watch", "3", "6041", *DEMO, "--seconds", "5", "--json")
     assert (outcome.status, "CO341" in outcome.err) == (6, True)
 

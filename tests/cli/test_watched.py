@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from rich.console import Console, RenderableType
 
-from canopen_cli.braille import curve
-from canopen_cli.watch_polling import Load, load_text
-from canopen_cli.watch_view import Around, age_text, picture, plain
-from canopen_cli.watched import FRESH, SLOTS, Watched
+from canopen_cli.live.braille import curve
+from canopen_cli.live.watch_polling import Load, load_text
+from canopen_cli.live.watch_view import Around, age_text, picture, plain
+from canopen_cli.live.watched import FRESH, SLOTS, Watched
 from canopen_data import load_dictionary
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable

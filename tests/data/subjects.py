@@ -12,7 +12,6 @@ from enum import Enum
 from typing import Any, Final
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.boot_loader import BootLoader, BootLoaderSettings
 from canopen_proto.dictionary import Direction, Object, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -21,10 +20,11 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import ObjectAccessPending
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulation.boot_loader import BootLoader, BootLoaderSettings
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_proto.sync import SyncConsumer
-from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device, whole_device
+from tests.core.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device, whole_device
 
 NODE: Final = 5
 

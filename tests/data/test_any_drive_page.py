@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from canopen_data.descriptions import load_description
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode, short_name
 from canopen_proto.dictionary import Direction
-from canopen_proto.drive.motion_plan import MODES, MotionPlan, NoMotionPlan, plan_motion
+from canopen_proto.drives.axis.motion_plan import MODES, MotionPlan, NoMotionPlan, plan_motion
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode, short_name
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of, mapped
 from canopen_proto.pdo.settings import PdoSettings
 from tests import vendor_files
-from tests.proto.test_motion_plan import assert_writable
+from tests.drives.test_motion_plan import assert_writable
 
 PAGE = Path(__file__).parents[2] / "docs" / "any-drive.md"
 NODE = 3

@@ -21,10 +21,10 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import Time
-from canopen_proto.procedures.backup import Backup, Reading, ReadResult, back_up, same_value
-from canopen_proto.procedures.restore import plan_restore, restore
+from canopen_proto.manager.parameters.backup import Backup, Reading, ReadResult, back_up, same_value
+from canopen_proto.manager.parameters.restore import plan_restore, restore
 from tests.examples import examples
-from tests.proto.restore_bench import Bench
+from tests.manager.restore_bench import Bench
 
 TYPES = {0x2000 + each: each for each in DataType}
 DESCRIBED = ObjectDictionary(

@@ -10,11 +10,11 @@ import canopen_data
 from canopen_data import CHAIN_FILES, DICTIONARY_FILES, DataError
 from canopen_data.csv import DictionaryError
 from canopen_data.findings import Severity
-from canopen_proto.cia402.modes import HomingStatus, describe_status
-from canopen_proto.cia402.names import names_in_mode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, ConstantNotFound, Direction, Filler, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.drives.cia402.modes import HomingStatus, describe_status
+from canopen_proto.drives.cia402.names import names_in_mode
 
 
 @pytest.fixture(autouse=True)

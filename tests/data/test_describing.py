@@ -9,7 +9,7 @@ from canopen_data.describing import describe, identified
 from canopen_data.description import DeviceInfo, FileInfo, FileKind
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Variable
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 
 
 def test_what_follows_from_the_objects() -> None:

@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 
 from canopen_data.drive_from_file import NEEDED, SHOWN, drive_dictionary_of, drive_obstacle
-from canopen_proto.cia402 import objects
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
-from canopen_proto.simulated_drive.fallbacks import FALLBACKS, UNSET_BY_ZERO
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
-from tests.proto.device_bench import START, DeviceBench
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.simulation.drive.fallbacks import FALLBACKS, UNSET_BY_ZERO
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
+from tests.core.device_bench import START, DeviceBench
 
 BASE = [standard_object(index) for index in (0x1000, 0x6040, 0x6041, 0x6060, 0x6061, 0x6064, 0x6081, 0x6065, 0x6502)]
 

@@ -17,9 +17,9 @@ from canopen_data.eds.writer_sections import sections_of
 from canopen_data.xdd.reader import read_xdd
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
+from tests.core.generated_dictionaries import descriptions, values_of
 from tests.data.test_eds_writer import SAMPLE
 from tests.examples import examples
-from tests.proto.generated_dictionaries import descriptions, values_of
 from tests.vendor_files import INI_NAMES, XDD_NAMES, load, needs_vendor_files
 
 

@@ -17,7 +17,7 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 
 SAMPLE = """\
 ; a file of a maker

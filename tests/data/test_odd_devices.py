@@ -20,8 +20,8 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Outbox
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectAccessPending
+from tests.core.device_bench import RESET_NODE, START, SYNC, DeviceBench
 from tests.examples import examples
-from tests.proto.device_bench import RESET_NODE, START, SYNC, DeviceBench
 
 
 def var(index: int, data_type: DataType = DataType.UNSIGNED32, default: Value | None = None, **more: Any) -> Object:

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from canopen_data.findings import DictionaryError, Severity
 from canopen_data.overlay import lay_over, lay_tables_over
 from canopen_data.toml_file import MAX_TEXT
-from canopen_proto.cia402.names import is_drive, with_drive_names
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Constant, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.drives.cia402.names import is_drive, with_drive_names
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from tests.examples import examples
 
 DICTIONARY = ObjectDictionary(

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from canopen_data.findings import DictionaryError
 from canopen_data.path_file import Between, read_path, write_path
-from canopen_proto.trajectory import PathError, cubic, linear, quintic
+from canopen_proto.drives.trajectory import PathError, cubic, linear, quintic
 from tests.examples import examples
 
 POSITIONS = "time, shoulder, elbow\n0, 0, 10\n0.5, 1.5, 8\n1.5, 1, 9\n"

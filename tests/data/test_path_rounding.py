@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from canopen_data.findings import DictionaryError
 from canopen_data.path_file import PathFile, read_path
-from canopen_proto.trajectory.fitting import MAX_SMOOTHED, is_rounded, smoothed
-from canopen_proto.trajectory.limit_check import demands_of
+from canopen_proto.drives.trajectory.fitting import MAX_SMOOTHED, is_rounded, smoothed
+from canopen_proto.drives.trajectory.limit_check import demands_of
 from tests.examples import examples
 
 COUNT = 200

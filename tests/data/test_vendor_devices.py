@@ -14,15 +14,15 @@ from canopen_data.descriptions import load_description
 from canopen_data.device_notices import notices_of
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.names import is_drive
+from canopen_proto.drives.cia402.names import is_drive
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoUploaded
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from tests.vendor_files import ALL_NAMES, needs_vendor_files, path_of
 
 pytestmark = needs_vendor_files

@@ -10,9 +10,9 @@ from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Direction, Variable
-from canopen_proto.linking import MASTER, End, Link, LinkError, Member, Timing, plan_links
-from canopen_proto.procedures.pdo_slots import entry_of, slots_of
-from tests.proto.linked_devices import OBJECTS, Linked, member
+from canopen_proto.manager.linking import MASTER, End, Link, LinkError, Member, Timing, plan_links
+from canopen_proto.pdo.slots import entry_of, slots_of
+from tests.manager.linked_devices import OBJECTS, Linked, member
 from tests.vendor_files import ALL_NAMES, needs_vendor_files, path_of
 
 pytestmark = needs_vendor_files

@@ -9,7 +9,7 @@ from typing import Any
 
 import canopen
 
-from tests.proto import cia402_oracle as cia402
+from tests.simulation import cia402_oracle as cia402
 
 STEPS = 4
 """From the start of a motion to its end."""

@@ -5,12 +5,12 @@ That our device answers as theirs did is in test_recorded_sessions.py.
 
 from __future__ import annotations
 
-from canopen_proto.boot.assignment import Assignment, Startup
-from canopen_proto.boot.entry import BootEntry, NetworkEntry
-from canopen_proto.boot.network_boot import BootReport, NetworkBoot
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.concise import from_concise, pack_concise
 from canopen_proto.machine import MILLISECOND
+from canopen_proto.manager.boot.assignment import Assignment, Startup
+from canopen_proto.manager.boot.entry import BootEntry, NetworkEntry
+from canopen_proto.manager.boot.network_boot import BootReport, NetworkBoot
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster
 from canopen_proto.procedures.runner import ProcedureFinished

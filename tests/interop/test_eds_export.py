@@ -16,10 +16,10 @@ from canopen_data.description import DeviceDescription, DeviceInfo, FileKind
 from canopen_data.eds.writer import write_eds
 from canopen_proto.datatypes import DataType, Value, is_integer, is_signed
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import Shape
+from tests.core.generated_dictionaries import descriptions
 from tests.examples import examples
-from tests.proto.generated_dictionaries import descriptions
 
 NODE_ID = 5
 _LIMITED = (1, 2, 4, 8)

@@ -13,9 +13,9 @@ from canopen_proto.guarding import LifeGuardingLost
 from canopen_proto.local_node import LocalNode
 from canopen_proto.nmt import NmtState
 from canopen_proto.time_stamp import TimeReceived
+from tests.core.devices import INPUT, io_device
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_dictionary, peer_network
-from tests.proto.devices import INPUT, io_device
 
 NODE, OTHER = 5, 9
 

@@ -11,7 +11,7 @@ from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssState
 from canopen_proto.lss.slave import LssSlave, LssStoreRequested
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtState
-from tests.proto.lss_bench import device_dictionary, random_addresses
+from tests.lss.lss_bench import device_dictionary, random_addresses
 
 
 class Rig:

@@ -17,8 +17,8 @@ from canopen_proto.lss.messages import (
 )
 from canopen_proto.lss.slave import LssSlave
 from canopen_proto.machine import Outbox
+from tests.core.bus import take_events, take_frames
 from tests.interop.recorded import load
-from tests.proto.bus import take_events, take_frames
 
 SESSIONS = {
     "canopennode-lss-selective": (LssAddress(0, 1, 0, 3), 4),

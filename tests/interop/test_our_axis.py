@@ -6,21 +6,21 @@ from collections.abc import Iterator
 
 import pytest
 
-from canopen_proto import drive
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.settings import AxisSettings
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import SECOND
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import ProcedureFailed
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_dictionary, peer_network
 from tests.interop.peer_drive import PeerDrive
-from tests.proto import cia402_oracle as cia402
+from tests.simulation import cia402_oracle as cia402
 
 NODE = 5
 HAS = (

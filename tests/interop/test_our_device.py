@@ -13,10 +13,10 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.sdo.server import ObjectAccessPending
+from tests.core.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device
 from tests.interop.device_rig import NODE, Rig
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_network
-from tests.proto.devices import INPUT, LIMITED, OUTPUT, TEXT, io_device
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from functools import partial
 import pytest
 from canopen.profiles.p402 import BaseNode402, OperationMode
 
-from canopen_proto.cia402.states import State
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from tests.interop.device_rig import NODE, Rig
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_network

@@ -14,16 +14,16 @@ from canopen_proto.emcy import EmcyReceived
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtMaster, NmtState
+from canopen_proto.pdo.configure import configure_pdo, define_pdo, use_device_pdo
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.configure_pdo import configure_pdo, define_pdo, use_device_pdo
 from canopen_proto.procedures.objects import read, read_if_present, write
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived
+from tests.core.devices import INPUT, LIMITED, OUTPUT, io_device
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_dictionary, peer_network
-from tests.proto.devices import INPUT, LIMITED, OUTPUT, io_device
 
 NODE = 5
 DOMAIN, WIDE, FLOAT = 0x2010, 0x2011, 0x2012

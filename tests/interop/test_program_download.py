@@ -9,13 +9,13 @@ from contextlib import ExitStack
 import canopen
 import pytest
 
-from canopen_proto.boot_loader import BootLoader, BootLoaderSettings
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.programs import ProgramControl
+from canopen_proto.manager.programs.identity import ProgramControl
+from canopen_proto.simulation.boot_loader import BootLoader, BootLoaderSettings
+from tests.core.block_pair import pattern
 from tests.interop.device_rig import NODE, Rig
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_network
-from tests.proto.block_pair import pattern
 
 DATA, CONTROL, IDENTIFICATION, STATUS = 0x1F50, 0x1F51, 0x1F56, 0x1F57
 IMAGE = pattern(1000)

@@ -22,9 +22,9 @@ from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.sync import SyncProducer
 from canopen_proto.time_stamp import TimeProducer
+from tests.core.device_bench import DeviceBench
+from tests.core.devices import io_device
 from tests.interop.pcap import TSHARK, Reading, Session, Sessions, check_whole
-from tests.proto.device_bench import DeviceBench
-from tests.proto.devices import io_device
 
 pytestmark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed (apt-get install tshark)")
 

@@ -17,8 +17,8 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.sdo.client import SdoAborted, SdoClient, SdoUploaded
 from canopen_proto.sdo.server import SdoServer
+from tests.core.bus import Bus
 from tests.interop.pcap import TSHARK, Packet, Reading, Session, Sessions, check_whole
-from tests.proto.bus import Bus
 
 pytestmark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed (apt-get install tshark)")
 

@@ -18,14 +18,14 @@ from canopen_master import (
     open_master,
     simulate,
 )
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.drive_bit import DriveBit
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.drive_bit import DriveBit
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings
 from tests.master.world import Link, arm_of, drives, position_of
 
 TENTH = 100 * MILLISECOND

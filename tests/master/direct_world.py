@@ -16,12 +16,12 @@ import trio
 from canopen_master import Host, session, simulate
 from canopen_master.direct.background import Background
 from canopen_master.direct.drive import COUNTS
-from canopen_master.simulation import IN_PROCESS, DeviceMaker
-from canopen_proto.drive import following
+from canopen_master.simulation.host import IN_PROCESS, DeviceMaker
+from canopen_proto.drives.axis import following
+from canopen_proto.drives.axis.grip import Grip
 from canopen_proto.machine import SECOND
-from canopen_proto.procedures.grip import Grip
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_transports import open_transport
 
 LIMIT = 60.0

@@ -11,14 +11,14 @@ from functools import partial
 import trio
 
 from canopen_master import Device, Grip, Master, open_master
-from canopen_proto import drive
 from canopen_proto.dictionary import Direction
-from canopen_proto.drive.axis import AxisSettings
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.procedures.configure_pdo import use_device_pdo
+from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.procedures.objects import read_int, write
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 
 FAR = DriveSettings(position=0, track=Track(negative_limit=-1e9, positive_limit=1e9))
 """A drive for which the switch that homing looks for is far away, and the other one too."""

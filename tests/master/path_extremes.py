@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from canopen_proto.trajectory import JointLimits, Path
+from canopen_proto.drives.trajectory import JointLimits, Path
 
 
 class Extremes(NamedTuple):

@@ -13,11 +13,11 @@ from itertools import pairwise
 import trio
 
 from canopen_master import AxisSettings, Chain, ChainSettings, Host, Master, open_master, standard_drives
-from canopen_master.simulation import DeviceMaker
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
-from canopen_proto.trajectory import JointLimits, Path, Segment
+from canopen_master.simulation.host import DeviceMaker
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.trajectory import JointLimits, Path, Segment
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
 from tests.master.world import drives, simulated
 

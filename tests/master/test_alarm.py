@@ -9,7 +9,7 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master.alarm import Alarm, CoarseAlarm, FineAlarm, best_alarm
+from canopen_master.participant.alarm import Alarm, CoarseAlarm, FineAlarm, best_alarm
 from tests.transports.support import run
 
 

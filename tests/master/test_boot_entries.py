@@ -14,10 +14,10 @@ from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_master.machine_file import read_machine
 from canopen_master.machine_file.boot_entries import BusNetwork, Program, network_of, stamp_of
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_proto.boot.assignment import Assignment, Startup
-from canopen_proto.boot.entry import BootEntry, NetworkEntry
 from canopen_proto.dictionary.concise import pack_concise
 from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.manager.boot.assignment import Assignment, Startup
+from canopen_proto.manager.boot.entry import BootEntry, NetworkEntry
 from canopen_proto.multiplexer import mux
 
 HEAD = "[buses.can0]\n[nodes.lamp]\nid = 5\n"

@@ -13,7 +13,7 @@ import trio
 from canopen_master import AxisSettings, Chain, ChainError, ChainFault, ChainSettings, Host, Master, open_master, standard_drives
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.nmt import NmtState
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from tests.master.path_world import AXIS, DRIVE, RAMPS, swing
 from tests.master.world import drives, simulated, value, virtual_time
 

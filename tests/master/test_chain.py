@@ -15,8 +15,8 @@ from canopen_master import (
     standard_drives,
 )
 from canopen_master.motion.cycles import SetPoints
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, AxisSettings, HomingStyle
+from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, SCHUNK_POWERBALL, AxisSettings, HomingStyle
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_transports import open_transport

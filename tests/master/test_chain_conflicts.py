@@ -17,15 +17,15 @@ from canopen_master import (
     JointDescription,
     open_master,
 )
-from canopen_proto import drive
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND, Outbox
 from canopen_proto.nmt import NmtState
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import Transport, open_transport
 from tests.master.world import (
     BUS,

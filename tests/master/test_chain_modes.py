@@ -14,19 +14,19 @@ import trio
 from canopen_master import Chain, ChainError, ChainFault, ChainSettings, ChainState, Host, Master, open_master
 from canopen_master.motion.joint_procedures import meet
 from canopen_proto import indices
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drive.axis import AxisSettings
-from canopen_proto.drive.motion_plan import NoMotionPlan
-from canopen_proto.drive.slow_position import HANDSHAKE_TIME
+from canopen_proto.drives.axis.axis import AxisSettings
+from canopen_proto.drives.axis.motion_plan import NoMotionPlan
+from canopen_proto.drives.axis.slow_position import HANDSHAKE_TIME
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.multiplexer import mux
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings
+from tests.drives.drive_dictionaries import NOTHING_MAPPABLE, Changes, changed, empty_pdos, supports, unmappable, without_pdos
 from tests.master.world import BUS, arm_of, drives, position_of, simulated, virtual_time
-from tests.proto.drive_dictionaries import NOTHING_MAPPABLE, Changes, changed, empty_pdos, supports, unmappable, without_pdos
 
 DEGREES = AxisSettings(counts_per_unit=1000, max_speed=20.0, following_error_limit=1.0)
 HERE = 3.0

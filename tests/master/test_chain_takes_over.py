@@ -10,10 +10,10 @@ import trio
 
 from canopen_master import Chain, ChainError, ChainHalted, Host, open_master, standard_drives
 from canopen_proto.application import PlainMemory
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
 RAMP = 40_000

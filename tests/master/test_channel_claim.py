@@ -11,7 +11,7 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master.channel_claim import LONG, SHORT, ChannelTaken, channel_claim, channel_free
+from canopen_master.participant.channel_claim import LONG, SHORT, ChannelTaken, channel_claim, channel_free
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
 BUS = f"tcp:127.0.0.1:{os.getpid()}"
@@ -84,7 +84,7 @@ def test_a_bus_in_the_process_and_a_log_need_no_claim() -> None:
 def test_the_kernel_releases_the_claim_of_a_process_that_is_killed() -> None:
     script = f"""
 import trio
-from canopen_master.channel_claim import channel_claim
+from canopen_master.participant.channel_claim import channel_claim
 async def main():
     async with channel_claim({BUS!r}, 7):
         print("claimed", flush=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from canopen_master import SCHUNK_POWERBALL, AxisSettings, ChainError, ChainSettings, HomingStyle, open_master, standard_drives
-from canopen_proto.cia402.states import State
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from tests.master.world import BUS, arm_of, chain_text, simulated, virtual_time
 

@@ -9,10 +9,10 @@ import pytest
 from canopen_data import DataError
 from canopen_master import BusError, HaltNotConfirmed, SdoRefused, SdoTimeout, direct
 from canopen_master.direct import AlreadyConnected, NotConnected, Session
-from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import ConstantNotFound, ObjectNotFound
-from canopen_proto.drive import ModeUnsupported
+from canopen_proto.drives.axis import ModeUnsupported
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.steps import SdoFailed, StepTimeout

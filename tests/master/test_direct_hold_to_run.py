@@ -12,11 +12,11 @@ from canopen_master import ChainSettings, open_master, standard_drives
 from canopen_master.direct import Session, hold_to_run
 from canopen_master.direct.drive import COUNTS, DirectDrive
 from canopen_master.direct.hold_to_run import move_while_held
-from canopen_proto.cia402.objects import HOMING_METHOD, POSITION_ACTUAL_VALUE
-from canopen_proto.cia402.states import State
-from canopen_proto.drive import DriveFault
+from canopen_proto.drives.axis import DriveFault
+from canopen_proto.drives.cia402.objects import HOMING_METHOD, POSITION_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulation.drive.node import DriveNode
 from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices
 from tests.master.world import BUS, drives, simulated, virtual_time
 

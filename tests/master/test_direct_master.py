@@ -25,13 +25,13 @@ from canopen_master import (
     read_record,
 )
 from canopen_master.direct import NotConnected, Session
-from canopen_master.simulation import DeviceMaker
-from canopen_proto.cia402.states import State
+from canopen_master.simulation.host import DeviceMaker
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.drives.trajectory import Path as JointPath
+from canopen_proto.drives.trajectory import Segment
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.trajectory import Path as JointPath
-from canopen_proto.trajectory import Segment
 from canopen_transports import TransportError
 from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices, near_home, until
 

@@ -7,13 +7,13 @@ import pytest
 
 from canopen_master import MasterClosed, NodeSilent, standard_drives
 from canopen_master.direct import Session
-from canopen_proto.cia402.states import State
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import PdoNotFound
-from canopen_proto.drive import DriveFault
+from canopen_proto.drives.axis import DriveFault
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.configure_pdo import PdoRefused
+from canopen_proto.pdo.configure import PdoRefused
 from canopen_proto.procedures.steps import ProcedureError
 from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices, until
 

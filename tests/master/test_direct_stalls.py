@@ -20,18 +20,18 @@ from canopen_master.direct import Session
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import COUNTS, DirectDrive
 from canopen_master.direct.hand_sync import HandSync
-from canopen_master.participant import ON_TIME
-from canopen_master.simulation import IN_PROCESS
+from canopen_master.participant.participant import ON_TIME
+from canopen_master.simulation.host import IN_PROCESS
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.states import State
-from canopen_proto.drive import DriveError
+from canopen_proto.drives.axis import DriveError
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import ProcedureError
-from canopen_proto.simulated_drive.answers import Answer
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import SYNC_TOLERANCE
+from canopen_proto.simulation.drive.answers import Answer
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE
 from canopen_transports import VirtualTransport
 from tests.examples import examples
 from tests.master.direct_world import devices

@@ -1,6 +1,6 @@
 """A set-point of `direct` that waits in the drive for a SYNC undoes nothing: no halt, no brake, and not the master's way out.
 
-tests/proto/test_held_rpdos.py has the property for each command; here it is what a script can do.
+tests/core/test_held_rpdos.py has the property for each command; here it is what a script can do.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import trio
 
 from canopen_master import open_master
 from canopen_master.direct.drive import COUNTS, DirectDrive
-from canopen_proto.cia402.objects import CONTROLWORD
-from canopen_proto.cia402.states import State
+from canopen_proto.drives.cia402.objects import CONTROLWORD
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.nmt import NmtCommand
 from canopen_transports import VirtualTransport

@@ -11,19 +11,19 @@ import trio
 
 from canopen_master import Grip, HaltNotConfirmed, Host, Master, MasterError, Node, NodeIdTaken, open_master, standard_drives
 from canopen_master.grip import LOGGER
-from canopen_proto import drive
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.axis.grip import NotHeldError
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.procedures.configure_pdo import use_device_pdo
-from canopen_proto.procedures.grip import NotHeldError
+from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import download
 from canopen_proto.sdo.client import SdoDownloaded
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports import open_transport
 from tests.master.motions import FAR
 from tests.master.world import BUS, Link, arm_of, drives, simulated, value, virtual_time

@@ -6,7 +6,7 @@ import pytest
 import trio
 
 from canopen_master import BusError, MasterClosed, NodeSilent, Subscription, open_master, powerballs
-from canopen_master.subscription import QUEUE_SIZE
+from canopen_master.participant.subscription import QUEUE_SIZE
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted

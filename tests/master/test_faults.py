@@ -9,8 +9,8 @@ import trio
 import trio.testing
 
 from canopen_master import Chain, ChainError, ChainFault, ChainState, Host, open_master, powerballs, simulate
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.axis import SCHUNK_POWERBALL
+from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
 from tests.master.world import (

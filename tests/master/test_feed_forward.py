@@ -14,13 +14,13 @@ import trio
 
 from canopen_master import Chain, ChainSettings, ChainState, PathRefused
 from canopen_master.motion.path_motion import Torques
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary import Direction
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.trajectory import Path, PathPoint, Segment
+from canopen_proto.pdo.configure import configure_pdo, use_device_pdo
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.configure_pdo import configure_pdo, use_device_pdo
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.trajectory import Path, PathPoint, Segment
+from canopen_proto.simulation.drive.node import DriveNode
 from tests.master.path_world import AXIS, COUNTS, CYCLE, arms, swing
 from tests.master.world import drives, value, virtual_time
 

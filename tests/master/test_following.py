@@ -20,20 +20,20 @@ import trio
 
 from canopen_data import load_dictionary
 from canopen_master import Chain, ChainFault, ChainSettings, ChainState, Host, open_master, simulate
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.objects import (
+from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL, HomingStyle
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.objects import (
     FOLLOWING_ERROR_WINDOW,
     MODES_OF_OPERATION_DISPLAY,
     PROFILE_DECELERATION,
     QUICK_STOP_DECELERATION,
 )
-from canopen_proto.cia402.states import State, state_of
-from canopen_proto.drive.axis import SCHUNK_POWERBALL, HomingStyle
+from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, Frame
 from canopen_proto.nmt import NmtState
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import Transport
 from tests.master.world import BUS, Link, chain_text, drives, position_of, value, virtual_time
 

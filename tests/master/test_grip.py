@@ -24,16 +24,16 @@ from canopen_master import (
     standard_drives,
 )
 from canopen_master.grip import LOGGER
-from canopen_proto import drive
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, NotHeldError
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import ForeignHeartbeat
 from canopen_proto.machine import SECOND
 from canopen_proto.multiplexer import mux
-from canopen_proto.procedures.grip import DEFAULT_GRIP, NotHeldError
 from canopen_proto.procedures.steps import ProcedureError
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import open_transport
 from tests.master.motions import FAR, MOTIONS, SPEED
 from tests.master.world import BUS, Link, arm_of, drives, simulated, value, virtual_time

@@ -10,9 +10,9 @@ import pytest
 import trio
 
 from canopen_master import Host, simulate, standard_drives
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import open_transport
 from canopen_transports.tcp import BusServer, serve_bus
 from tests.master.motions import FAR, NODES

@@ -11,9 +11,9 @@ import trio
 
 from canopen_master import Host, Master, open_master
 from canopen_master.errors import NodeError, SdoError
-from canopen_master.hooks import MAX_FAILURES, Hooks, Script, ScriptError
-from canopen_master.parameter_keeper import ParameterKeeper
-from canopen_master.simulation import DeviceModel
+from canopen_master.simulation.hooks import MAX_FAILURES, Hooks, Script, ScriptError
+from canopen_master.simulation.host import DeviceModel
+from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
@@ -24,8 +24,8 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.multiplexed import MpdoReceived
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_transports import open_transport
 from tests.master.world import BUS, virtual_time
 

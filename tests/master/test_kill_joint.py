@@ -1,6 +1,6 @@
 """A joint that dies stops its chain, in every mode of chains: the others stand within a named detection time and their ramp.
 
-How the motion of the dead joint itself ends stands in tests/proto/test_kill_table.py.
+How the motion of the dead joint itself ends stands in tests/drives/test_kill_table.py.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import pytest
 import trio
 
 from canopen_master import ChainFault
-from canopen_proto.cia402.states import State
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand
+from tests.drives.drive_dictionaries import changed, empty_pdos, supports
 from tests.master.cell import Joint, homed_arm
 from tests.master.world import virtual_time
-from tests.proto.drive_dictionaries import changed, empty_pdos, supports
 
 CYCLE = 0.04  # seconds, of homed_arm
 SPEED = 0.01 / CYCLE * 180_000 / 3.14159  # counts per second

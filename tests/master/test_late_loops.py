@@ -14,7 +14,7 @@ from trio.testing import MockClock
 
 from canopen_master import Cycle
 from canopen_master.motion.late_sync import RETURN
-from canopen_proto.drive.limits import DEFAULT_SPEED
+from canopen_proto.drives.axis.limits import DEFAULT_SPEED
 from canopen_transports import open_transport
 from tests.examples import examples
 from tests.master.world import BUS, following_arm, virtual_time

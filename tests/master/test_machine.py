@@ -15,11 +15,11 @@ from canopen_master.direct import Session
 from canopen_master.errors import ChainError, SetPointRefused
 from canopen_master.machine_file import machine_of_chains, machine_text, parse_machine
 from canopen_master.motion.chain_file import parse_chains
-from canopen_proto.drive.units import Unit
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.axis.units import Unit
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from tests.master.direct_world import PATIENT, devices, near_home
 from tests.master.world import drives, position_of, simulated, virtual_time
 

@@ -35,14 +35,14 @@ from canopen_master.machine_file import (
 )
 from canopen_master.machine_file.kinds import KINDS, kind_of
 from canopen_master.machine_file.reader import KEYS, MODES, chain_defaults
-from canopen_master.plant import DeviceEntry
-from canopen_proto.cia402.drive_bit import DriveBit
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.drive.settings import MODE_CHANGE_STATES, AxisSettings, HomingStyle
-from canopen_proto.drive.units import Unit
+from canopen_master.simulation.plant import DeviceEntry
+from canopen_proto.drives.axis.grip import Grip
+from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES, AxisSettings, HomingStyle
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.cia402.drive_bit import DriveBit
+from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import Mux, mux
-from canopen_proto.procedures.grip import Grip
 from tests.examples import examples
 
 CELL = """

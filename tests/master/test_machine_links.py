@@ -18,15 +18,15 @@ from canopen_master.machine_file.link_entries import KEYS
 from canopen_master.machine_file.links import linked_buses, linked_writes, plan_bus
 from canopen_proto.dictionary import Direction
 from canopen_proto.dictionary.concise import pack_concise
-from canopen_proto.linking import MASTER, End, Link, LinkPlan, Timing
 from canopen_proto.machine import MILLISECOND
+from canopen_proto.manager.linking import MASTER, End, Link, LinkPlan, Timing
 from canopen_proto.network import Network
 from canopen_proto.pdo import PdoReceived
+from canopen_proto.pdo.of_device import exchange_device_pdos
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.device_pdos import exchange_device_pdos
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
-from tests.proto.linked_devices import Linked
+from tests.manager.linked_devices import Linked
 
 NODES = """
 [buses.left]

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from canopen_master import AxisSettings, ChainError, ChainHalted, MotionReplaced, PlanRefused, together
 from canopen_master.motion.moving import Moving
-from canopen_proto.trajectory import Path, Segment
+from canopen_proto.drives.trajectory import Path, Segment
 from tests.examples import examples
 from tests.master.path_world import CYCLE, Record, arms, swing
 from tests.master.world import virtual_time

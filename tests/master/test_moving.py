@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from trio.testing import MockClock
 
 from canopen_master import ChainError, ChainHalted, ChainState, MotionReplaced, PathRefused, PlanRefused, Progress, together
+from canopen_proto.drives.trajectory import Path, PathError, Segment, from_function
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.trajectory import Path, PathError, Segment, from_function
 from tests.examples import examples
 from tests.master.direct_world import patient
 from tests.master.path_world import AXIS, CYCLE, Record, arms, swing

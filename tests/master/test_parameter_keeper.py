@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from canopen_master.parameter_keeper import MAX_FILE_SIZE, ParameterKeeper, StateFileError
+from canopen_master.simulation.parameter_keeper import MAX_FILE_SIZE, ParameterKeeper, StateFileError
 from canopen_proto.lss.messages import LssConfiguration
 
 PARAMETERS = {0x101700: b"\xf4\x01", 0x200105: b""}

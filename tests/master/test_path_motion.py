@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from canopen_master import ChainHalted, ChainState, together
 from canopen_master.motion.moving import Moving
-from canopen_proto.trajectory import Path
+from canopen_proto.drives.trajectory import Path
 from tests.examples import examples
 from tests.master.path_world import CYCLE, arms, swing
 from tests.master.world import virtual_time

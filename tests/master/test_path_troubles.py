@@ -13,7 +13,7 @@ from trio.testing import MockClock
 from canopen_master import AxisSettings, ChainError, ChainFault, ChainHalted, ChainState, MasterClosed, open_master, together
 from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.simulated_drive.answers import Answer
+from canopen_proto.simulation.drive.answers import Answer
 from tests.master.direct_world import patient
 from tests.master.path_world import AXIS, Record, arms, swing
 from tests.master.test_moving import assert_within_limits

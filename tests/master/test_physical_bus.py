@@ -5,7 +5,7 @@ from __future__ import annotations
 import trio
 
 from canopen_master import open_master
-from canopen_master.simulation import powerballs, simulate
+from canopen_master.simulation.host import powerballs, simulate
 from canopen_proto.heartbeat import HeartbeatLost
 from canopen_transports import open_transport
 from canopen_transports.virtual_wire import WireTransport

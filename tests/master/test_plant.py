@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_data.findings import DictionaryError
-from canopen_master.plant import DeviceEntry, parse_plant
+from canopen_master.simulation.plant import DeviceEntry, parse_plant
 
 TEXT = """
 bus = "udp_multicast"

@@ -12,7 +12,7 @@ import pytest
 
 from canopen_master.errors import PackageMissing, PlanRefused
 from canopen_master.trajectories.point_to_point import RESERVE, plan
-from canopen_proto.trajectory import JointLimits, Path, PathPoint
+from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint
 from tests.master.path_extremes import assert_keeps, extremes
 
 ruckig = pytest.importorskip("ruckig")

@@ -10,13 +10,13 @@ import trio
 
 from canopen_master import ChainHalted, ChainState, DeviceModel, Master, open_master
 from canopen_master.direct.drive import DirectDrive
-from canopen_master.dispatch import ProcedureTakenBack
 from canopen_master.motion.supervision import Supervision
-from canopen_master.participant import ProcedureSlot
-from canopen_proto.cia402.states import State
+from canopen_master.participant.dispatch import ProcedureTakenBack
+from canopen_master.participant.participant import ProcedureSlot
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.drive.following import FollowingLost
+from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, act, sleep

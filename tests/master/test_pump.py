@@ -4,7 +4,7 @@ import pytest
 import trio
 
 from canopen_master import BusChanged, BusError, FramesLost, FramesNotSent, open_master
-from canopen_master.bus import MAX_SEND_QUEUE
+from canopen_master.participant.bus import MAX_SEND_QUEUE
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read

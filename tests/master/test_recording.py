@@ -19,8 +19,8 @@ from canopen_master.motion import recording
 from canopen_master.motion.record_files import CsvFile
 from canopen_master.motion.record_format import OF_CHAIN, OF_JOINT, RecordedJoint, RecordError, is_whole
 from canopen_master.motion.record_reader import Record, is_record, read_record
-from canopen_proto.drive.axis import AxisSettings
-from canopen_proto.drive.units import Unit
+from canopen_proto.drives.axis.axis import AxisSettings
+from canopen_proto.drives.axis.units import Unit
 from tests.master.world import BUS, arm_of, following_arm, simulated, virtual_time
 
 CYCLES = 30

@@ -17,13 +17,13 @@ from canopen_master import (
     MasterError,
     open_master,
 )
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import BusState, BusStateChanged, Received, Report
+from tests.drives.drive_dictionaries import changed, empty_pdos, supports
 from tests.master.cell import GRIP, assert_moves, assert_moves_back, chain_of, fails, homed_arm, joints, move
 from tests.master.world import Link, position_of, value, virtual_time
-from tests.proto.drive_dictionaries import changed, empty_pdos, supports
 
 # ---- emergency stop ----
 

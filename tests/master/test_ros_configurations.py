@@ -26,9 +26,9 @@ from canopen_master.machine_file import (
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.ros_configurations import Choices, Imported, Outcome, import_configuration
 from canopen_master.ros_configurations.yaml_text import Value, read_yaml
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.units import Unit
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MILLISECOND, SECOND
 from tests import vendor_files
 from tests.examples import examples

@@ -8,9 +8,9 @@ import trio
 
 from canopen_master import BusError, Chain, HaltNotConfirmed, Master, MasterClosed, open_master, standard_drives
 from canopen_master.session import SHUTDOWN_TIME
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.drives.cia402.states import State
 from canopen_transports import VirtualTransport
 from canopen_transports.record import Record
 from canopen_transports.tracing import overheard

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 
 from canopen_master import Chain, Host, Master, SetPointRefused, open_master, standard_drives
 from canopen_master.direct.drive import COUNTS, STEPS, DirectDrive
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.axis import AxisSettings
-from canopen_proto.drive.limits import DEFAULT_SPEED
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
+from canopen_proto.drives.axis.axis import AxisSettings
+from canopen_proto.drives.axis.limits import DEFAULT_SPEED
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports import open_transport
 from tests.examples import examples
 from tests.master.world import BUS, arm_of, drives, following_arm, simulated, virtual_time

@@ -16,15 +16,15 @@ from canopen_master.direct.drive import DirectDrive
 from canopen_master.machine_file.reader import parse_machine
 from canopen_master.machine_file.writer import machine_text
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
-from canopen_proto import drive
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.states import State, state_of
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.machine import LocalProtocolError, Outbox
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtState
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 TWO = drive_dictionary(axes=2)

@@ -6,22 +6,22 @@ import pytest
 import trio
 
 from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
-from canopen_master.parameter_keeper import ParameterKeeper
+from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import NodeBooted
 from canopen_proto.local_node import LocalNode
+from canopen_proto.lss.assign import Assignment, assign_all, in_order
 from canopen_proto.lss.messages import UNCONFIGURED
+from canopen_proto.lss.scan import LssTool
 from canopen_proto.machine import Event, Outbox
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.lss_assign import Assignment, assign_all, in_order
-from canopen_proto.procedures.lss_scan import LssTool
 from canopen_proto.sdo.server import ObjectWritten
-from canopen_proto.simulated_drive.node import powerball
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.node import powerball
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import BusState, BusStateChanged, Report, open_transport
+from tests.core.devices import io_device
 from tests.master.test_pump_abilities import Able
 from tests.master.world import BUS, Breakable, virtual_time
-from tests.proto.devices import io_device
 
 
 @virtual_time

@@ -7,13 +7,13 @@ import trio
 
 from canopen_master import HaltNotConfirmed, Master, open_master
 from canopen_master.session import SHUTDOWN_TIME
-from canopen_master.simulation import standard_drives
-from canopen_proto import drive
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.cia402.objects import PROFILE_DECELERATION
+from canopen_master.simulation.host import standard_drives
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.drives.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 SPEED = 50_000

@@ -16,8 +16,8 @@ from trio.testing import MockClock
 from canopen_master import Chain, ChainFault, ChainHalted
 from canopen_master.motion.late_sync import WithinReach
 from canopen_proto.abort import AbortCode
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.simulated_drive.answers import Answer
+from canopen_proto.drives.cia402.modes import Mode
+from canopen_proto.simulation.drive.answers import Answer
 from tests.examples import examples
 from tests.master.path_world import AXIS, COUNTS, CYCLE, Record, arms, swing
 from tests.master.test_moving import assert_within_limits

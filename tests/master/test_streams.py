@@ -32,9 +32,9 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.sdo.block import SUB_BLOCK_SIZE
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_transports import Transport, open_transport
+from tests.core.block_pair import pattern
+from tests.core.devices import io_device
 from tests.master.world import BUS, Breakable, simulated, virtual_time
-from tests.proto.block_pair import pattern
-from tests.proto.devices import io_device
 
 IMAGE = 0x1F50
 ABORTED = "605#80501F0100000008"

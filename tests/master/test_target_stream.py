@@ -13,7 +13,7 @@ import pytest
 from canopen_master.errors import PackageMissing, PlanRefused
 from canopen_master.trajectories.point_to_point import plan
 from canopen_master.trajectories.target_stream import TargetStream
-from canopen_proto.trajectory import JointLimits, PathPoint
+from canopen_proto.drives.trajectory import JointLimits, PathPoint
 
 pytest.importorskip("ruckig")
 

@@ -14,7 +14,7 @@ import pytest
 from canopen_master.errors import PlanRefused
 from canopen_master.trajectories.point_to_point import RESERVE
 from canopen_master.trajectories.through_points import through_points
-from canopen_proto.trajectory import JointLimits, Path, PathClock, first_violation
+from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, first_violation
 from tests.master.path_extremes import assert_keeps, extremes
 
 LIMITS = JointLimits(-90.0, 90.0, 100.0, 400.0, 4000.0)

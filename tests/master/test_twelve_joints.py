@@ -13,11 +13,11 @@ import trio
 from canopen_master import ChainSettings, open_master, standard_drives
 from canopen_master.exchanges import exchange_of_plans
 from canopen_master.planning import Background, plan
+from canopen_proto.drives.trajectory import from_function
 from canopen_proto.frame_bits import least_bits, worst_bits
 from canopen_proto.machine import SECOND
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.settings import DriveSettings, Track
-from canopen_proto.trajectory import from_function
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import WireTransport
 from tests.examples import takes_all
 from tests.master.path_world import AXIS, COUNTS, RAMPS

@@ -17,18 +17,18 @@ import trio
 
 from canopen_master import AxisSettings, HaltNotConfirmed, HomingStyle, Host, Master, open_master
 from canopen_proto.application import PlainMemory
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode, ModeControl
-from canopen_proto.cia402.states import Command
 from canopen_proto.dictionary import Direction
-from canopen_proto.drive import command, enable, set_mode
-from canopen_proto.drive.axis import Axis
-from canopen_proto.procedures.configure_pdo import use_device_pdo
+from canopen_proto.drives.axis import command, enable, set_mode
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode, ModeControl
+from canopen_proto.drives.cia402.states import Command
+from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, act, all_of
-from canopen_proto.simulated_drive.dictionary import drive_dictionary
-from canopen_proto.simulated_drive.node import DriveNode
-from canopen_proto.simulated_drive.settings import DriveSettings, Shape, Track
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_proto.sync import SyncSent
 from tests.examples import takes_all
 from tests.master.world import BUS, drives, simulated, value, virtual_time

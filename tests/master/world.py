@@ -12,10 +12,10 @@ import trio
 import trio.testing
 
 from canopen_master import Chain, ChainSettings, Host, Master, open_master, powerballs, simulate
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
-from canopen_proto.cia402.states import State
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import Received, TransportError, VirtualTransport, open_transport
 
 BUS = "virtual:test"

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import trio
 
-from canopen_master.simulation import Host
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
-from canopen_proto.simulated_drive.node import DriveNode
+from canopen_master.simulation.host import Host
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.chain_bridge import ChainBridge
 from canopen_ros.parameters import NodeParameters

@@ -10,7 +10,7 @@ import trio
 
 from canopen_master import BusError
 from canopen_master.errors import MasterClosed
-from canopen_proto.cia402.states import POWERED
+from canopen_proto.drives.cia402.states import POWERED
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.diagnostics import Level
 from canopen_ros.goals import Outcome, TrajectoryGoal, TrajectoryPoint

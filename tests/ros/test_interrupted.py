@@ -8,7 +8,7 @@ import pytest
 import trio
 from trio.lowlevel import Task
 
-from canopen_proto.cia402.states import POWERED
+from canopen_proto.drives.cia402.states import POWERED
 from canopen_ros.reply import Reply
 from tests.examples import takes_all
 from tests.master.world import virtual_time

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 
 import pytest
 
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from canopen_master.ros_configurations.yaml_text import Value, read_yaml
 from canopen_ros import names
 from canopen_ros.parameters import NodeParameters

@@ -30,10 +30,10 @@ import canopen_master
 import canopen_proto
 import canopen_ros
 import canopen_transports
-from canopen_cli.fleet import DEMO_NODES, Fleet, drive_maker, simulated_devices
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE
-from canopen_proto.cia402.states import State
-from canopen_proto.simulated_drive.settings import Shape
+from canopen_master.simulation.fleet import DEMO_NODES, Fleet, drive_maker, simulated_devices
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.simulation.drive.settings import Shape
 from canopen_transports.tcp import BusServer, serve_bus
 
 T = TypeVar("T")

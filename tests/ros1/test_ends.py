@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.fleet import DEMO_NODES
-from canopen_proto.cia402.states import POWERED, State
+from canopen_master.simulation.fleet import DEMO_NODES
+from canopen_proto.drives.cia402.states import POWERED, State
 from tests.ros1.ros_world import Client, Drives, Process, Ros, needs_ros, until
 
 pytestmark = needs_ros

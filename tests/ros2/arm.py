@@ -16,7 +16,7 @@ from types import TracebackType
 import trio
 
 from canopen_master import Host, powerballs, simulate
-from canopen_proto.cia402 import objects
+from canopen_proto.drives.cia402 import objects
 from canopen_transports import open_transport
 from canopen_transports.tcp import BusServer, serve_bus
 from tests.master.world import drives, value

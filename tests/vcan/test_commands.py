@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.problem import ExitCode
 from tests.cli.test_demos import NEAR, numbers, without_numbers
 from tests.master.test_direct_script import environment
 from tests.vcan.support import needs_vcan, raw_socket

@@ -1,4 +1,4 @@
-"""The keys of the terminal, for demos that block: each call waits for the answer of `canopen_cli.terminal_keys`."""
+"""The keys of the terminal, for demos that block: each call waits for the answer of `canopen_cli.shared.terminal_keys`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Final, TypeVar
 
 import trio
 
-from canopen_cli.jog import is_terminal
-from canopen_cli.problem import usage
-from canopen_cli.terminal_keys import END, Keys, key_by_key, read_terminal
+from canopen_cli.motion.jog import is_terminal
+from canopen_cli.shared.problem import usage
+from canopen_cli.shared.terminal_keys import END, Keys, key_by_key, read_terminal
 
 T = TypeVar("T")
 

@@ -9,9 +9,9 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from canopen_cli.failures import problem_of
-from canopen_cli.options import node_id_of
-from canopen_cli.problem import ExitCode
+from canopen_cli.shared.failures import problem_of
+from canopen_cli.shared.options import node_id_of
+from canopen_cli.shared.problem import ExitCode
 from canopen_master import direct as canopen
 from canopen_master.plain_text import clean_lines
 

@@ -19,8 +19,8 @@ from canopen_master.motion.chain import Chain, ChainState
 from canopen_master.motion.chain_file import ChainDescription
 from canopen_master.motion.cycles import Cycle, Cycles
 from canopen_master.motion.recording import Recorder
+from canopen_proto.drives.trajectory import Path
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.trajectory import Path
 
 R = TypeVar("R")
 

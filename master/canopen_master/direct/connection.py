@@ -17,14 +17,14 @@ import trio
 from canopen_data import DataError, load_dictionary
 from canopen_data.findings import DictionaryError
 from canopen_master.direct.background import Background
-from canopen_master.dispatch import ProcedureTakenBack
 from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
 from canopen_master.machine_file import MachineFile
 from canopen_master.master import Master
+from canopen_master.participant.dispatch import ProcedureTakenBack
 from canopen_master.session import MasterSession, open_master
-from canopen_master.simulation import IN_PROCESS, DeviceMaker, powerballs, simulate
+from canopen_master.simulation.host import IN_PROCESS, DeviceMaker, powerballs, simulate
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import TransportError, open_transport
 from canopen_transports.realtime import Realtime

@@ -34,32 +34,32 @@ from canopen_master.motion.joint_procedures import awake, follow, quietly, stop
 from canopen_master.motion.late_sync import WithinReach
 from canopen_master.motion.set_point_check import check_limits
 from canopen_master.motion.supervision import late_sync_reason
-from canopen_master.participant import ProcedureSlot
+from canopen_master.participant.participant import ProcedureSlot
 from canopen_master.silence import missing_frame
-from canopen_proto import drive
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.states import State
 from canopen_proto.dictionary import Direction, PdoDescription
-from canopen_proto.drive.axis import AxisSettings
-from canopen_proto.drive.following import FollowingLost
-from canopen_proto.drive.identity import identify
-from canopen_proto.drive.limits import read_limits
-from canopen_proto.drive.reasons import Reason
-from canopen_proto.drive.settings import HomingStyle
-from canopen_proto.drive.unsent import read_unsent
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.axis.axis import AxisSettings
+from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.identity import identify
+from canopen_proto.drives.axis.limits import read_limits
+from canopen_proto.drives.axis.reasons import Reason
+from canopen_proto.drives.axis.settings import HomingStyle
+from canopen_proto.drives.axis.unsent import read_unsent
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.drives.trajectory import JointLimits
 from canopen_proto.frame import routing_key
 from canopen_proto.machine import MILLISECOND, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
+from canopen_proto.pdo.configure import define_pdo
 from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.pdo.described import CYCLIC_TYPES
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
-from canopen_proto.procedures.configure_pdo import define_pdo
-from canopen_proto.procedures.described_pdos import CYCLIC_TYPES
 from canopen_proto.procedures.objects import ABSENT, read_int, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
 from canopen_proto.sync import SyncReceived, SyncSent
-from canopen_proto.trajectory import JointLimits
 
 T = TypeVar("T")
 
@@ -118,7 +118,7 @@ class DirectDrive:
         master.watch((SyncSent, SyncReceived), self._on_sync, bus)
 
     async def reset_fault(self) -> None:
-        """Reset a fault, as canopen_proto.drive.reset_fault does. Start the node first if a program has left it stopped."""
+        """Reset a fault, as canopen_proto.drives.axis.reset_fault does. Start the node first if a program has left it stopped."""
         if STATUSWORD in self.node.dictionary:
             await self._run(awake(self.node, STATUSWORD))
         await self._run(drive.reset_fault(self.axis))

@@ -24,7 +24,7 @@ import trio
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.gap_guard import GapGuard
-from canopen_master.participant import ON_TIME
+from canopen_master.participant.participant import ON_TIME
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.sync import SyncReceived, SyncSent
 

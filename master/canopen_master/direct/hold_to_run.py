@@ -13,9 +13,9 @@ from canopen_master.errors import MasterError
 from canopen_master.motion.gap_guard import MOST_LOOKS
 from canopen_master.motion.target_motion import DEAD_MAN
 from canopen_master.trajectories.target_stream import TargetStream
+from canopen_proto.drives.trajectory import PathPoint
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.steps import ProcedureError
-from canopen_proto.trajectory import PathPoint
 
 
 async def move_while_held(drive: DirectDrive, speed: float, held: Callable[[], bool]) -> None:

@@ -41,16 +41,16 @@ from canopen_master.master import Master
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_master.node import Node
-from canopen_master.simulation import patient_cycles
-from canopen_proto.cia402.states import State, state_of
+from canopen_master.simulation.host import patient_cycles
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Message, ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.drive import read_position
+from canopen_proto.drives.axis import read_position
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
 from canopen_transports.realtime import Realtime
 
 R = TypeVar("R")

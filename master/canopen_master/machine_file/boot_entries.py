@@ -25,12 +25,12 @@ from canopen_master.machine_file.booting import MAX_MILLISECONDS, BootSettings, 
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.model import MachineFile, NodeEntry
 from canopen_proto import indices
-from canopen_proto.boot.assignment import Assignment, Startup
-from canopen_proto.boot.entry import CONSUMER_FACTOR, BootEntry, NetworkEntry
 from canopen_proto.dictionary.concise import ConciseError, from_concise, pack_concise
 from canopen_proto.dictionary.download_order import Write, download_order, settings_of
 from canopen_proto.dictionary.roles import Role, roles_in
 from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.manager.boot.assignment import Assignment, Startup
+from canopen_proto.manager.boot.entry import CONSUMER_FACTOR, BootEntry, NetworkEntry
 from canopen_proto.multiplexer import mux_text, split_mux
 
 CONCISE: Final = (".cdcf", ".bin")

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from canopen_master.machine_file.model import BusEntry, ChainEntry, JointEntry, MachineFile, NodeEntry
 from canopen_master.motion.chain_file import ChainDescription
-from canopen_master.plant import DeviceEntry
+from canopen_master.simulation.plant import DeviceEntry
 
 
 def machine_of_chains(chains: Sequence[ChainDescription], locators: Mapping[str, str] | None = None) -> MachineFile:

@@ -14,10 +14,10 @@ from typing import Any, Final, TypeVar
 from canopen_data.durations import duration_text, parse_duration
 from canopen_data.toml_file import BOOLEAN, INTEGER, NUMBER, Kind, TomlTable, one_of, text
 from canopen_master.machine_file.booting import LossReaction, StartOrder
-from canopen_proto.cia402.drive_bit import DriveBit
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.settings import MODE_CHANGE_STATES, HomingStyle
-from canopen_proto.drive.units import Unit
+from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES, HomingStyle
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.cia402.drive_bit import DriveBit
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux, split_mux
 

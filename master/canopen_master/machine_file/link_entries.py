@@ -1,4 +1,4 @@
-"""`[[links]]` of a machine file: "this object feeds that one", as `Link`s of canopen_proto.linking.
+"""`[[links]]` of a machine file: "this object feeds that one", as `Link`s of canopen_proto.manager.linking.
 
 An end is a text: the name of a node (or of a joint), a blank, and an object of it; or "master" alone. Names have no blanks.
 """
@@ -13,9 +13,9 @@ from canopen_data.toml_file import BOOLEAN, Kind, TomlReading, TomlTable, texts
 from canopen_master.machine_file.kinds import DURATION
 from canopen_master.machine_file.model import JointEntry, NodeEntry
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.linking import MASTER, End, Link, Timing
-from canopen_proto.linking.model import MAX_EVERY
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.manager.linking import MASTER, End, Link, Timing
+from canopen_proto.manager.linking.model import MAX_EVERY
 
 LINKS: Final = "links"
 _TIMES: Final = ("inhibit_time", "event_timer", "timeout")

@@ -19,16 +19,16 @@ from canopen_master.machine_file.boot_entries import network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.link_entries import LINKS, name_of
 from canopen_master.machine_file.model import ChainEntry, JointEntry, MachineFile, NodeEntry
-from canopen_proto.cia402.axes import swapped
-from canopen_proto.cia402.objects import CONTROLWORD, MODES_OF_OPERATION
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.download_order import Write
 from canopen_proto.dictionary.roles import SET_POINTS
-from canopen_proto.drive.motion_plan import NoMotionPlan, plan_motion
-from canopen_proto.linking import LinkError, LinkPlan, Member, plan_links
+from canopen_proto.drives.axis.motion_plan import NoMotionPlan, plan_motion
+from canopen_proto.drives.cia402.axes import swapped
+from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION
+from canopen_proto.manager.linking import LinkError, LinkPlan, Member, plan_links
 from canopen_proto.multiplexer import mux
+from canopen_proto.pdo.described import EACH_SYNC
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.described_pdos import EACH_SYNC
 
 _DIGITAL_OUTPUTS: Final = 0x60FE
 """Of a drive: they move nothing, and may serve something else."""

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from canopen_master.machine_file.booting import BootSettings, NetworkSettings
 from canopen_master.motion.chain import ChainSettings
-from canopen_master.plant import DeviceEntry
-from canopen_proto.drive.settings import AxisSettings
-from canopen_proto.linking import Link
+from canopen_master.simulation.plant import DeviceEntry
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.procedures.grip import DEFAULT_GRIP, Grip
+from canopen_proto.manager.linking import Link
 from canopen_transports.realtime import Realtime
 
 

@@ -19,15 +19,15 @@ from canopen_master.machine_file.kinds import DURATION, names_of, take_settings
 from canopen_master.machine_file.link_entries import LINKS, take_links
 from canopen_master.machine_file.model import BusEntry, ChainEntry, JointEntry, MachineFile, MasterEntry, NodeEntry
 from canopen_master.motion.chain import ChainSettings
-from canopen_master.plant import DEVICE_KEYS, FILE, device_of, is_node_id
-from canopen_proto.cia402.axes import MAX_AXES
-from canopen_proto.cia402.modes import Mode
+from canopen_master.simulation.plant import DEVICE_KEYS, FILE, device_of, is_node_id
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.drive.settings import AxisSettings
-from canopen_proto.drive.units import DriveUnits, Unit
+from canopen_proto.drives.axis.grip import Grip
+from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.axis.units import DriveUnits, Unit
+from canopen_proto.drives.cia402.axes import MAX_AXES
+from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import SECOND
-from canopen_proto.procedures.grip import Grip
 from canopen_transports import TransportError, parse_bitrate
 from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.realtime import Realtime

@@ -10,8 +10,8 @@ from canopen_master.machine_file.kinds import settings_table
 from canopen_master.machine_file.link_entries import LINKS, links_tables
 from canopen_master.machine_file.model import BusEntry, ChainEntry, MachineFile, MasterEntry, NodeEntry
 from canopen_master.machine_file.reader import MODES, chain_defaults
-from canopen_master.plant import AUTOMATIC
-from canopen_proto.procedures.grip import DEFAULT_GRIP
+from canopen_master.simulation.plant import AUTOMATIC
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP
 from canopen_transports.locator import bitrate_text
 
 

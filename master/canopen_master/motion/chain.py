@@ -18,7 +18,7 @@ that took set-points along, so a late loop makes the path slower (see cycles.py)
 
 **Nothing jumps.** Every motion begins with joints that stand: initialise, home, enable_interpolated_position and recover halt a
 chain that follows set-points, and wait for a halt under way. Then the procedure itself halts each joint once more and sees that
-it stands (canopen_proto.drive.halt); a joint that does not stand is an error.
+it stands (canopen_proto.drives.axis.halt); a joint that does not stand is an error.
 
 **A joint that follows set-points has no other motion command** (`drive.AxisBusy`). A stop of one joint (`drive.halt` ...) takes
 over and halts the chain.
@@ -38,7 +38,6 @@ from typing import Final, NamedTuple, TypeVar, cast
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.dispatch import ProcedureTakenBack
 from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
 from canopen_master.motion.bus_room import make_room
 from canopen_master.motion.chain_errors import (
@@ -73,11 +72,12 @@ from canopen_master.motion.moving import Moving
 from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.recording import Recorder, recording
 from canopen_master.motion.supervision import Supervision
-from canopen_master.participant import Participant, ProcedureSlot
-from canopen_proto.cia402.modes import Mode, short_name
-from canopen_proto.cia402.states import POWERED
-from canopen_proto.drive import home, home_if_needed
-from canopen_proto.drive.reasons import Reason
+from canopen_master.participant.dispatch import ProcedureTakenBack
+from canopen_master.participant.participant import Participant, ProcedureSlot
+from canopen_proto.drives.axis import home, home_if_needed
+from canopen_proto.drives.axis.reasons import Reason
+from canopen_proto.drives.cia402.modes import Mode, short_name
+from canopen_proto.drives.cia402.states import POWERED
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent

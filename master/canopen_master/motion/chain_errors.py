@@ -21,10 +21,10 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.drive import DriveError, DriveFault, ReferenceLost
-from canopen_proto.drive.reasons import Reason, outer_reason
+from canopen_proto.drives.axis import DriveError, DriveFault, ReferenceLost
+from canopen_proto.drives.axis.grip import NotHeldError
+from canopen_proto.drives.axis.reasons import Reason, outer_reason
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures.grip import NotHeldError
 from canopen_proto.procedures.steps import SdoFailed
 
 FIND: Final = "find the cause"

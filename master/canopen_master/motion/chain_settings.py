@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from canopen_proto.cia402.modes import Mode, short_name
-from canopen_proto.drive.following import SILENT_SYNCS
-from canopen_proto.drive.motion_plan import MODES
+from canopen_proto.drives.axis.following import SILENT_SYNCS
+from canopen_proto.drives.axis.motion_plan import MODES
+from canopen_proto.drives.cia402.modes import Mode, short_name
 from canopen_proto.machine import LocalProtocolError
 
 MAX_MISSED_CYCLES: Final = 10
@@ -20,15 +20,15 @@ class ChainSettings:
 
     rpdo, tpdo: which PDOs of PDOs.csv are exchanged with each joint. define_pdos: have them declared to the devices
     (`definePDO`), for devices that do not come with them. own_pdos: exchange instead what the joint's own dictionary (an EDS,
-    a DCF) has PDOs for, by a plan (canopen_proto.drive.motion_plan), and set the device up like that where it is not; a joint
-    whose dictionary has no PDO exchanges rpdo and tpdo, unless mode is None. Further axes of a node do so in any case.
+    a DCF) has PDOs for, by a plan (canopen_proto.drives.axis.motion_plan), and set the device up like that where it is not; a
+    joint whose dictionary has no PDO exchanges rpdo and tpdo, unless mode is None. Further axes of a node do so in any case.
     `Device.plan` is that plan.
 
     max_step: the largest step of a set-point from one cycle to the next, in the user's unit, besides what the joint's own limits
     allow; None for no such limit. max_missed_cycles: in a row, until the chain is halted. max_silent_cycles: in a row, of a joint
     that does not send its PDO, until the chain is stopped; and 20 ms at least, since adapters hold frames back.
 
-    mode: in which the joints follow set-points: ip, csp, or pp, which is slow (see canopen_proto.drive.slow_position). None: the
+    mode: in which the joints follow set-points: ip, csp, or pp, which is slow (slow_position.py of the core). None: the
     best one for each joint, by its own dictionary; own_pdos is implied. Raises LocalProtocolError for any other mode.
 
     feed_forward: with own_pdos: give joints one more RPDO for what is fed forward. In csp the velocity of a path (0x60B1) and

@@ -10,16 +10,16 @@ from collections.abc import Collection, Mapping
 from typing import TypeVar
 
 from canopen_master.node import Node
-from canopen_master.subscription import Subscription
-from canopen_proto.cia402.axes import axes_of
-from canopen_proto.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
-from canopen_proto.cia402.states import State
-from canopen_proto.drive.axis import Axis
-from canopen_proto.drive.following import Following
-from canopen_proto.drive.limits import limits_of
-from canopen_proto.drive.motion_plan import MotionPlan
-from canopen_proto.drive.occupancy import Occupant
-from canopen_proto.drive.view import DriveView
+from canopen_master.participant.subscription import Subscription
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.following import Following
+from canopen_proto.drives.axis.limits import limits_of
+from canopen_proto.drives.axis.motion_plan import MotionPlan
+from canopen_proto.drives.axis.occupancy import Occupant
+from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.cia402.axes import axes_of
+from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import SECOND, Event, Time
 from canopen_proto.multiplexer import Mux

@@ -1,7 +1,7 @@
 """`FeedForward`: what one joint is told beside its position set-points, so that its controller need not wait for an error.
 
     csp    0x60B1, velocity offset, and 0x60B2, torque offset, if an RPDO that is exchanged with the joint maps them
-    ip     the velocity of the data record, in sub-modes that have one (canopen_proto.drive.sub_modes)
+    ip     the velocity of the data record, in sub-modes that have one (canopen_proto.drives.axis.sub_modes)
 
 The velocity goes along by itself. A torque goes along only if the caller gives one: nobody else knows the masses. At rest,
 the velocity is 0; a torque against gravity stays. A drive whose velocity unit is not known is told no velocity.
@@ -11,8 +11,8 @@ Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position mode, interpola
 
 from __future__ import annotations
 
-from canopen_proto.cia402 import objects
-from canopen_proto.drive.axis import Axis
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.multiplexer import Mux
 
 

@@ -16,7 +16,7 @@ from typing import Final, Protocol
 
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import quietly
-from canopen_proto.drive.synchronous import align_position
+from canopen_proto.drives.axis.synchronous import align_position
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of, sleep
 

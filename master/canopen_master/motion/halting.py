@@ -9,9 +9,9 @@ from canopen_master.grip import Grips
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import awake, stop
 from canopen_master.node import Node
-from canopen_proto.cia402.objects import CONTROLWORD, STATUSWORD
-from canopen_proto.cia402.states import POWERED, Command, ControlBit, State, state_of
-from canopen_proto.drive.halting import halt_first
+from canopen_proto.drives.axis.halting import halt_first
+from canopen_proto.drives.cia402.objects import CONTROLWORD, STATUSWORD
+from canopen_proto.drives.cia402.states import POWERED, Command, ControlBit, State, state_of
 from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of, download, upload

@@ -1,4 +1,4 @@
-"""The procedures that a chain runs for each of its joints; the sequences themselves are in canopen_proto.drive."""
+"""The procedures that a chain runs for each of its joints; the sequences themselves are in canopen_proto.drives.axis."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.feed_forward import is_carried
 from canopen_master.node import Node
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.cia402 import objects
-from canopen_proto.cia402.modes import Mode
 from canopen_proto.dictionary import Direction, Key, PdoDescription
-from canopen_proto.drive import (
+from canopen_proto.drives.axis import (
     enable,
     engage_brake,
     halt,
@@ -24,18 +22,20 @@ from canopen_proto.drive import (
     start_cyclic_position,
     start_interpolation,
 )
-from canopen_proto.drive.following import UNCERTAIN, following_limit
-from canopen_proto.drive.identity import identify
-from canopen_proto.drive.limits import Limit, read_limits
-from canopen_proto.drive.motion_plan import exchange_planned, plan_motion, read_modes
-from canopen_proto.drive.reasons import look_closer
-from canopen_proto.drive.slow_position import profile_lag, start_slow_position
-from canopen_proto.drive.sub_modes import LINEAR, PositionAndVelocity
+from canopen_proto.drives.axis.following import UNCERTAIN, following_limit
+from canopen_proto.drives.axis.identity import identify
+from canopen_proto.drives.axis.limits import Limit, read_limits
+from canopen_proto.drives.axis.motion_plan import exchange_planned, plan_motion, read_modes
+from canopen_proto.drives.axis.reasons import look_closer
+from canopen_proto.drives.axis.slow_position import profile_lag, start_slow_position
+from canopen_proto.drives.axis.sub_modes import LINEAR, PositionAndVelocity
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.pdo.configure import define_pdo
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.settings import place_of
-from canopen_proto.procedures.configure_pdo import define_pdo
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
 

@@ -30,10 +30,10 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.path_check import check_now, check_path, check_start, in_steps
 from canopen_master.motion.path_motion import LONGEST_STOP, Course, Follower, Motion, Torques
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamCourse, Targets
+from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
+from canopen_proto.drives.trajectory.path_clock import check_override
+from canopen_proto.drives.trajectory.reserve import Reserve, reserve_in_steps
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
-from canopen_proto.trajectory.path_clock import check_override
-from canopen_proto.trajectory.reserve import Reserve, reserve_in_steps
 
 if TYPE_CHECKING:
     from canopen_master.trajectories.target_stream import TargetStream

@@ -14,8 +14,8 @@ import trio
 
 from canopen_master.errors import PathRefused
 from canopen_master.motion.device import Device
-from canopen_proto.trajectory import JointLimits, Path, PathPoint, Violation, first_violation
-from canopen_proto.trajectory.limit_check import first_violation_in_steps
+from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint, Violation, first_violation
+from canopen_proto.drives.trajectory.limit_check import first_violation_in_steps
 
 START_COUNTS: Final = 2
 """Counts that a joint may be off the start of a path, at least: conversions of units round."""

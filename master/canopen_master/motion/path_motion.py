@@ -1,8 +1,8 @@
 """`Motion`: one motion of the joints of one or several chains: one course, one clock, one stop.
 
 A *course* (`Course`) gives the points of the motion, a period after a period: a path with its clock
-(`canopen_proto.trajectory.PathClock`), or a stream of targets. A motion asks it behind each SYNC, in the pump's turn. Each chain
-takes its joints' part of the point (`Lane`). SYNC is one for all buses, so all chains are at the same point.
+(`canopen_proto.drives.trajectory.PathClock`), or a stream of targets. A motion asks it behind each SYNC, in the pump's turn. Each
+chain takes its joints' part of the point (`Lane`). SYNC is one for all buses, so all chains are at the same point.
 
 **Late cycles.** A period without a SYNC is a period in which the course stands still. Drives brake by themselves then, so behind
 it the course goes on from rest, where it is; joints that have left it come back to it (late_sync.py). A stream of targets goes on
@@ -27,8 +27,8 @@ from canopen_master.errors import PathRefused
 from canopen_master.motion.cycles import Source, SourcePoint
 from canopen_master.motion.device import Device
 from canopen_master.motion.target_motion import StreamCourse
-from canopen_proto.drive.following import LAG
-from canopen_proto.trajectory import PathPoint
+from canopen_proto.drives.axis.following import LAG
+from canopen_proto.drives.trajectory import PathPoint
 
 LONGEST_STOP: Final = 5.0
 """Seconds that joints may take to brake along their path. A path that needs longer is refused."""

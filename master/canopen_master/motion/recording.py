@@ -21,17 +21,17 @@ from typing import Any, Final
 
 import trio
 
-from canopen_master.dispatch import Watcher
 from canopen_master.motion.cycles import SetPoints
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.record_files import open_record
 from canopen_master.motion.record_format import INCOMPLETE, RecordedJoint, RecordError, RecordHead, Row, Value
-from canopen_master.participant import Participant
-from canopen_proto.drive.settings import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_master.participant.dispatch import Watcher
+from canopen_master.participant.participant import Participant
+from canopen_proto.drives.axis.settings import MILLIDEGREES_PER_RADIAN, AxisSettings
+from canopen_proto.drives.trajectory import PathClock
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.sync import SyncSent
-from canopen_proto.trajectory import PathClock
 
 MAX_WAITING: Final = 1_000_000
 """Values that wait to be written: some 30 MB, or half a minute of six joints at 1 ms while a disk does nothing."""

@@ -7,7 +7,7 @@ import math
 from canopen_master.errors import SetPointRefused
 from canopen_master.motion.device import Device
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.drive.limits import Excess
+from canopen_proto.drives.axis.limits import Excess
 from canopen_proto.machine import LocalProtocolError, Time
 
 NO_SCALE = ("give its scale: AxisSettings(counts_per_unit=...) in `axes`, 180_000 / math.pi for millidegrees on the wire",)

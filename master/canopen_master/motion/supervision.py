@@ -1,8 +1,8 @@
 """`Supervision`: tells a chain which of its joints has failed, and why.
 
 From the end of `initialise` to `shut_down` it reports a joint that falls into fault, is reset, no longer sends its heartbeat, or
-no longer answers node guarding. While set-points are followed, it also reports every finding of `canopen_proto.drive.following`,
-which judges the values of each cycle.
+no longer answers node guarding. While set-points are followed, it also reports every finding of
+`canopen_proto.drives.axis.following`, which judges the values of each cycle.
 
 Objects that a joint does not send at SYNCs are read by SDO beside the cycle: with the PDOs of the manual's arm the mode of
 operation (0x6061). The joints take turns, one request behind each SYNC, and none waits for another's answer. So a changed mode is
@@ -17,17 +17,17 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Final
 
-from canopen_master.bus import Bus
 from canopen_master.motion.chain_errors import FIND
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import Followed
-from canopen_master.participant import Participant, ProcedureSlot
-from canopen_proto.cia402.modes import Mode
-from canopen_proto.drive.axis import AxisStateChanged
-from canopen_proto.drive.following import FollowingLost
-from canopen_proto.drive.reasons import Reason
-from canopen_proto.drive.slow_position import feed_targets
-from canopen_proto.drive.unsent import read_unsent
+from canopen_master.participant.bus import Bus
+from canopen_master.participant.participant import Participant, ProcedureSlot
+from canopen_proto.drives.axis.axis import AxisStateChanged
+from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.reasons import Reason
+from canopen_proto.drives.axis.slow_position import feed_targets
+from canopen_proto.drives.axis.unsent import read_unsent
+from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted

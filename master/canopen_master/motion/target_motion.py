@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
 
-from canopen_proto.trajectory import PathPoint
+from canopen_proto.drives.trajectory import PathPoint
 
 if TYPE_CHECKING:
     from canopen_master.trajectories.target_stream import TargetStream

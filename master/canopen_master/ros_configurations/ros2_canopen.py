@@ -20,7 +20,7 @@ from canopen_master.ros_configurations.scale import Contradiction, position_keys
 from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line, rounding_of
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto import indices
-from canopen_proto.cia402.axes import MAX_AXES
+from canopen_proto.drives.cia402.axes import MAX_AXES
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of, mux
 

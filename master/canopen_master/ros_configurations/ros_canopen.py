@@ -16,7 +16,7 @@ from canopen_master.ros_configurations.report import Section, section_of
 from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
 from canopen_master.ros_configurations.unit_expression import Line, NotLinear, read_expression
 from canopen_master.ros_configurations.yaml_text import Value
-from canopen_proto.cia402.objects import CONTROLWORD, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
+from canopen_proto.drives.cia402.objects import CONTROLWORD, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.multiplexer import index_of, mux, split_mux
 from canopen_transports import TransportError

@@ -24,7 +24,7 @@ from canopen_master.trajectories.scaled_joints import (
     ruckig_refused,
     scaled_joints,
 )
-from canopen_proto.trajectory import JointLimits, Path, PathPoint, Segment
+from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint, Segment
 
 RESERVE: Final = 0.2
 """The part of acceleration and jerk that a plan leaves free, so that it can be slowed down and stopped on its own path."""

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 from canopen_master.errors import PackageMissing, PlanRefused, wrong_values
-from canopen_proto.trajectory import JointLimits, PathPoint, Segment
-from canopen_proto.trajectory.polynomial import extremes_of
+from canopen_proto.drives.trajectory import JointLimits, PathPoint, Segment
+from canopen_proto.drives.trajectory.polynomial import extremes_of
 
 _DEGREE_OF_FREEDOM: Final = re.compile(r"\bdof:? (\d+)", re.IGNORECASE)
 """How the texts of ruckig name a joint."""

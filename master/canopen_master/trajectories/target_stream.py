@@ -18,8 +18,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from canopen_master.errors import PlanRefused
 from canopen_master.trajectories.scaled_joints import ScaledJoint, check_values, load_ruckig, ruckig_refused, scaled_joints
-from canopen_proto.trajectory import JointLimits, PathPoint
-from canopen_proto.trajectory.speed_change import SpeedChange
+from canopen_proto.drives.trajectory import JointLimits, PathPoint
+from canopen_proto.drives.trajectory.speed_change import SpeedChange
 
 _TOLERANCE: Final = 1e-9
 """Rounding errors of positions, in seconds at full speed."""

@@ -22,10 +22,10 @@ from canopen_master.errors import PlanRefused
 from canopen_master.trajectories.path_speed import Bend, SmoothedMotion, fastest_profile
 from canopen_master.trajectories.point_to_point import RESERVE
 from canopen_master.trajectories.scaled_joints import ScaledJoint, beyond_limit, check_values, position_excess, scaled_joints
-from canopen_proto.trajectory import JointLimits, Path, PathPoint
-from canopen_proto.trajectory.interpolation import cubic, quintic
-from canopen_proto.trajectory.limit_check import demands_of
-from canopen_proto.trajectory.polynomial import derivative_of, value_at
+from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint
+from canopen_proto.drives.trajectory.interpolation import cubic, quintic
+from canopen_proto.drives.trajectory.limit_check import demands_of
+from canopen_proto.drives.trajectory.polynomial import derivative_of, value_at
 
 NEAREST: Final = 1e-6
 """How far apart two points have to be: the way of this time, in seconds, at full speed."""

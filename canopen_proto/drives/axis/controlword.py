@@ -1,0 +1,119 @@
+"""Send a controlword or a mode of operation to a drive: by an RPDO that carries it, or by SDO."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from canopen_proto.abort import AbortOrigin
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.failures import accounted, is_loss_of, node_lost
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.modes import ModeControl
+from canopen_proto.drives.cia402.states import Command, State
+from canopen_proto.machine import MILLISECOND, Event
+from canopen_proto.multiplexer import Mux
+from canopen_proto.procedures.objects import write
+from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, current_time, sleep
+from canopen_proto.sdo.contention import SPREAD
+from canopen_proto.sync import SyncReceived, SyncSent
+
+SYNC_ALIVE: Final = 500 * MILLISECOND
+"""SYNC counts as running if one was sent or heard within this time. A command waits no longer than this for the next one."""
+
+TRIES: Final = 2
+"""How often a word that stops is sent to a drive that does not confirm it. Each try takes at most one SDO time-out."""
+
+STAYS: Final = {
+    State.SWITCH_ON_DISABLED: Command.DISABLE_VOLTAGE,
+    State.READY_TO_SWITCH_ON: Command.SHUTDOWN,
+    State.SWITCHED_ON: Command.SWITCH_ON,
+    State.QUICK_STOP_ACTIVE: Command.QUICK_STOP,
+    State.FAULT_REACTION_ACTIVE: Command.DISABLE_VOLTAGE,
+    State.FAULT: Command.DISABLE_VOLTAGE,
+}
+"""State -> the command that leaves a drive there. In all of these states the drive follows no set-points."""
+
+
+@accounted
+def insist(axis: Axis, controlword: int) -> Procedure[None]:
+    """Send a controlword that stops the drive, as `command` does; if it is not confirmed send it again, TRIES times in all.
+
+    A write that is not confirmed is otherwise never repeated. A word that stops may be: it does no more the second time. Another
+    SDO client that disturbs it may keep the drive from hearing it, too; so its exchange gets SPREAD to end before the next try.
+    By SDO the word goes before all queued requests of the node.
+    """
+    for left in reversed(range(TRIES)):
+        try:
+            yield from command(axis, controlword, urgent=True)
+            return
+        except SdoFailed as failed:
+            if failed.origin not in (AbortOrigin.TIMEOUT, AbortOrigin.CONTESTED) or not left:
+                raise
+            is_disturbed = failed.origin is AbortOrigin.CONTESTED
+        if is_disturbed:
+            yield from sleep(SPREAD)
+
+
+@accounted
+def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[None]:
+    """Send a controlword to the drive: by the live RPDO that carries it, else by confirmed SDO.
+
+    A synchronous RPDO leaves behind a SYNC, and the drive takes it at the next SYNC (CiA 301 v4.2.0, 7.5.2.35). The command waits
+    for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
+    SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
+    then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: as in
+    `procedures.objects.write`. Raises SdoFailed, NodeLost.
+    """
+    is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
+    if is_start:
+        axis.started_at = (yield from current_time()) + SYNC_ALIVE  # at the latest, if this is cancelled on the way
+    axis.commanded_at = yield from current_time()
+    yield from bring(axis, objects.CONTROLWORD, controlword & 0xFFFF, urgent=urgent)
+    if is_start:
+        axis.started_at = yield from current_time()
+
+
+def bring(axis: Axis, mux: Mux, value: int, *, urgent: bool = False) -> Procedure[None]:
+    """Bring the value of an object to the drive, as `command` brings a controlword.
+
+    From then on the object is ours (`RemoteNode.commanded`): its image keeps this value whatever is read, and a write of it by
+    SDO is not undone by an RPDO that the drive holds. Raises ValueRangeError, with nothing sent, for a value that does not fit.
+    """
+    node = axis.node
+    node.dictionary.variable(mux).encode(value)
+    node.commanded.add(mux)
+    producer = node.rpdo_of(mux)
+    if producer is not None and not producer.is_synchronous:
+        yield from act(lambda now: axis.put(mux, value, now))
+        return
+    last_sync = node.last_sync
+    if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
+        yield from act(lambda now: axis.put(mux, value, now))
+        # An RPDO of transmission type n leaves at every n-th SYNC.
+        if (yield from syncs_passed(axis, max(1, producer.transmission_type) + 1)):
+            return
+    yield from write(node, mux, value, urgent=urgent)
+
+
+def command_held(axis: Axis, controlword: int) -> Procedure[None]:
+    """Put a controlword into each RPDO that the drive holds for a SYNC. Sends nothing if it holds none.
+
+    This is for a drive that `command` does not command, or not yet: no SYNC that comes makes an older word act.
+    """
+    yield from act(lambda now: axis.node.replace_held(objects.CONTROLWORD, controlword, now))
+
+
+def syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
+    """Wait for that many SYNCs; return False if one does not come within SYNC_ALIVE."""
+    node = axis.node
+
+    def concerns(report: Event) -> bool:
+        return isinstance(report, SyncSent | SyncReceived) or is_loss_of(node, report)
+
+    for _ in range(count):
+        report = yield Wait(SYNC_ALIVE, node, concerns)
+        if report is None:
+            return False
+        if is_loss_of(node, report):
+            raise node_lost(axis, report, "the SYNC that takes a command along")
+    return True

@@ -1,0 +1,131 @@
+"""Change the bit rate of all devices of a bus by LSS (CiA 305), so that none is left behind.
+
+The order, and the way back from each step:
+
+    prepare    0x13 to each device, one at a time          one refuses, or is silent: the old bit rate again for those before it
+    activate   0x15 to all at once: they fall silent, switch, and are silent as long again. Our own interface has to be switched
+               in between, by the caller
+    missing    look for each device at the new bit rate    one is not there: look for it at the old one; `prepare` and `activate`
+                                                           the others back
+    store      0x17, only now                              until then, power off and on brings the old bit rate back
+
+`activate` reaches all devices of the bus, so `prepare` must have had all of them, also those without a node-ID: a device that was
+not prepared stays where it is, and disturbs the bus with every frame that it sends or misunderstands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from canopen_proto.lss.assign import LssNotSelected, select_only
+from canopen_proto.lss.messages import BIT_RATES, OK, LssAddress, LssService, LssState, error_text
+from canopen_proto.lss.scan import TRIES, LssTool, Pace, all_waiting, ask
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
+from canopen_proto.procedures.steps import Cancelled, Procedure, act, sleep
+
+DELAY: Final = 1000 * MILLISECOND
+"""The switch delay: longer than the slowest device needs for its controller, and than an interface on USB needs."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A device that did not do its part. remark: what it said, for people."""
+
+    address: LssAddress
+    remark: str
+
+
+def index_of(bit_rate: int) -> int:
+    """Return the index of a bit rate (kbit/s) in CiA's table. Raises LocalProtocolError if it is not in it."""
+    for index, rate in BIT_RATES.items():
+        if rate == bit_rate:
+            return index
+    raise LocalProtocolError(f"{bit_rate} kbit/s is not in CiA's table: {', '.join(map(str, BIT_RATES.values()))}")
+
+
+def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate: int, present: int) -> Procedure[list[Refusal]]:
+    """Set the pending bit rate of all devices, kbit/s; return those that refused, or do not answer.
+
+    With the first refusal the others get the present one back. Nothing is switched, and nothing stored. So too when cancelled.
+    """
+    index, old = index_of(bit_rate), index_of(present)
+    prepared: list[LssAddress] = []
+    try:
+        for address in addresses:
+            remark = yield from _set(tool, pace, address, index)
+            prepared.append(address)  # one that did not answer may have it all the same
+            if remark:
+                return [Refusal(address, remark), *(yield from _put_back(tool, pace, prepared, old))]
+    except Cancelled:
+        yield from all_waiting(tool)
+        raise
+    return []
+
+
+def _put_back(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress], index: int) -> Procedure[list[Refusal]]:
+    failed = []
+    for address in addresses:
+        remark = yield from _set(tool, pace, address, index)
+        if remark:
+            failed.append(Refusal(address, f"the old bit rate may not be set again: {remark}"))
+    return failed
+
+
+def _set(tool: LssTool, pace: Pace, address: LssAddress, index: int) -> Procedure[str]:
+    """Set the pending bit rate of one device; return "" if it has confirmed it, else why not."""
+    return (yield from _on_selected(tool, pace, address, LssService.CONFIGURE_BIT_TIMING, index))
+
+
+def store_all(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Procedure[list[Refusal]]:
+    """Let the devices store node-ID and bit rate; return those that did not."""
+    failed = []
+    for address in addresses:
+        remark = yield from _on_selected(tool, pace, address, LssService.STORE, 0)
+        if remark:
+            failed.append(Refusal(address, remark))
+    return failed
+
+
+def _on_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[str]:
+    try:
+        yield from select_only(tool, pace, address)
+    except LssNotSelected as failed:
+        yield from all_waiting(tool)
+        return str(failed)
+    remark = "it does not answer: not supported by this device?"
+    for _ in range(TRIES):
+        if service is LssService.STORE:
+            reply = yield from ask(tool, lambda now: tool.master.store(now, guard=pace.after_answer))
+        else:
+            reply = yield from ask(tool, lambda now: tool.master.configure_bit_timing(index, now, window=pace.window))
+        if reply.count:
+            errors = {error_text(service, answer[1], answer[2]) for answer in reply.answers if answer[1] != OK}
+            remark = f"the device says: {', '.join(sorted(errors))}" if errors else ""
+            break
+    yield from all_waiting(tool)
+    return remark
+
+
+def activate(tool: LssTool, delay: Time = DELAY) -> Procedure[None]:
+    """Let all devices switch. Returns when the first delay (ns, whole ms) is over: the caller switches its interface at once.
+
+    Meanwhile nothing may be sent: no SYNC, no heartbeat. Then wait for the same time again before anything is sent.
+    """
+    for _ in range(2):
+        yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))
+    yield from act(lambda now: tool.master.activate_bit_timing(delay, now))
+    yield from sleep(delay)
+
+
+def missing(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Procedure[list[LssAddress]]:
+    """Return which devices do not answer when they are selected."""
+    absent = []
+    for address in addresses:
+        try:
+            yield from select_only(tool, pace, address)
+        except LssNotSelected:
+            absent.append(address)
+    yield from all_waiting(tool)
+    return absent

@@ -1,0 +1,43 @@
+"""Positions of an axis without end: they begin again at the ends of 607Bh. Its track goes on.
+
+A range whose lower end is not below its upper one counts as the range of INTEGER32.
+
+Source: IEC 61800-7-201 (CiA 402-2), 607Bh, 60F2h; ETG.6010, table 78.
+"""
+
+from __future__ import annotations
+
+import math
+
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.positioning import Direction
+from canopen_proto.simulation.drive.servo import Servo
+
+_INT32 = 1 << 31
+
+
+def _range_of(servo: Servo) -> tuple[int, int]:
+    """Return the lowest position, and how many there are."""
+    low, high = servo.parameter(objects.MIN_POSITION_RANGE_LIMIT), servo.parameter(objects.MAX_POSITION_RANGE_LIMIT)
+    return (low, high - low + 1) if low < high else (-_INT32, 2 * _INT32)
+
+
+def shown(servo: Servo, place: float) -> int:
+    """Return the position that a place on the track has for the user."""
+    low, count = _range_of(servo)
+    return (round(place - servo.zero) - low) % count + low
+
+
+def place_of(servo: Servo, target: float, direction: Direction) -> float:
+    """Return the place on the track of an absolute target, from the present demand."""
+    low, count = _range_of(servo)
+    here = servo.demand_position
+    turns = math.floor((here - servo.zero - low) / count)
+    place = target + servo.zero + turns * count
+    if direction is Direction.LINEAR:
+        return place
+    up = (place - here) % count
+    down = up - count if up else 0.0
+    if direction is Direction.SHORTEST:
+        direction = Direction.POSITIVE if up <= -down or not up else Direction.NEGATIVE
+    return here + (up if direction is Direction.POSITIVE else down)

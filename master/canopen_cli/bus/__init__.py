@@ -1,0 +1,1 @@
+"""A bus and who is on it: `canopen bus`, `doctor`, `scan`, `nmt`."""

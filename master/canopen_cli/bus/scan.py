@@ -1,0 +1,147 @@
+"""`canopen scan`: find the nodes of a bus. It listens first, then asks a few at a time, and shows each node when it is found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import click
+import trio
+from rich.progress import BarColumn, Progress, TextColumn
+
+from canopen_cli.shared.device_types import device_type_text
+from canopen_cli.shared.options import Duration, NodeIds, Settings, common
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.running import run
+from canopen_cli.shared.screen import Screen, counted, escape, node_text
+from canopen_cli.shared.session import open_session
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.manager.scan import ALL_NODE_IDS, LISTEN, NodeFound, Scanner, duration_of
+from canopen_proto.manager.scan import scan as scan_procedure
+from canopen_proto.network import Network
+
+COLUMNS: Final = (
+    "node", "in the file", "NMT state", "device", "name", "vendor-ID", "product code", "revision", "serial number", "remark",
+)  # fmt: skip
+DETAILS: Final = ("revision", "serial number")
+"""Columns shown only with -v and in JSON, so that a row fits into a terminal."""
+
+
+@click.command()
+@click.option("--passive", is_flag=True, help="Only listen: nothing is sent.")
+@click.option("--ids", "node_ids", type=NodeIds(), help="Whom to ask: 1-32,40. All by default.")
+@click.option("--listen", type=Duration(0), default=LISTEN, help="How long to listen before asking.  [default: 1.5s]")
+@common
+@click.pass_obj
+def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, listen: Time) -> int:
+    """Find the nodes of a bus. Exit status 5: none was found.
+
+    Listens for heartbeats and boot-ups, then reads device type and identity of each node-ID, a few at a time. With a machine file
+    it shows the names there, and which of its nodes were not found.
+    """
+    screen = settings.screen()
+    asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
+    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, listen))
+    if asked and node_ids is not None:
+        others = [str(node.node_id) for node in found if node.node_id not in asked]
+        found = [node for node in found if node.node_id in asked]
+        remark += f"; heard too, and not asked: {', '.join(others)}" if others else ""
+    machine, bus = settings.machine_on_bus()
+    names = {} if machine is None else {each.node_id: each.name for each in machine.nodes.values() if each.bus == bus}
+    if settings.json:
+        known = {} if machine is None else {node.node_id: {"machine": names.get(node.node_id)} for node in found}
+        screen.json([{**_as_json(node), **known.get(node.node_id, {})} for node in found])
+    elif found:
+        cells = [dict(zip(COLUMNS, _row(node, names.get(node.node_id, "")), strict=True)) for node in found]
+        hidden = () if settings.verbosity > 0 else DETAILS
+        columns = [name for name in COLUMNS if name not in hidden and any(row[name] for row in cells)]
+        screen.table(columns, [[row[name] for name in columns] for row in cells], right=("node",))
+    how = "heard" if passive else "found"
+    screen.say(f"{counted(len(found), 'node')} {how}" + remark)
+    missing = names.keys() & set(asked or names) - {node.node_id for node in found}
+    if machine is not None and missing:
+        listed = ", ".join(f"{escape(names[node_id])} ({node_id})" for node_id in sorted(missing))
+        screen.say(f"[yellow]of {escape(machine.source)} not {how}: {listed}[/]")
+    return ExitCode.OK if found else ExitCode.NO_ANSWER
+
+
+def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
+    """Tell what else was heard; if nothing was heard, what may be wrong."""
+    rest = set(ALL_NODE_IDS) - {node.node_id for node in found}
+    others = [network.heard(node_id) for node_id in sorted(rest)]
+    text = "".join(f"; heard, by {each.service.value}: {node_text(each.node_id)}" for each in others if each.service is not None)
+    pdos = [node_text(each.node_id) for each in others if each.service is None and each.pdo is not None]
+    if pdos:
+        text += f"; PDOs were heard that may be those of {', '.join(pdos)}"
+    if found or text:
+        return text
+    if network.last_heard is not None:
+        text = ". Frames were heard, but none that shows whose it is"
+    elif network.hears_all:
+        text = ". Nothing at all was heard"
+    if passive:
+        return f"{text}. Nodes without a heartbeat are silent: the same without --passive asks them."
+    if network.last_heard is not None:
+        return f"{text}. Devices that have no node-ID yet are not found: canopen lss scan."
+    return (
+        f"{text}. Is anybody there, with power and the same bit rate? One device alone needs a second to acknowledge its frames."
+    )
+
+
+async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
+    """Scan the bus of the options, with a bar on a terminal; return the nodes, and what else was heard. node_ids: whom to ask."""
+    async with open_session(settings, screen) as session:
+        master = session.master
+        scanner = Scanner(session.network.out)
+        session.network.attach(scanner)
+        probe = {} if settings.timeout is None else {"probe_timeout": settings.timeout, "answer_timeout": settings.timeout}
+        expected = duration_of(len(node_ids), listen=listen, probe_timeout=probe.get("probe_timeout", 100_000_000))
+        async with trio.open_nursery() as nursery:
+            with master.events(NodeFound) as reports:
+                nursery.start_soon(_show_progress, screen, expected, reports)
+                rows = await master.run(scan_procedure(scanner, node_ids, listen=listen, **probe))
+            nursery.cancel_scope.cancel()
+        session.network.detach(scanner)
+        return rows, _remark(session.network, rows, not node_ids)
+
+
+async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:
+    """Show a bar on a terminal, with each node when it is found. Elsewhere show nothing: the table comes at the end."""
+    if not screen.draws:
+        return
+    columns = (TextColumn("scanning"), BarColumn(30), TextColumn("{task.fields[nodes]}"))
+    with Progress(*columns, console=screen.err, transient=True, auto_refresh=False) as progress:
+        task = progress.add_task("scan", total=expected / SECOND, nodes="listening")
+        start = trio.current_time()
+        nodes: list[str] = []
+        while True:
+            nodes += [str(report.node_id) for report in reports.take()]
+            progress.update(
+                task, completed=trio.current_time() - start, nodes=f"found {', '.join(nodes)}" if nodes else "listening"
+            )
+            progress.refresh()
+            await trio.sleep(0.1)
+
+
+def _row(node: NodeFound, name: str) -> tuple[str, ...]:
+    """Return the cells of a node. name: in the machine file."""
+    vendor, product, revision, serial = (f"0x{field:08X}" if field is not None else "" for field in node.identity)
+    state = node.state.name.lower().replace("_", "-") if node.state is not None else ""
+    device = device_type_text(node.device_type) if node.device_type is not None else ""
+    who = f"{node.node_id} (0x{node.node_id:02X})"
+    return who, escape(name), state, device, escape(node.name), vendor, product, revision, serial, escape(node.remark)
+
+
+def _as_json(node: NodeFound) -> dict[str, Any]:
+    vendor, product, revision, serial = node.identity
+    return {
+        "node": node.node_id,
+        "state": node.state.name if node.state is not None else None,
+        "device_type": node.device_type,
+        "name": node.name or None,
+        "vendor_id": vendor,
+        "product_code": product,
+        "revision_number": revision,
+        "serial_number": serial,
+        "remark": node.remark or None,
+    }

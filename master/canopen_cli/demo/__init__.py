@@ -1,0 +1,1 @@
+"""`canopen demo`."""

@@ -1,0 +1,1 @@
+"""One drive: `canopen drive`, and `canopen home`, which homes several."""

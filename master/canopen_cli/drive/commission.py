@@ -1,0 +1,118 @@
+"""`canopen drive NODE commission`: a new drive, from its identity to the first move; its machine file and its DCF."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from canopen_cli.drive.commissioning import Commissioning, Result
+from canopen_cli.drive.session import axis_of_command, node_of_command
+from canopen_cli.shared.failures import problem_of
+from canopen_cli.shared.new_files import check_new_file, write_file
+from canopen_cli.shared.options import DEMO, Settings, common, enabling
+from canopen_cli.shared.problem import ExitCode, usage
+from canopen_cli.shared.questions import Questions, is_asked
+from canopen_cli.shared.running import all_stand, run
+from canopen_cli.shared.screen import escape
+from canopen_cli.shared.session import open_session
+from canopen_master.machine_file import JointEntry, MachineFile, NodeEntry, machine_of_chains, machine_text
+from canopen_master.motion.chain_file import ChainDescription, JointDescription
+from canopen_master.simulation.fleet import DEMO_LOCATOR
+from canopen_master.simulation.plant import DeviceEntry
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP
+
+
+@click.command()
+@click.option("-o", "--output", metavar="FILE.toml", help="The machine file to write.  [default: NAME.toml]")
+@click.option("--dcf", metavar="FILE.dcf", help="The drive's values, as they were before.  [default: NAME.dcf]")
+@click.option("--name", help="The name of its joint.  [default: that of the machine file (-m), else driveNODE]")
+@click.option("--yes", is_flag=True, help="Ask nothing, and move: for simulated drives (-b demo, -b virtual:...) only.")
+@enabling
+@common
+@click.pass_obj
+def commission(settings: Settings, output: str | None, dcf: str | None, name: str | None, yes: bool) -> int:
+    """Commission a new drive, step by step: identity, file, units, limits, a small move, homing, a first move. IT MOVES.
+
+    Each motion is asked for before, and an empty answer is always safe: nothing moves by it. The drive has power only while it
+    moves. Ctrl-C halts it, and says what was done. The values as they were go into a DCF, which `canopen restore` writes back;
+    units, limits and homing into a machine file, once you have confirmed the small move. With -m it is that machine, with this
+    joint changed; its comments are lost.
+
+    Exit status 7: it was not moved, or the move was not confirmed, so there is no machine file.
+
+    \b
+    canopen drive 5 commission -e drive.eds -b socketcan:can0
+    canopen drive 3 commission -b demo --yes                   with a simulated drive
+    """
+    screen, node_id, bus = settings.screen(), node_of_command(), settings.required_bus()
+    if axis := axis_of_command(settings):
+        raise usage("CO123", f"only the first axis of a node can be commissioned, and this is axis {axis}")
+    if yes and bus != DEMO and not bus.startswith("virtual:"):
+        failed, tries = (
+            "--yes is for simulated drives: a real one moves only if somebody looks at it",
+            ("the same without --yes",),
+        )
+        raise usage("CO123", failed, seen=f"the bus is {bus}", tries=tries)
+    if not yes and not is_asked(screen):
+        failed, seen = "commissioning asks before each motion, and there is no terminal to ask on", "nothing was sent"
+        raise usage("CO122", failed, seen=seen, tries=("-b demo --yes    for a simulated drive",))
+    joint = settings.joint(node_id)
+    name = name or (f"drive{node_id}" if joint is None else joint.name)
+    output, dcf = output or f"{name}.toml", dcf or f"{name}.dcf"
+    for path in (output, dcf):
+        check_new_file(settings, screen, path)
+    done: list[str] = []
+    questions = Questions(screen, agrees=yes)
+
+    async def command() -> tuple[Result, str]:
+        async with open_session(settings, screen) as session:
+            work = Commissioning(settings, screen, questions, session, node_id, done)
+            description = session.description_of(node_id)
+            return await work.run(dcf), "" if description is None else description.source
+
+    def story(confirmed: bool) -> list[str]:
+        return [f"the drive was {'halted' if confirmed else 'told to halt'}", *done] if done else ["nothing was done"]
+
+    try:
+        result, file = run(settings, screen, command, story=story)
+    except Exception as error:  # noqa: BLE001 - raised again, with what was done
+        problem = problem_of(error)
+        problem.also += [each for each in story(all_stand(error)) if each not in problem.also]
+        raise problem from problem.__cause__
+    if result.is_confirmed:
+        machine = _machine(settings, DEMO_LOCATOR if bus == DEMO else bus, node_id, name, result, file, output)
+        write_file(output, machine_text(machine).encode())
+    if settings.json:
+        files = {"dcf": dcf, "machine": output if result.is_confirmed else None}
+        screen.json({"node": node_id, "moved": result.has_moved, "homed": result.is_homed, **files})
+    elif result.is_confirmed:
+        screen.say(f"\n{escape(output)}: {escape(name)} with its unit and limits. Next: canopen machine check {escape(output)}")
+    else:
+        screen.say(f"\nNo machine file was written: its scale is not proven. {escape(dcf)} has its values as they were")
+    return ExitCode.OK if result.is_confirmed else ExitCode.PARTIAL
+
+
+def _machine(settings: Settings, locator: str, node_id: int, name: str, result: Result, file: str, output: str) -> MachineFile:
+    """Return the machine with the joint as it was commissioned: that of -m, else a new one with a chain of this joint."""
+    machine, bus = settings.machine_on_bus()
+    if machine is None:
+        alone = JointDescription(name, locator, node_id)
+        machine = machine_of_chains([ChainDescription(name, (alone,))])
+        bus = next(iter(machine.buses))
+    node = machine.node_at(bus, node_id) or NodeEntry(name, bus, DeviceEntry("", (node_id,)))
+    if file and not node.device.file:
+        beside = os.path.relpath(file, Path(output).parent) if Path(file).is_file() else file
+        node = replace(node, device=replace(node.device, file=beside))
+    owner = machine.joint_on(node) or JointEntry(name, node.name)
+    grip = machine.master.grip
+    if settings.master_id is not None:
+        grip = replace(grip or DEFAULT_GRIP, node_id=settings.master_id)
+    return replace(
+        machine,
+        nodes={**machine.nodes, node.name: node},
+        joints={**machine.joints, owner.name: replace(owner, settings=result.settings)},
+        master=replace(machine.master, grip=grip),
+    )

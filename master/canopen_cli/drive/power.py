@@ -1,0 +1,99 @@
+"""`canopen drive NODE enable|move`: what gives a drive power, for as long as the command runs."""
+
+from __future__ import annotations
+
+import click
+
+from canopen_cli.drive.session import (
+    COUNTS,
+    command_drive,
+    ends_unpowered,
+    look_at_drive,
+    show_drive,
+    unit_of_command,
+)
+from canopen_cli.shared.options import Duration, FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.shared.problem import usage
+from canopen_proto.drives import axis as procedures
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.identity import identify
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.axis.watching import Watch
+from canopen_proto.drives.cia402.modes import mode_name
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.machine import NEVER, SECOND, Time
+from canopen_proto.procedures.steps import Procedure, current_time
+
+
+@click.command()
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@enabling
+@commanding
+@common
+@click.pass_obj
+def enable(settings: Settings, seconds: float | None) -> None:
+    """Give a drive power, in a mode in which that moves nothing, until Ctrl-C. Then it has none."""
+    screen = settings.screen()
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        yield from identify(axis)
+        yield from procedures.select_standing_mode(axis)
+        yield from ends_unpowered(axis, held(axis))
+        return (yield from look_at_drive(axis.node))
+
+    def held(axis: Axis) -> Procedure[None]:
+        yield from procedures.enable(axis)
+        screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
+        end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
+        watch: Watch[bool] = Watch(axis, "the end of its time", stays=State.OPERATION_ENABLED)
+        yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
+
+    show_drive(settings, screen, command_drive(settings, screen, procedure, ends=seconds is not None))
+
+
+@click.command()
+@click.argument("position", type=float)
+@click.option("--relative", is_flag=True, help="By so much from where it stands.")
+@click.option(
+    "--in",
+    "unit",
+    type=click.Choice([COUNTS, *(each.value for each in Unit)]),
+    help=f"The unit of POSITION.  [default: that of the joint in the machine file, else {COUNTS}]",
+)
+@click.option("--limit", type=Duration(), default=60 * SECOND, help="How long it may take.  [default: 60s]")
+@enabling
+@commanding
+@common
+@click.pass_obj
+def move(settings: Settings, position: float, relative: bool, unit: str | None, limit: Time) -> None:
+    """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
+
+    The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
+    than counts need a drive that tells its scale: `canopen drive NODE units`. A joint of a machine file moves in the unit, and
+    within the limits, that stand there.
+    """
+    screen = settings.screen()
+    chosen, scale = unit_of_command(settings, unit)
+    if chosen == COUNTS and not position.is_integer():
+        raise usage("CO120", f"a position in counts is a whole number; it is {position!r}", tries=("a whole number, or --in",))
+
+    def procedure(axis: Axis) -> Procedure[tuple[float, float, DriveView]]:
+        yield from identify(axis)
+        begin = yield from procedures.read_position(axis)
+        yield from procedures.move_to(axis, position, timeout=limit, relative=relative)
+        end = yield from procedures.read_position(axis)
+        yield from procedures.shut_down(axis)
+        return begin, end, (yield from look_at_drive(axis.node))
+
+    begin, end, view = command_drive(settings, screen, procedure, _moved, scale)
+    if settings.json:
+        screen.json({"from": begin, "to": end, "unit": chosen, "state": str(view.state)})
+        return
+    name = chosen if chosen == COUNTS else f"{chosen}s"
+    screen.fact("moved", f"from {begin:.10g} to {end:.10g} {name}")
+    screen.fact("state", str(view.state))
+
+
+def _moved(confirmed: bool) -> list[str]:
+    return [f"the drive was {'halted' if confirmed else 'told to halt'}: it is not at its target"]

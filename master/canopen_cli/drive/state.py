@@ -1,0 +1,170 @@
+"""`canopen drive NODE state|units|mode|fault-reset`: what gives a drive no power."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import click
+
+from canopen_cli.drive.session import (
+    COUNTS,
+    command_drive,
+    joint_settings,
+    look_at_drive,
+    read_drive,
+    show_drive,
+    take_step,
+    unit_of_command,
+)
+from canopen_cli.shared.options import Settings, commanding, common
+from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_proto.drives import axis as procedures
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.axis_node import AxisNode
+from canopen_proto.drives.axis.units import DriveUnits, Unit, read_units
+from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.cia402.modes import Mode, mode_name, supported_modes
+from canopen_proto.drives.cia402.states import POWERED
+from canopen_proto.procedures.steps import Procedure
+
+
+@click.command()
+@common
+@click.pass_obj
+def state(settings: Settings) -> None:
+    """Show state, mode and position of a drive, and what keeps it from moving."""
+    screen = settings.screen()
+    unit, _ = unit_of_command(settings, None)
+    axis_settings = joint_settings(settings)
+
+    def look(node: AxisNode) -> Procedure[tuple[DriveView, float | None]]:
+        view = yield from look_at_drive(node, axis_settings)
+        counts = axis_settings.counts_per_unit
+        if unit == COUNTS or view.position is None:
+            return view, None
+        if counts is None and axis_settings.unit is not None:
+            counts = (yield from read_units(node)).counts_per(axis_settings.unit)
+        if counts is None:
+            return view, None
+        return view, axis_settings.direction * (view.position - axis_settings.offset) / counts
+
+    view, position = read_drive(settings, screen, look)
+    show_drive(settings, screen, view, None if position is None else (position, unit))
+
+
+@click.command("fault-reset")
+@commanding
+@common
+@click.pass_obj
+def fault_reset(settings: Settings) -> None:
+    """Reset a fault: a rising edge of bit 7. It moves nothing: the drive is not enabled afterwards."""
+    take_step(settings, procedures.reset_fault)
+
+
+@click.command()
+@common
+@click.pass_obj
+def units(settings: Settings) -> None:
+    """Show what the numbers of a drive mean, and which of its objects say so (the factor group)."""
+    screen = settings.screen()
+    found = read_drive(settings, screen, read_units)
+    if settings.json:
+        screen.json(_units_json(found))
+        return
+    rows = [row for row in _units_rows(found) if row[1]]
+    screen.table(("", "on the wire", "which says"), rows)
+    for conflict in found.conflicts:
+        screen.data(f"[yellow]these differ:[/] {conflict}")
+    if found.per_turn is None and found.per_metre is None:
+        screen.say("The drive does not tell what a count is. Try: counts_per_turn in a machine file, by its manual")
+
+
+def _units_rows(units: DriveUnits) -> list[tuple[str, str, str]]:
+    origins: Mapping[str, str] = units.origins
+
+    def counts(value: float | None, per: str = "") -> str:
+        return "" if value is None else f"{value:.10g} count{'s' * (value != 1)}{per}"
+
+    return [
+        ("a turn of the shaft", counts(units.per_turn), origins.get("per_turn", "")),
+        ("a turn of the motor", counts(units.per_motor_turn), origins.get("per_motor_turn", "")),
+        ("a degree", counts(units.counts_per(Unit.DEGREE)), ""),
+        ("a millimetre", counts(units.counts_per(Unit.MILLIMETRE)), origins.get("per_metre", "")),
+        ("a velocity of 1", counts(units.per_velocity, " per second") or "not known", origins.get("per_velocity", "")),
+        (
+            "an acceleration of 1",
+            counts(units.acceleration_unit(units.per_velocity), " per second²") or "not known",
+            origins.get("per_acceleration", "the velocity unit per second"),
+        ),
+        ("a torque of 1", "" if units.rated_torque is None else f"{units.torque(1):g} N·m", origins.get("rated_torque", "")),
+        ("reversed", ", ".join(units.reversed), "0x607E"),
+        ("the home position", counts(units.home_offset or None), "0x607C"),
+    ]
+
+
+def _units_json(units: DriveUnits) -> dict[str, Any]:
+    return {
+        "counts_per_turn": units.per_turn,
+        "counts_per_motor_turn": units.per_motor_turn,
+        "counts_per_metre": units.per_metre,
+        "counts_per_second_per_velocity": units.per_velocity,
+        "counts_per_second2_per_acceleration": units.acceleration_unit(units.per_velocity),
+        "rated_torque": units.rated_torque,
+        "reversed": list(units.reversed),
+        "home_offset": units.home_offset,
+        "origins": dict(units.origins),
+        "conflicts": list(units.conflicts),
+    }
+
+
+@click.command(context_settings={"ignore_unknown_options": True})  # a maker's mode is below 0
+@click.argument("name", metavar="[MODE]", required=False)
+@commanding
+@common
+@click.pass_obj
+def mode(settings: Settings, name: str | None) -> None:
+    """Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one.
+
+    A drive that is enabled is not changed: in some modes it would obey an old target at once.
+    """
+    screen = settings.screen()
+
+    def select(axis: Axis, number: int) -> Procedure[DriveView]:
+        view = yield from look_at_drive(axis.node)
+        if view.state in POWERED:
+            raise Problem(
+                ExitCode.DRIVE_FAULT,
+                "CO409",
+                f"{axis.title} has power ({view.state}): in another mode it could obey an old target at once",
+                tries=(f"canopen drive {axis.node.node_id} disable{_option(axis)}",),
+            )
+        yield from procedures.set_mode(axis, number)
+        return (yield from look_at_drive(axis.node))
+
+    if name is None:
+        view = read_drive(settings, screen, look_at_drive)
+    else:
+        view = command_drive(settings, screen, partial(select, number=_mode_of(name)))
+    modes = () if view.supported_modes is None else supported_modes(view.supported_modes)
+    if settings.json:
+        screen.json({"mode": view.mode, "wanted_mode": view.wanted_mode, "supported_modes": list(modes)})
+        return
+    screen.fact("mode", "not told (0x6061)" if view.mode is None else mode_name(view.mode))
+    screen.fact("it has", ", ".join(map(mode_name, modes)) if modes else "it does not tell (0x6502)")
+
+
+def _option(axis: Axis) -> str:
+    return f" --axis {axis.number}" if axis.number else ""
+
+
+def _mode_of(name: str) -> int:
+    """Return the number of a mode that the command line names."""
+    short = {mode_name(each).rpartition("(")[2].rstrip(")"): int(each) for each in Mode if each}
+    if name.lower() in short:
+        return short[name.lower()]
+    if re.fullmatch("-?[0-9]{1,3}", name) and -128 <= int(name) <= 127:
+        return int(name)
+    raise usage("CO136", f"{name!r} is no mode of operation", tries=(f"one of {', '.join(short)}, or a number from -128 to 127",))

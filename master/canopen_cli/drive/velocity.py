@@ -1,0 +1,132 @@
+"""`canopen drive NODE velocity`: run a drive at a velocity, for as long as the command runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import click
+
+from canopen_cli.drive.session import COUNTS, command_drive, ends_unpowered, look_at_drive, unit_of_command
+from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_proto.drives import axis as procedures
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.cia402.modes import Mode, mode_name
+from canopen_proto.machine import SECOND
+from canopen_proto.procedures.steps import Procedure
+
+RPM: Final = "rpm"
+_MODES: Final = {"pv": Mode.PROFILE_VELOCITY, "vl": Mode.VELOCITY}
+_ABOVE_0: Final = FiniteRange(0, min_open=True)
+
+
+@click.command(context_settings={"ignore_unknown_options": True})  # a velocity may be below 0
+@click.argument("value", type=float)
+@click.option(
+    "--in",
+    "unit",
+    type=click.Choice([COUNTS, RPM, *(each.value for each in Unit)]),
+    help=f"VALUE is so many of it per second; rpm: turns of the motor.  [default: that of the joint, else {COUNTS}]",
+)
+@click.option("--seconds", type=_ABOVE_0, help="End after this time, instead of by Ctrl-C.")
+@click.option("--mode", "mode_name_", type=click.Choice(list(_MODES)), help="By default pv, else vl, whichever it has.")
+@click.option("--acceleration", type=_ABOVE_0, help="Per second, in the unit of VALUE; by default the drive's own ramp.")
+@click.option("--deceleration", type=_ABOVE_0, help="In the same way.")
+@click.option("--max-speed", type=_ABOVE_0, help="The highest VALUE; by default the drive's, else 30,000 counts per second.")
+@enabling
+@commanding
+@common
+@click.pass_obj
+def velocity(
+    settings: Settings,
+    value: float,
+    unit: str | None,
+    seconds: float | None,
+    mode_name_: str | None,
+    acceleration: float | None,
+    deceleration: float | None,
+    max_speed: float | None,
+) -> None:
+    """Run a drive at a velocity (profile velocity, else velocity), until Ctrl-C. IT MOVES, as long as the command runs.
+
+    Then the drive is halted, and has no power once it stands. It is also halted before the limits of its position (0x607D), if
+    it tells them. It gets VALUE rounded to its own unit; the command tells which velocity that is. A joint of a machine file runs
+    in the unit, and within the limits, that stand there.
+    """
+    screen = settings.screen()
+    chosen, scale = unit_of_command(settings, unit)
+    told: list[procedures.Running] = []
+
+    def tell(running: procedures.Running) -> None:
+        told.append(running)
+        if running.is_reached:
+            return
+        rounded = "" if abs(running.velocity - value) < 1e-9 + 1e-6 * abs(value) else f" ({value:g} was asked for)"
+        end = "Ctrl-C stops it" if seconds is None else f"for {seconds:g} s"
+        screen.say(f"it runs at {_named(running.velocity, chosen)}{rounded}, in {mode_name(running.mode)}; {end}")
+
+    def procedure(axis: Axis) -> Procedure[DriveView]:
+        yield from procedures.identify(axis)
+        mode = yield from procedures.choose_velocity_mode(axis, None if mode_name_ is None else _MODES[mode_name_])
+        yield from _set_scale(axis, chosen, mode)
+        if max_speed is not None:  # the limit of a joint in the machine file stays
+            limit = axis.settings.max_speed
+            axis.settings = replace(axis.settings, max_speed=max_speed if limit is None else min(max_speed, limit))
+        run = procedures.run_at(
+            axis,
+            value,
+            duration=None if seconds is None else round(seconds * SECOND),
+            mode=mode,
+            acceleration=acceleration,
+            deceleration=deceleration,
+            news=tell,
+        )
+        yield from ends_unpowered(axis, run)
+        return (yield from look_at_drive(axis.node))
+
+    view = command_drive(settings, screen, procedure, _ended, scale, ends=seconds is not None)
+    last = told[-1]
+    if settings.json:
+        document = {"velocity": last.velocity, "unit": chosen, "mode": int(last.mode), "reached": last.is_reached}
+        screen.json({**document, "state": str(view.state)})
+        return
+    screen.fact(
+        "ran", f"at {_named(last.velocity, chosen)}" + ("" if last.is_reached else ", which it did not show in that time")
+    )
+    screen.fact("state", str(view.state))
+
+
+def _named(value: float, unit: str) -> str:
+    if unit == RPM:
+        return f"{value:.10g} rpm"
+    return f"{value:.10g} {unit if unit == COUNTS else f'{unit}s'} per second"
+
+
+def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
+    """Make turns of the motor per minute the unit of the axis, if that of the command or the drive needs them.
+
+    Raises a Problem if the drive does not tell what a turn is.
+    """
+    if unit != RPM and mode is not Mode.VELOCITY:
+        return
+    turn = (yield from procedures.learn_units(axis)).per_motor_turn
+    turn = axis.settings.counts_per_motor_turn or turn
+    if turn is None and unit == RPM and mode is Mode.VELOCITY:  # it counts turns itself, however many counts they are
+        axis.settings = replace(axis.settings, counts_per_unit=1.0, counts_per_motor_turn=60.0)
+    elif turn is None:
+        node_id = axis.node.node_id
+        raise Problem(
+            ExitCode.USAGE,
+            "CO321",
+            f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F)",
+            tries=(f"canopen drive {node_id} units    what it tells", f"--in {RPM if mode is Mode.VELOCITY else COUNTS}"),
+        )
+    elif unit == RPM:
+        axis.settings = replace(axis.settings, counts_per_unit=turn / 60)
+
+
+def _ended(confirmed: bool) -> list[str]:
+    return [f"the drive was {'halted, and has no power' if confirmed else 'told to halt, and to take its power away'}"]

@@ -1,0 +1,335 @@
+"""The frames of a bus as lines: which of them are shown, and what such a line says. `canopen monitor` and `canopen log decode`.
+
+In a pipe a line has the time, the frame, the service, the node and the meaning, however long. On a terminal with less than WIDE
+columns it has the CAN-ID in place of the frame, and a long meaning goes on below itself. A line that begins with ! says what is
+wrong with the frame before it. A line that begins with = sums up frames before it: a fastscan, whose frames are left out, or what
+a node was told behind its boot-up.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Final, TypeVar
+
+import click
+
+from canopen_cli.shared.node_files import NodeFiles
+from canopen_cli.shared.options import NodeIds
+from canopen_cli.shared.problem import usage
+from canopen_cli.shared.screen import Screen
+from canopen_master.plain_text import clean, json_text
+from canopen_proto.frame import MAX_NODE_ID
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.meaning import Shown
+from canopen_proto.observer.observer import Observation, Observer
+from canopen_proto.observer.sequences import Summary
+from canopen_proto.observer.story import Event
+from canopen_transports.errors import ReceiveOverrun, Report
+from canopen_transports.record import Record
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+SERVICES: Final = ("nmt", "sync", "time", "emcy", "sdo", "heartbeat", "boot-up", "guarding", "lss", "nmt master", "?")
+"""The services that are no PDOs; those have names of their own, such as TPDO 1. ? is what no service explains."""
+WIDE: Final = 120
+"""Columns of a terminal that shows the bytes of each frame, too."""
+MAX_KEPT: Final = 1 << 16
+"""Frames and objects of which the last value is kept, to see changes."""
+
+_STYLES: Final = {
+    "nmt": "bold",
+    "nmt master": "bold",
+    "boot-up": "bold green",
+    "emcy": "bold yellow",
+    "sdo": "cyan",
+    "sync": "dim",
+    "heartbeat": "dim",
+    "guarding": "dim",
+    "time": "dim",
+    "lss": "magenta",
+    "?": "dim",
+}
+_FINDING: Final = "bold red"
+_NUMBER: Final = re.compile(r"(?:0x)?([0-9a-f]{4})(?:[:.]([0-9a-f]{1,2}))?", re.IGNORECASE)
+
+
+class Buses:
+    """The observers of a source: each bus in it has its own."""
+
+    def __init__(self, files: NodeFiles, **settings: Any) -> None:
+        self._files = files
+        self._settings = settings
+        self._first: Time | None = None
+        self._observers: dict[str, Observer] = {}
+
+    def observe(self, record: Record) -> tuple[float, Observation]:
+        """Return the seconds since the first record, and what is known of this one."""
+        if self._first is None:
+            self._first = record.time
+        if record.channel not in self._observers:
+            self._observers[record.channel] = Observer(self._files.dictionary_of, **self._settings)
+        observer = self._observers[record.channel]
+        return self.seconds(record.time), observer.observe(record.frame, record.time - self._first)
+
+    def lost(self, text: str, time: Time) -> Finding | None:
+        """Tell the observers that the receiver lost frames of some bus; see `Observer.lost`. None: nothing has come yet."""
+        found = None
+        for observer in self._observers.values():
+            found = observer.lost(text, time - (self._first or 0))
+        return found
+
+    def idle(self, time: Time) -> Iterator[tuple[str, tuple[Finding, ...], tuple[Summary, ...]]]:
+        """Return what each bus shows by its silence; see `Observer.idle`. time: all frames before it have been observed."""
+        for channel, observer in self._observers.items():
+            yield channel, *observer.idle(time - (self._first or 0))
+
+    def unfinished(self) -> Iterator[tuple[str, Summary]]:
+        """Return the sequences that are not over yet, each with its bus: behind the last frame."""
+        for channel, observer in self._observers.items():
+            for summary in observer.unfinished():
+                yield channel, summary
+
+    def seconds(self, time: Time) -> float:
+        """Return the seconds since the first record."""
+        return 0.0 if self._first is None else (time - self._first) / SECOND
+
+
+# ---- which frames ----
+
+
+def choosing(command: F) -> F:
+    """Add the options that choose frames. The command takes `nodes`, `services`, `objects` and `changes`; see FrameChoice."""
+    for option in (
+        click.option("--changes", is_flag=True, help="Leave out a frame that says the same as the last one of its kind."),
+        click.option(
+            "--object",
+            "objects",
+            multiple=True,
+            metavar="OBJECT",
+            help="Only what has this object in it: 0x6041, 1018:01, statusword.",
+        ),
+        click.option(
+            "--service",
+            "services",
+            multiple=True,
+            metavar="NAME",
+            help=f"Only these: pdo, tpdo, rpdo, {', '.join(SERVICES)}; also several, as in sdo,emcy.",
+        ),
+        click.option("--node", "nodes", type=NodeIds(), help="Only what is from or for these nodes: 5, or 3-8."),
+    ):
+        command = option(command)
+    return command
+
+
+class FrameChoice:
+    """The frames that are shown."""
+
+    def __init__(
+        self, files: NodeFiles, nodes: tuple[int, ...] | None, services: Iterable[str], objects: Iterable[str], changes: bool
+    ) -> None:
+        """nodes: None for all of them; no services and no objects: all. Raises Problem, ObjectNotFound for a word that fits
+        nothing."""
+        self.files = files
+        self._has_parts = files.settings.verbosity > 0 or files.settings.json
+        self._nodes = frozenset(nodes or ())
+        self._services = tuple(_service(word) for each in services for word in each.lower().split(","))
+        self._numbers, self._names = _objects(objects)
+        self._of_node: dict[int, frozenset[tuple[int, int]]] = {}
+        self._last: dict[object, str] | None = {} if changes else None
+        for name in self._names:
+            self._check(name)
+
+    def shows(self, record: Record, observation: Observation) -> bool:
+        """Return whether a frame is shown. With a finding it always counts as a change, and as one of the finding's node."""
+        meaning, findings = observation.meaning, observation.findings
+        if observation.is_part and meaning.service == "LSS" and not findings and not self._has_parts:
+            return False
+        if self._nodes and meaning.node_id not in self._nodes and not any(each.node_id in self._nodes for each in findings):
+            return False
+        if self._services and not any(_is_of(meaning.service.lower(), word) for word in self._services):
+            return False
+        if (self._numbers or self._names) and not any(
+            self._wants(shown.node_id, shown.index, shown.subindex) for shown in meaning.objects
+        ):
+            return False
+        return self._last is None or self._has_changed(self._last, record, observation)
+
+    def warns(self, finding: Finding) -> bool:
+        """Return whether a finding is shown that belongs to no frame."""
+        is_free = not (self._numbers or self._names or self._services)
+        return is_free and (not self._nodes or finding.node_id in self._nodes)
+
+    def tells(self, summary: Summary) -> bool:
+        """Return whether the summary of a sequence of frames is shown."""
+        if self._numbers or self._names or (self._nodes and summary.node_id not in self._nodes):
+            return False
+        return not self._services or any(_is_of(summary.service.lower(), word) for word in self._services)
+
+    def _has_changed(self, last: dict[object, str], record: Record, observation: Observation) -> bool:
+        meaning = observation.meaning
+        key = (record.channel, record.frame.key, tuple((shown.index, shown.subindex) for shown in meaning.objects))
+        if len(last) >= MAX_KEPT:
+            last.clear()
+        before, last[key] = last.get(key), meaning.text
+        return before != meaning.text or bool(observation.findings)
+
+    def _wants(self, node_id: int, index: int, subindex: int) -> bool:
+        if (index, None) in self._numbers or (index, subindex) in self._numbers:
+            return True
+        if node_id not in self._of_node:
+            self._of_node[node_id] = self._places(node_id)
+        return (index, subindex) in self._of_node[node_id]
+
+    def _places(self, node_id: int) -> frozenset[tuple[int, int]]:
+        """Return where a node has the objects of these names."""
+        dictionary = self.files.dictionary_of(node_id)
+        found = (dictionary.variable(name) for name in self._names if name in dictionary)
+        return frozenset((variable.index, variable.subindex) for variable in found)
+
+    def _check(self, name: str) -> None:
+        """Raise ObjectNotFound if no node has an object of this name."""
+        nodes = self._nodes or range(1, MAX_NODE_ID + 1)
+        if not any(name in self.files.dictionary_of(node_id) for node_id in nodes):
+            self.files.dictionary_of(min(nodes)).variable(name)
+
+
+def _service(word: str) -> str:
+    word = word.strip()
+    if word in SERVICES or re.fullmatch(r"[tr]?pdo( ?[0-9]+)?", word):
+        return word
+    raise usage(
+        "CO001", f"there is no service {word!r}", tries=(f"--service with one of: {', '.join(SERVICES)}, pdo, tpdo, rpdo",)
+    )
+
+
+def _is_of(service: str, word: str) -> bool:
+    """Return whether a service is the one that a word means."""
+    if word == "pdo":
+        return service not in SERVICES
+    if word in SERVICES:
+        return service == word
+    return re.search(f"{word.replace(' ', '')}(?![0-9])", service.replace(" ", "")) is not None
+
+
+def _objects(words: Iterable[str]) -> tuple[frozenset[tuple[int, int | None]], tuple[str, ...]]:
+    """Return the objects by number (None: each subindex), and those by name."""
+    numbers, names = set[tuple[int, int | None]](), []
+    for word in words:
+        number = _NUMBER.fullmatch(word.strip())
+        if number is None:
+            names.append(word)
+        else:
+            numbers.add((int(number[1], 16), int(number[2], 16) if number[2] else None))
+    return frozenset(numbers), tuple(names)
+
+
+# ---- what a line says ----
+
+
+class FrameLines:
+    """Makes the lines, each with its end: JSON documents with --json, else text for this screen."""
+
+    def __init__(self, screen: Screen) -> None:
+        self._json = screen.json_output
+        self._screen = screen
+        self._paint = _painter(screen)
+        self.measure()
+
+    def measure(self) -> None:
+        """Take the present width of the terminal."""
+        self._columns = self._screen.out.width if self._screen.out.is_terminal else None
+        self._has_bytes = self._columns is None or self._columns >= WIDE or self._screen.verbosity > 0
+
+    def frame(self, seconds: float, record: Record, observation: Observation) -> str:
+        """Return the lines for a frame, and for what is wrong with it. seconds: since the first frame."""
+        meaning, findings = observation.meaning, observation.findings
+        if self._json:
+            line = {"time": record.time, "channel": record.channel, "frame": str(record.frame), "sent": record.sent}
+            line |= {"service": meaning.service, "node": meaning.node_id, "text": meaning.text}
+            line |= {"objects": [_object_json(shown) for shown in meaning.objects]}
+            line |= {"findings": [finding._asdict() for finding in findings]}
+            return json_text(line) + "\n"
+        service, node = clean(meaning.service), str(meaning.node_id or "")
+        if self._has_bytes:
+            head = f"{seconds:12.6f} {record.frame!s:<25} {service:<9} {node:>3}  "
+        else:
+            head = f"{seconds:10.4f} {str(record.frame).partition('#')[0]:<3} {service:<9} {node:>3}  "
+        style = _STYLES.get(meaning.service.lower(), "")
+        wrong = "".join(self._line("! ", finding_text(each), _FINDING) for each in findings)
+        return self._line(head, clean(meaning.text), style) + wrong
+
+    def finding(self, seconds: float, time: Time, channel: str, finding: Finding) -> str:
+        """Return the line for what is wrong because no frame comes. seconds: since the first frame."""
+        if self._json:
+            return json_text({"time": time, "channel": channel, "findings": [finding._asdict()]}) + "\n"
+        return self._line("! ", f"{seconds:.4f} s: {finding_text(finding)}", _FINDING)
+
+    def summary(self, time: Time, channel: str, summary: Summary) -> str:
+        """Return the line that sums up a sequence of frames. time: of the frame that it comes with."""
+        service, node_id, text = summary
+        if self._json:
+            line = {"time": time, "channel": channel, "service": service, "node": node_id, "summary": text}
+            return json_text(line) + "\n"
+        return self._line("= ", f"{service}{f' of node {node_id}' if node_id else ''}: {text}", _STYLES[service.lower()])
+
+    def report(self, seconds: float, time: Time, report: Report) -> str:
+        """Return the line for a report of the bus. seconds: since the first frame."""
+        if self._json:
+            lost = report.lost if isinstance(report, ReceiveOverrun) else 0
+            return json_text({"time": time, "report": report.failed, "seen": report.seen, "lost": lost}) + "\n"
+        return self._line("! ", clean(f"{seconds:.4f} s: {report.failed}: {report.seen}"), _FINDING)
+
+    def gap(self, number: int) -> str:
+        """Return the line in place of frames that the reader was too slow for."""
+        if self._json:
+            return json_text({"left_out": number}) + "\n"
+        return self._line("! ", f"{number} frames are left out here: the reader of this output is too slow", _FINDING)
+
+    def _line(self, head: str, text: str, style: str) -> str:
+        if self._columns is None:
+            return f"{head}{text}".rstrip() + "\n"
+        room = max(self._columns - len(head), 20)
+        first, *others = textwrap.wrap(text, room, break_on_hyphens=False) or [""]
+        lines = [head + first, *(" " * len(head) + each for each in others)]
+        return "".join(f"{self._paint(line.rstrip(), style)}\n" for line in lines)
+
+
+def finding_text(finding: Finding) -> str:
+    """Return a finding in words, fit for a screen."""
+    likely = "" if finding.is_certain else " (likely)"
+    return f"{finding.rule}{likely}: {f'node {finding.node_id}: ' if finding.node_id else ''}{clean(finding.text)}"
+
+
+def event_text(event: Event) -> str:
+    """Return an event in words, fit for a screen."""
+    return f"{event.kind}: {f'node {event.node_id}: ' if event.node_id else ''}{clean(event.text)}"
+
+
+def _object_json(shown: Shown) -> dict[str, Any]:
+    return {
+        "node": shown.node_id,
+        "index": shown.index,
+        "sub": shown.subindex,
+        "name": shown.name,
+        "value": shown.value.hex() if isinstance(shown.value, bytes) else shown.value,
+        "text": shown.text,
+    }
+
+
+def _painter(screen: Screen) -> Callable[[str, str], str]:
+    """Return a function that gives a line the colour of a style. rich itself would take longer for a line than the rest."""
+    made: dict[str, tuple[str, str]] = {"": ("", "")}
+
+    def paint(line: str, style: str) -> str:
+        if style not in made:
+            with screen.out.capture() as captured:
+                screen.out.print("x", style=style, end="")
+            before, _, behind = captured.get().partition("x")
+            made[style] = before, behind
+        before, behind = made[style]
+        return f"{before}{line}{behind}"
+
+    return paint

@@ -1,0 +1,328 @@
+"""`canopen log`: convert, replay, count and decode log files of CAN buses. `--trace FILE` of any command records one."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, cast
+
+import click
+import trio
+
+from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing, event_text, finding_text
+from canopen_cli.live.monitor import Watch
+from canopen_cli.live.source import FILE_OR_INPUT, require_frames, tell_skipped
+from canopen_cli.shared.new_files import check_new_file
+from canopen_cli.shared.node_files import NodeFiles
+from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.problem import ExitCode, usage
+from canopen_cli.shared.running import run, same_file
+from canopen_cli.shared.screen import counted, escape
+from canopen_cli.shared.session import read_dictionary
+from canopen_master.plain_text import json_text
+from canopen_proto.frame_bits import frame_bits
+from canopen_proto.machine import SECOND
+from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observer
+from canopen_proto.observer.story import KINDS, Story
+from canopen_transports import open_transport
+from canopen_transports.locator import bitrate_text, parse_bitrate
+from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from io import BufferedReader
+
+
+FILE: Final = click.Path(dir_okay=False, path_type=Path)
+MAX_LINES: Final = 10_000
+"""Findings that wait for the end of the story. Further ones are counted only."""
+
+
+def _reader(source: Path) -> LogReader:
+    """Return a reader of a log file, or of standard input (-) in candump's form."""
+    if str(source) != "-":
+        return LogReader(source)
+    return LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer))
+
+
+@click.group()
+def log() -> None:
+    """Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng.
+
+    Any command records one by --trace FILE.
+    """
+
+
+@log.command()
+@click.argument("source", type=FILE)
+@click.argument("target", type=FILE)
+@common
+@click.pass_obj
+def convert(settings: Settings, source: Path, target: Path) -> int:
+    """Convert a log file to another kind, which the names tell. Records that this kind cannot hold are counted.
+
+    \b
+    canopen log convert trace.blf trace.log
+    """
+    screen = settings.screen()
+    if same_file(source, target):
+        raise usage("CO123", "a file cannot be converted into itself", tries=(f"canopen log convert {source} other.log",))
+    check_new_file(settings, screen, target)
+    reader, kind = LogReader(source), kind_of(target)
+    records = iter(reader)
+    first = list(islice(records, 1))  # if the source cannot be read, an older target stays
+    writer = log_writer(target)
+    count = 0
+    try:
+        for part in (first, records):
+            for record in part:
+                writer.write(record)
+                count += 1
+    except LogFileError:
+        screen.say(f"what could be read, {count - writer.left_out} frames, is in {escape(str(target))}")
+        raise
+    finally:
+        writer.close()
+    screen.say(f"{count - writer.left_out} frames: [bold]{escape(str(target))}[/]")
+    if LOSSES[kind]:
+        screen.say(f"[dim]{kind}: {LOSSES[kind]}[/]")
+    tell_skipped(screen, reader)
+    if settings.json:
+        counts = {"frames": count - writer.left_out, "left_out": writer.left_out, "skipped": reader.skipped}
+        screen.json({"file": str(source), "output": str(target), **counts})
+    if writer.left_out:
+        screen.say(f"[yellow]{writer.left_out} frames are left out[/]; .log holds them")
+        return ExitCode.PARTIAL
+    return ExitCode.OK
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE)
+@click.option("--speed", default="1", show_default=True, metavar="FACTOR", help="10 is ten times as fast; max: without waiting.")
+@click.option("--only-sent", is_flag=True, help="Only what the recorder sent, such as a master's side.")
+@common
+@click.pass_obj
+def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> None:
+    """Send the frames of a file to a bus again. DRIVES MAY MOVE: what a master said then is a command now.
+
+    \b
+    canopen log replay trace.log -b socketcan:vcan0
+    """
+    screen = settings.screen()
+    bus = settings.required_bus("-b tcp                         the bus of `canopen bus serve`")
+    try:
+        factor = None if speed == "max" else float(speed)
+    except ValueError:
+        factor = 0.0
+    if factor is not None and not 0 < factor < 1e9:
+        raise usage("CO001", f"the speed {speed!r} is neither a positive number nor max", tries=("--speed 10",))
+    reader = LogReader(source)
+
+    async def play() -> int:
+        count = 0
+        async with await open_transport(bus) as transport:
+            start, first = trio.current_time(), None
+            for record in reader:
+                first = record.time if first is None else first
+                if factor is not None:
+                    await trio.sleep_until(start + (record.time - first) / SECOND / factor)
+                if record.sent or not only_sent:
+                    await transport.send(record.frame)
+                    count += 1
+        return count
+
+    count = run(settings, screen, play, reads=source)
+    screen.say(f"{count} frames sent on {escape(bus)}")
+    tell_skipped(screen, reader)
+    if settings.json:
+        screen.json({"file": str(source), "bus": bus, "frames": count, "skipped": reader.skipped})
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
+@click.option("--bitrate", default="500k", show_default=True, help="For the load of the bus: 1M, 250k.")
+@common
+@click.pass_obj
+def stats(settings: Settings, source: Path, bitrate: str) -> None:
+    """Count the frames of a file: number, rate and bus load of each CAN-ID."""
+    screen = settings.screen()
+    try:
+        rate = parse_bitrate(bitrate)
+    except ValueError as error:
+        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
+    reader, observer = _reader(source), Observer()
+    frames: Counter[int] = Counter()
+    bits: Counter[int] = Counter()
+    what: dict[int, tuple[str, str, int]] = {}
+    first = last = None
+    for record in reader:
+        frame = record.frame
+        first = record.time if first is None else first
+        last = max(record.time, first if last is None else last)
+        frames[frame.key] += 1
+        bits[frame.key] += frame_bits(frame)
+        if frame.key not in what:
+            meaning = observer.observe(frame, record.time).meaning
+            service = "heartbeat" if meaning.service == "boot-up" else meaning.service  # the first one is the boot-up
+            what[frame.key] = (str(frame).partition("#")[0], service, meaning.node_id)
+    seconds = 0.0 if first is None or last is None else (last - first) / SECOND
+    rows = [(*what[key], frames[key], _per(frames[key], seconds), _per(bits[key] / rate * 100, seconds)) for key in sorted(what)]
+    total = sum(frames.values())
+    load = _per(sum(bits.values()) / rate * 100, seconds)
+    if settings.json:
+        names = ("can_id", "service", "node", "frames", "per_second", "load_percent")
+        ids = [dict(zip(names, row, strict=True)) for row in rows]
+        screen.json(
+            {"frames": total, "seconds": seconds, "bitrate": rate, "load_percent": load, "skipped": reader.skipped, "ids": ids}
+        )
+        return
+    columns = ("CAN-ID", "service", "node", "frames", "per second", "load %")
+    texts = [
+        (name, service, str(node or ""), str(count), _text(each), _text(share))
+        for name, service, node, count, each, share in rows
+    ]
+    screen.table(columns, texts, right=columns[2:])
+    per_second = _text(_per(total, seconds))
+    screen.data(f"{total} frames in {seconds:.6g} s, {per_second} a second, load {_text(load)} % at {bitrate_text(rate)}")
+    tell_skipped(screen, reader)
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
+@choosing
+@common
+@click.pass_obj
+def decode(
+    settings: Settings,
+    source: Path,
+    nodes: tuple[int, ...] | None,
+    services: tuple[str, ...],
+    objects: tuple[str, ...],
+    changes: bool,
+) -> None:
+    """Say what each frame in a file means; - is standard input. `canopen monitor` shows a bus like this.
+
+    PDOs are decoded by the mapping that the recording shows, else by the devices' own files, else by PDOs.csv. A line that begins
+    with ! says what is wrong with the frame before it. A line that begins with = sums up frames before it: a fastscan (-v shows
+    its frames), or what a node was told behind its boot-up.
+
+    \b
+    canopen log decode trace.log
+    canopen log decode trace.log -e 5=drive.eds --node 5 --service sdo
+    candump can0 | canopen log decode -
+    """
+    screen = settings.screen()
+    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
+    watch = Watch(settings, screen, choice, source)
+    run(settings, screen, watch.show, reads=source)
+    watch.tell_skipped()
+    watch.require_frames()
+
+
+@log.command()
+@click.argument("source", metavar="FILE", type=FILE_OR_INPUT)
+@click.option("--bitrate", metavar="RATE", default="", help="Look at the load of the bus, too: 1M, 250k.")
+@click.option(
+    "--limit",
+    default=LOAD_LIMIT * 100,
+    metavar="PERCENT",
+    show_default=True,
+    type=click.FloatRange(1, 100),
+    help="Of the load, in %.",
+)
+@common
+@click.pass_obj
+def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
+    """Say what happened on the bus that a file was recorded on, and what was wrong there; - is standard input.
+
+    First the story, in the order of time: emergencies, drives in fault, boot-ups in the middle of operation, nodes that fell
+    silent and came back, aborted SDO transfers. What repeats is told once, and counted. Then the findings: what is against the
+    standard. "certain": nothing else can look like this. "likely": frames that are missing from the recording might.
+
+    Exit status 1 if anything was told but aborts: many programs ask for objects that a device may lack.
+
+    \b
+    canopen log check trace.log
+    canopen log check trace.log -e 5=drive.eds --bitrate 500k
+    """
+    screen = settings.screen()
+    try:
+        rate = parse_bitrate(bitrate) if bitrate else 0
+    except ValueError as error:
+        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
+    files = NodeFiles(settings, screen, read_dictionary(screen))
+    reader, buses = _reader(source), Buses(files, bitrate=rate, load_limit=limit / 100)
+    stories: dict[str, Story] = {}  # by channel
+    counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
+    lines: list[str] = []  # of findings, which follow the story
+    number = overruns = 0
+    for number, record in enumerate(reader, 1):
+        if number % 256 == 0:
+            screen.check_reader()
+        lost = None
+        if reader.overruns > overruns:  # several recorders may be one file: which one lost frames is not looked at
+            overruns = reader.overruns
+            lost = buses.lost("the controller of the recorder was overrun", record.time)
+        seconds, observation = buses.observe(record)
+        findings = observation.findings if lost is None else (lost, *observation.findings)
+        story = stories.get(record.channel)
+        if story is None:
+            story = stories[record.channel] = Story()
+        events = story.add(record.frame, observation, record.time)
+        if not (events or findings):
+            continue
+        where = {"time": record.time, "channel": record.channel, "frame": str(record.frame)}
+        for event in events:
+            if settings.json:
+                told = {"event": event.kind, "node_id": event.node_id, "text": event.text}
+                screen.out.out(json_text(where | told), highlight=False)
+            else:
+                screen.out.out(f"{seconds:12.6f} {record.frame!s:<25} {event_text(event)}", highlight=False)
+        for finding in findings:
+            counts[finding.rule, finding.is_certain] += 1
+            if settings.json:
+                screen.out.out(json_text(where | finding._asdict()), highlight=False)
+                continue
+            line = f"{seconds:12.6f} {record.frame!s:<25} {finding_text(finding)}"
+            if finding.rule == "boot-up":
+                screen.out.out(line, highlight=False)
+            elif len(lines) < MAX_LINES:
+                lines.append(line)
+    for line in lines:
+        screen.out.out(line, highlight=False)
+    total = sum(counts.values())
+    left_out = total - sum(count for (rule, _), count in counts.items() if rule == "boot-up") - len(lines)
+    if left_out > 0 and not settings.json:
+        screen.out.out(f"... and {counted(left_out, 'finding')} more", highlight=False)
+    events_told = _summed(story.told for story in stories.values())
+    repeated = _summed(story.repeated for story in stories.values())
+    for kind in sorted(events_told):
+        again = f", and {repeated[kind]} times more" if repeated[kind] else ""
+        screen.say(f"{events_told[kind]:>7} x [bold]{kind}[/]: {KINDS[kind]}{again}")
+    for (rule, is_certain), count in sorted(counts.items()):
+        screen.say(f"{count:>7} x [bold]{rule}[/]{'' if is_certain else ' (likely)'}: {RULES[rule]}")
+    totals = [counted(sum(events_told.values()), "event")] if events_told else []
+    if total:
+        likely = sum(count for (_, is_certain), count in counts.items() if not is_certain)
+        totals.append(f"{counted(total, 'finding')}{f' ({total - likely} certain, {likely} likely)' if likely else ''}")
+    screen.say(f"{counted(number, 'frame')}, {', '.join(totals) or 'no findings'}")
+    tell_skipped(screen, reader)
+    require_frames(reader, str(source), number)
+    return ExitCode.DIFFERENT if counts or events_told.keys() - {"abort"} else ExitCode.OK
+
+
+def _summed(counts: Iterable[dict[str, int]]) -> Counter[str]:
+    total: Counter[str] = Counter()
+    for each in counts:
+        total.update(each)
+    return total
+
+
+def _per(count: float, seconds: float) -> float:
+    return count / seconds if seconds else 0.0
+
+
+def _text(number: float) -> str:
+    return f"{number:.3g}"

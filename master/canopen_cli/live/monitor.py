@@ -1,0 +1,181 @@
+"""`canopen monitor`: what is said on a bus, as it is said. `canopen log decode` shows a recording by the same function."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+import click
+import trio
+
+from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, choosing
+from canopen_cli.live.outlet import Outlet, open_outlet
+from canopen_cli.live.source import FILE_OR_INPUT, Heard, LiveSource, open_live_source, require_frames, tell_skipped
+from canopen_cli.shared.node_files import NodeFiles
+from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.session import read_dictionary
+from canopen_proto.machine import SECOND, Time
+from canopen_transports.errors import ReceiveOverrun
+from canopen_transports.record import Record
+
+QUIET: Final = 0.5
+"""Seconds without a frame, after which it is looked for what should have come."""
+LATE: Final = SECOND // 4
+"""Longer than a frame is on its way from the bus to us."""
+
+
+@click.command()
+@click.argument("source", metavar="[FILE]", type=FILE_OR_INPUT, required=False)
+@choosing
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@common
+@click.pass_obj
+def monitor(
+    settings: Settings,
+    source: Path | None,
+    nodes: tuple[int, ...] | None,
+    services: tuple[str, ...],
+    objects: tuple[str, ...],
+    changes: bool,
+    seconds: float | None,
+) -> int:
+    """Show what each frame on a bus means, until Ctrl-C. Nothing is sent.
+
+    With a FILE it shows a recording in place of a bus; - is standard input. PDOs are shown by the mapping that was heard, else by
+    the devices' own files, else by PDOs.csv. A line that begins with ! says what is wrong with the frame before it. A line that
+    begins with = sums up frames before it: a fastscan (-v shows its frames), or what a node was told behind its boot-up.
+
+    \b
+    canopen monitor -b demo
+    canopen monitor -b can0 --node 5 --service sdo,emcy
+    canopen monitor -b can0 -e 5=drive.eds --object statusword --changes
+    candump can0 | canopen monitor -
+    """
+    screen = settings.screen()
+    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
+    watch = Watch(settings, screen, choice, source)
+
+    async def show() -> None:
+        try:
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await watch.show()
+                watch.require_frames()
+        finally:
+            watch.tell_counts()
+
+    run_until_interrupted(settings, screen, show, reads=source)
+    return ExitCode.NO_ANSWER if watch.has_heard_nothing else ExitCode.OK
+
+
+class Watch:
+    """The frames of a source on the screen, and their counts. source: a recording; None: the bus of the options."""
+
+    def __init__(self, settings: Settings, screen: Screen, choice: FrameChoice, source: Path | None) -> None:
+        self._settings = settings
+        self._screen = screen
+        self._choice = choice
+        self._source = source
+        self._live: LiveSource | None = None
+        self._outlet: Outlet | None = None
+        self._begin: Time | None = None
+        self._frames = 0
+        self._shown = 0
+        self._findings = 0
+
+    async def show(self) -> None:
+        """Show a recording to its end, or a bus for ever.
+
+        Raises what LiveSource raises, and OSError if the reader of the output has gone.
+        """
+        lines = FrameLines(self._screen)
+        try:
+            async with (
+                open_live_source(self._settings, self._source) as live,
+                open_outlet(self._screen, lines.gap, waits=not live.is_live) as outlet,
+            ):
+                self._live, self._outlet = live, outlet
+                if live.is_live:
+                    self._begin = live.now()
+                    how = "the adapter only listens" if live.is_silent else "nothing is sent"
+                    self._screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; {how}")
+                buses = Buses(self._choice.files, bitrate=live.bitrate or self._settings.told_bitrate() or 0)
+                while (taken := await _next(live)) != []:
+                    lines.measure()
+                    for heard in taken or ():
+                        await self._tell(heard, buses, lines, outlet)
+                    if taken is None:
+                        await self._tell_silence(live.now() - LATE, buses, lines, outlet)
+                for channel, summary in buses.unfinished():
+                    if self._choice.tells(summary):
+                        await outlet.put(lines.summary(live.now(), channel, summary))
+        except ExceptionGroup as group:
+            raise first_of(group) from None
+
+    async def _tell(self, heard: Heard, buses: Buses, lines: FrameLines, outlet: Outlet) -> None:
+        if isinstance(heard, Record):
+            if self._begin is None:
+                self._begin = heard.time
+            self._frames += 1
+            seconds, observation = buses.observe(heard)
+            self._findings += len(observation.findings)
+            for summary in observation.summaries:
+                if self._choice.tells(summary):
+                    await outlet.put(lines.summary(heard.time, heard.channel, summary))
+            if self._choice.shows(heard, observation):
+                self._shown += 1
+                await outlet.put(lines.frame(seconds, heard, observation))
+        elif self._live is not None:
+            if isinstance(heard, ReceiveOverrun):
+                buses.lost(heard.seen, self._live.now())  # the line below tells it
+            await outlet.put(lines.report(buses.seconds(self._live.now()), self._live.now(), heard))
+
+    async def _tell_silence(self, time: Time, buses: Buses, lines: FrameLines, outlet: Outlet) -> None:
+        """Tell what is wrong because nothing came until this time."""
+        for channel, findings, summaries in buses.idle(time):
+            self._findings += len(findings)
+            for finding in filter(self._choice.warns, findings):
+                await outlet.put(lines.finding(buses.seconds(time), time, channel, finding))
+            for summary in filter(self._choice.tells, summaries):
+                await outlet.put(lines.summary(time, channel, summary))
+
+    def tell_counts(self) -> None:
+        """Tell what was heard and shown, if anything was opened."""
+        if self._live is None or self._outlet is None:
+            return
+        seconds = 0.0 if self._begin is None else (self._live.now() - self._begin) / SECOND
+        parts = [f"{counted(self._frames, 'frame')} in {seconds:.1f} s"]
+        if self._shown != self._frames:
+            parts.append(f"{self._shown} shown")
+        parts.append(counted(self._findings, "finding") if self._findings else "no findings")
+        self._screen.say(", ".join(parts))
+        if self._outlet.left_out:
+            self._screen.say(f"[yellow]{self._outlet.left_out} of these are missing above: the reader was too slow[/]")
+        if self._live.lost:
+            self._screen.say(f"[yellow]{counted(self._live.lost, 'frame')} lost before they came here[/]")
+        self.tell_skipped()
+
+    @property
+    def has_heard_nothing(self) -> bool:
+        """Whether no frame came from a bus."""
+        return self._live is not None and self._live.is_live and not self._frames
+
+    def require_frames(self) -> None:
+        """Raise a Problem if nothing in the recording was a frame."""
+        if self._live is not None and not self._live.is_live:
+            require_frames(self._live, self._live.name, self._frames)
+
+    def tell_skipped(self) -> None:
+        """Tell what in the recording was no frame."""
+        if self._live is not None:
+            tell_skipped(self._screen, self._live)
+
+
+async def _next(live: LiveSource) -> list[Heard] | None:
+    """Return what comes next: nothing at the end of a recording, None if a bus was silent for QUIET."""
+    with trio.move_on_after(QUIET if live.is_live else math.inf):
+        return await live.take()
+    return None

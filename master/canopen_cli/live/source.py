@@ -1,0 +1,322 @@
+"""`LiveSource`: the frames of a bus, of a log file or of standard input, in their order and with their times.
+
+    async with open_live_source(settings, source) as live:
+        async for heard in live:
+            if isinstance(heard, Record): ...
+
+`canopen monitor`, `watch` and `top` read it, so that each shows a bus and a recording alike. On a bus it sends nothing, and
+where the adapter can, it listens only.
+
+A frame of a bus gets the time stamp of its transport, moved to the system's clock: the stamp is not late when this process is. A
+recorded frame keeps its own time.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import AsyncIterator, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, closing, contextmanager, suppress
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Final, TypeAlias, cast
+
+import click
+import trio
+
+from canopen_cli.shared.options import DEMO, Settings
+from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.screen import Screen, escape
+from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
+from canopen_proto.machine import SECOND, Time
+from canopen_transports import open_transport
+from canopen_transports.errors import BusState, BusStateChanged, ReceiveOverrun, Report
+from canopen_transports.locator import parse_locator
+from canopen_transports.log_files import LogFileError, LogReader
+from canopen_transports.receive_test import NO_WIRE, silently
+from canopen_transports.record import Record
+from canopen_transports.transport import BatchTransport, RatedTransport, Transport
+
+if TYPE_CHECKING:
+    from io import BufferedReader
+
+FILE_OR_INPUT: Final = click.Path(dir_okay=False, path_type=Path, allow_dash=True)
+"""The argument of a command that takes a log file, or - for standard input."""
+INPUT: Final = Path("-")
+
+Heard: TypeAlias = Record | Report
+"""A frame; or, from a bus, the report of a loss or of the bus's state, at its place among the frames."""
+
+BATCH: Final = 256
+"""The most frames that are handed over at once; between two batches other tasks run."""
+AHEAD: Final = 4096
+"""Frames that are read from standard input before they are asked for."""
+_DRIFT: Final = 200e-6
+"""The difference of two quartz clocks is smaller: each is within 100 ppm."""
+_STALE: Final = 2 * SECOND
+"""A frame that seems to have waited for longer did not wait: its clock was set back."""
+
+
+class LiveSource(ABC):
+    """See this module's text. Iterate over it once, or call `take` until it returns nothing.
+
+    name: the file or the bus, for people. is_live: a bus, whose time goes on between its frames; False: a recording. is_silent: a
+    bus whose adapter does not even acknowledge frames. bitrate: of the bus, bit/s; None if it is not known. lost: frames that
+    were lost on their way here. skipped: entries of a recording that are not classical CAN frames; last_skip: why the last one is
+    none.
+    """
+
+    is_live = False
+    is_silent = False
+    bitrate: int | None = None
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.lost = 0
+        self._taken: deque[Heard] = deque()
+        self._last: Time = 0
+
+    def __aiter__(self) -> AsyncIterator[Heard]:
+        return self
+
+    async def __anext__(self) -> Heard:
+        if not self._taken:
+            self._taken.extend(await self.take())
+        if not self._taken:
+            raise StopAsyncIteration
+        return self._taken.popleft()
+
+    @abstractmethod
+    async def take(self) -> list[Heard]:
+        """Wait until there is something; return 1 to BATCH frames and reports in order, or nothing at the end of a recording.
+
+        Raises LogFileError for a damaged file, after all that can be read; TransportError for a bus that fails.
+        """
+
+    def now(self) -> Time:
+        """Return the present, in ns on the clock of the frames: in a recording the time of the last frame that was taken."""
+        return self._last
+
+    @property
+    def skipped(self) -> int:
+        return 0
+
+    @property
+    def last_skip(self) -> str:
+        return ""
+
+
+@asynccontextmanager
+async def open_live_source(settings: Settings, source: Path | None) -> AsyncIterator[LiveSource]:
+    """Open the file, or the bus of the options if there is none, while the block runs. source: - is standard input.
+
+    Raises Problem, TransportError, LogFileError.
+    """
+    if source is not None:
+        with _open_recording(source) as recording:
+            yield recording
+        return
+    bus = settings.required_bus()
+    async with AsyncExitStack() as stack:
+        locator = DEMO_LOCATOR if bus == DEMO else bus
+        transport = await open_transport(silently(parse_locator(locator)))
+        await stack.enter_async_context(transport)
+        if bus == DEMO:
+            await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
+        yield _Bus(bus, locator, transport)
+
+
+def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
+    """Tell how many entries of a recording were no frames, if any."""
+    if source.skipped:
+        screen.say(f"[yellow]{source.skipped} entries passed over, the last: {escape(source.last_skip)}[/]")
+
+
+def require_frames(source: LogReader | LiveSource, name: str, frames: int) -> None:
+    """Raise a Problem if a recording has entries, and none of them is a frame: silence would look like a bus without faults."""
+    if source.skipped and not frames:
+        raise Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
+
+
+class _Bus(LiveSource):
+    is_live = True
+
+    def __init__(self, name: str, locator: str, transport: Transport) -> None:
+        super().__init__(name)
+        parsed = parse_locator(locator)
+        self.is_silent = silently(parsed) != parsed.text and parsed.interface not in NO_WIRE
+        self.bitrate = parsed.bitrate or (transport.bitrate if isinstance(transport, RatedTransport) else None)
+        self._channel = parsed.channel or parsed.interface
+        self._transport = transport
+        self._batch = transport if isinstance(transport, BatchTransport) else None
+        self._is_replay = parsed.interface == "file"
+        self._clock = StampClock(time.time_ns() - _trio_now())
+
+    async def take(self) -> list[Heard]:
+        received = [await self._transport.receive()] if self._batch is None else await self._batch.receive_many(BATCH)
+        heard: list[Heard] = []
+        for each in received:
+            if isinstance(each, tuple):
+                frame, stamp = each
+                self._last = self._clock.time_of(stamp, _trio_now())
+                if self._is_replay and stamp is not None:
+                    self._last = stamp  # of another day
+                heard.append(Record(self._last, self._channel, frame))
+            elif self._is_replay and isinstance(each, BusStateChanged) and each.state is BusState.DOWN:
+                return heard  # the recording has ended
+            else:
+                self.lost += each.lost if isinstance(each, ReceiveOverrun) else 0
+                heard.append(each)
+        return heard
+
+    def now(self) -> Time:
+        return self._last if self._is_replay else max(self._last, _trio_now() + self._clock.zero)
+
+
+class StampClock:
+    """Turns the time stamps of a transport into times on another clock of ours.
+
+    A frame comes some time after its stamp, never before it. So the shortest such delay is the difference of the two clocks; it
+    is allowed to grow slowly, as one of them is faster. zero: is added to each time.
+    """
+
+    def __init__(self, zero: Time = 0) -> None:
+        self.zero = zero
+        self._least: float | None = None
+        self._seen: Time = 0
+        self._last: Time | None = None
+
+    def time_of(self, stamp: int | None, now: Time) -> Time:
+        """Return when a frame came that is handed over now. Not before the one before it. stamp: None if it has none."""
+        if stamp is None:
+            time = now
+        else:
+            delay = now - stamp
+            if self._least is None or delay - self._least > _STALE:
+                self._least = delay
+            self._least = min(delay, self._least + (now - self._seen) * _DRIFT)
+            self._seen = now
+            time = stamp + round(self._least)
+        self._last = time if self._last is None else max(time, self._last)
+        return self._last + self.zero
+
+
+class _Recording(LiveSource):
+    """A log file: read between the turns of other tasks."""
+
+    def __init__(self, reader: LogReader) -> None:
+        super().__init__(str(reader.path))
+        self._reader = reader
+        self._records = iter(reader)
+        self._failure: Exception | None = None
+
+    async def take(self) -> list[Heard]:
+        await trio.lowlevel.checkpoint()
+        found: list[Record] = []
+        while len(found) < BATCH and (record := self._next()) is not None:
+            found.append(record)
+        return self._handed_over(found)
+
+    def _next(self) -> Record | None:
+        try:
+            return next(self._records, None)
+        except LogFileError as error:  # told after all records before it
+            self._failure = error
+            return None
+
+    def _handed_over(self, found: list[Record]) -> list[Heard]:
+        if found:
+            self._last = found[-1].time
+        elif self._failure is not None:
+            raise self._failure
+        return [*found]
+
+    def close(self) -> None:
+        """Close the file."""
+        self._records.close()
+
+    @property
+    def skipped(self) -> int:
+        return self._reader.skipped
+
+    @property
+    def last_skip(self) -> str:
+        return self._reader.last_skip
+
+
+class _Stream(_Recording):
+    """Standard input, which may make its reader wait: a thread reads it, at most AHEAD frames before they are taken."""
+
+    def __init__(self, reader: LogReader) -> None:
+        super().__init__(reader)
+        self._ready: deque[Record] = deque()
+        self._room = threading.Semaphore(AHEAD)
+        self._is_over = False
+        self._woken = trio.Event()
+        self._token = trio.lowlevel.current_trio_token()
+        threading.Thread(target=self._run, name=f"read {self.name}", daemon=True).start()
+
+    async def take(self) -> list[Heard]:
+        await trio.lowlevel.checkpoint()
+        while not self._ready and not self._is_over:
+            self._woken = trio.Event()
+            await self._woken.wait()
+        found = [self._ready.popleft() for _ in range(min(BATCH, len(self._ready)))]
+        if found:
+            self._room.release(len(found))
+        return self._handed_over(found)
+
+    def close(self) -> None:
+        """Let the thread end once its present wait for input is over; it keeps no process alive."""
+        self._is_over = True
+        self._room.release()
+
+    def _run(self) -> None:
+        with suppress(trio.RunFinishedError), closing(self._records):  # the run has ended: nobody takes any more
+            while not self._is_over and (record := self._next()) is not None:
+                self._room.acquire()
+                self._ready.append(record)
+                self._token.run_sync_soon(self._wake, idempotent=True)
+            self._is_over = True
+            self._token.run_sync_soon(self._wake)
+
+    def _wake(self) -> None:
+        self._woken.set()
+
+
+@contextmanager
+def _open_recording(source: Path) -> Iterator[_Recording]:
+    recording: _Recording
+    if source != INPUT:
+        recording = _Recording(_reader_of_file(source))
+    elif _waits(sys.stdin):  # a handle of our own: at the end Python would wait for a thread that reads its own
+        stream = open(sys.stdin.fileno(), "rb", closefd=False)  # noqa: SIM115 - the thread may read as long as the process lives
+        recording = _Stream(LogReader(Path("standard input"), stream))
+    else:
+        recording = _Recording(LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer)))
+    try:
+        yield recording
+    finally:
+        recording.close()
+
+
+def _reader_of_file(source: Path) -> LogReader:
+    if not source.suffix and not source.exists():
+        raise usage("CO001", f"there is no file {source}", tries=(f"-b {source}    (if it is a bus)",))
+    return LogReader(source)
+
+
+def _waits(stream: IO[str]) -> bool:
+    """Return whether a read of this stream may have to wait: it is a pipe, a terminal, a socket."""
+    try:
+        return not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
+    except (OSError, ValueError):  # not a file: a test, a notebook
+        return False
+
+
+def _trio_now() -> Time:
+    return round(trio.current_time() * SECOND)

@@ -1,0 +1,1 @@
+"""Node-IDs and bit rates over the bus: `canopen lss`."""

@@ -1,0 +1,236 @@
+"""`canopen lss set-bitrate`: another bit rate for all devices of a bus, and for our interface.
+
+The order is that of canopen_proto/lss/bit_rate.py; here are the search for all devices, the question, and our own
+interface: a bus whose locator has a bit rate is opened again with the new one, others need a command (`--interface-command`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import click
+import trio
+
+from canopen_cli.bus.nmt import confirm
+from canopen_cli.lss.support import Lss, address_text, open_lss, windowed
+from canopen_cli.shared.options import DEMO, Duration, Settings, common
+from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.questions import require_somebody
+from canopen_cli.shared.running import run
+from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_master.simulation.fleet import DEMO_LOCATOR
+from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all
+from canopen_proto.lss.messages import BIT_RATES, LssAddress
+from canopen_proto.lss.scan import survey
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.manager.scan import ALL_NODE_IDS, LISTEN, NodeFound, scan
+from canopen_transports.locator import bitrate_text, parse_bitrate, parse_locator
+
+WITHOUT_RATE: Final = ("virtual", "tcp", "udp_multicast")
+"""Buses in software: nothing is to be switched."""
+COMMAND_TIME: Final = 10
+"""Seconds that the interface command may take."""
+
+
+class Rate(click.ParamType):  # type: ignore[type-arg, unused-ignore]
+    """A bit rate of CiA's table: "250k". In kbit/s."""
+
+    name = "rate"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        if isinstance(value, int):
+            return value
+        try:
+            rate, rest = divmod(parse_bitrate(str(value)), 1000)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        if rest or rate not in BIT_RATES.values():
+            self.fail(f"{value} is not in CiA's table: {', '.join(bitrate_text(each * 1000) for each in BIT_RATES.values())}")
+        return rate
+
+
+@dataclass
+class Change:
+    """The order. rates: kbit/s. locators: of our bus before and after. command: switches our interface, "" for none."""
+
+    old: int
+    new: int
+    locators: tuple[str, str]
+    command: str
+    delay: Time
+    store: bool
+
+    @property
+    def back(self) -> Change:
+        """The way back."""
+        return Change(self.new, self.old, self.locators[::-1], self.command, self.delay, False)
+
+
+@click.command("set-bitrate")
+@click.argument("rate", metavar="RATE", type=Rate())
+@click.option("--from", "present", type=Rate(), help="The present bit rate, if the name of the bus does not say it.")
+@click.option(
+    "--delay", type=Duration(0, 65_535 * MILLISECOND), default=DELAY, help="Before and after the switch.  [default: 1s]"
+)
+@click.option(
+    "--interface-command", "command", default="", metavar="COMMAND",
+    help="Switches our interface; {bitrate} stands for the new one in bit/s.",
+)  # fmt: skip
+@click.option("--no-store", is_flag=True, help="Only until the power goes off.")
+@click.option("--dry-run", is_flag=True, help="Find the devices and show the order; nothing is written.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@windowed
+@common
+@click.pass_obj
+def set_bitrate(
+    settings: Settings, rate: int, present: int | None, delay: Time, command: str, no_store: bool, dry_run: bool, yes: bool,
+    window: Time,
+) -> None:  # fmt: skip
+    """Change the bit rate of all devices of a bus.
+
+    Each device is found and selected first: if one does not know LSS, or refuses the new bit rate, nothing is switched. Then all
+    switch at once, and our interface with them. Devices that are missing afterwards bring the others back to the old bit rate.
+    It is stored at the end only: until then, power off and on is the way back.
+
+    \b
+    canopen lss set-bitrate 250k --dry-run -b pcan:PCAN_USBBUS1@500k
+    canopen lss set-bitrate 250k --from 500k -b can0 --interface-command "ip link set can0 down && ..."
+    """
+    screen = settings.screen()
+    change = _change(settings, rate, present, delay, command, not no_store)
+    require_somebody(screen, "change the bit rate of all devices", yes or dry_run)
+
+    async def prepare_all() -> list[LssAddress]:
+        async with open_lss(settings, screen, window) as lss:
+            return await _devices(lss, screen)
+
+    addresses = run(settings, screen, prepare_all)
+    _show(screen, change, addresses)
+    if dry_run:
+        screen.say("dry run: nothing was written")
+        return
+    confirm(screen, f"change the bit rate of {counted(len(addresses), 'device')}; no drive may move meanwhile", yes, needed=True)
+
+    async def carry_out() -> list[Refusal]:
+        await _switch(settings, screen, change, addresses, window)
+        return await _check(settings, screen, change, addresses, window)
+
+    failed = run(settings, screen, carry_out)
+    if failed:
+        seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in failed)
+        raise Problem(
+            ExitCode.PARTIAL, "CO212", f"{counted(len(failed), 'device')} did not store the new bit rate, which is in use",
+            seen=seen, tries=("canopen lss store NODE", "power off and on: these have the old one again"),
+        )  # fmt: skip
+    screen.say(f"{counted(len(addresses), 'device')} at {rate} kbit/s. Open the bus as {escape(change.locators[1])} from now on")
+
+
+def _change(settings: Settings, rate: int, present: int | None, delay: Time, command: str, store: bool) -> Change:
+    bus = settings.required_bus()
+    locator = parse_locator(DEMO_LOCATOR if bus == DEMO else bus)
+    old = present or (locator.bitrate or 0) // 1000
+    if old not in BIT_RATES.values():
+        raise usage("CO123", "which bit rate does the bus have now? It is needed for the way back", tries=("--from 500k",))
+    has_rate = locator.interface not in (*WITHOUT_RATE, "socketcan")
+    if locator.interface == "socketcan" and not command:
+        link = f"ip link set {locator.channel}"
+        example = f'--interface-command "{link} down && {link} type can bitrate {{bitrate}} && {link} up"    (as root)'
+        failed = "the bit rate of a SocketCAN interface is set by the system, and has to change together with the devices'"
+        raise usage("CO123", failed, tries=(example,))
+    after = bus
+    if has_rate:
+        address, mark, options = bus.partition("?")
+        after = re.sub("@.*", "", address) + f"@{bitrate_text(rate * 1000)}" + mark + options
+    return Change(old, rate, (bus, after), command, delay, store)
+
+
+async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
+    """Return the addresses of all devices on the bus. Raises a Problem if one cannot be reached by LSS."""
+    screen.say("[dim]looking for all devices: nodes, and devices without a node-ID[/]")
+    found: list[NodeFound] = await lss.run(scan(lss.tool.scanner, ALL_NODE_IDS, listen=LISTEN))
+    without = (await lss.run(survey(lss.tool, lss.pace))).found
+    by_node = {node.node_id: LssAddress(*(number or 0 for number in node.identity)) for node in found}
+    addresses: list[LssAddress] = [*by_node.values(), *without]
+    absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
+    if absent or not addresses or len(set(addresses)) < len(addresses):
+        names = [f"node {node_id} ({address_text(each)})" for node_id, each in by_node.items() if each in absent]
+        seen = (
+            f"not selected: {', '.join(names)}" if names else "two have the same address" if addresses else "no device was found"
+        )
+        raise Problem(
+            ExitCode.NO_ANSWER, "CO211", "not every device of the bus can be reached by LSS; nothing was written", seen=seen,
+            tries=("switch off what does not know LSS, and set its bit rate by hand",),
+        )  # fmt: skip
+    return addresses
+
+
+def _show(screen: Screen, change: Change, addresses: Sequence[LssAddress]) -> None:
+    for address in addresses:
+        screen.say(f"  {escape(address_text(address))}: {change.new} kbit/s in place of {change.old}")
+    delay = change.delay / SECOND
+    screen.say(f"  then all at once: silent for {delay:g} s, switch, silent for {delay:g} s; then look for each of them")
+    screen.say(f"  {'then all store it' if change.store else 'nothing is stored'}; our bus: {escape(change.locators[1])}")
+
+
+async def _switch(settings: Settings, screen: Screen, change: Change, addresses: Sequence[LssAddress], window: Time) -> None:
+    """Prepare the devices, let them switch, and switch our interface. Raises a Problem if one refuses: nothing is switched."""
+    settings.bus = change.locators[0]
+    async with open_lss(settings, screen, window) as lss:
+        refused: list[Refusal] = await lss.run(prepare(lss.tool, lss.pace, addresses, change.new, change.old))
+        if refused:
+            seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in refused)
+            raise Problem(
+                ExitCode.PARTIAL, "CO212", f"not every device takes {change.new} kbit/s; nothing was switched", seen=seen
+            )
+        await lss.run(activate(lss.tool, change.delay))
+    started = trio.current_time()
+    if change.command:
+        await _run_command(change)
+    settings.bus = change.locators[1]
+    await trio.sleep(max(0.0, change.delay / SECOND - (trio.current_time() - started)))
+
+
+async def _run_command(change: Change) -> None:
+    text = change.command.replace("{bitrate}", str(change.new * 1000))
+    with trio.move_on_after(COMMAND_TIME):
+        ended = await trio.run_process(["/bin/sh", "-c", text], check=False, capture_stderr=True)
+        if ended.returncode == 0:
+            return
+        seen = ended.stderr.decode(errors="replace").strip()
+        raise Problem(
+            ExitCode.CANNOT_OPEN, "CO213", f"our interface was not switched to {change.new} kbit/s; the devices were",
+            seen=seen, tries=(f"by hand: {text}", "power off and on is the way back: nothing was stored"),
+        )  # fmt: skip
+    raise Problem(
+        ExitCode.CANNOT_OPEN, "CO213", f"the interface command did not end within {COMMAND_TIME} s; the devices have switched",
+        tries=("by hand; nothing was stored: power off and on is the way back",),
+    )  # fmt: skip
+
+
+async def _check(
+    settings: Settings, screen: Screen, change: Change, addresses: Sequence[LssAddress], window: Time
+) -> list[Refusal]:
+    """Look for all devices at the new bit rate, and let them store it; return those that did not. If one is missing, bring the
+    others back, and raise a Problem."""
+    async with open_lss(settings, screen, window) as lss:
+        absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
+        if not absent:
+            return (await lss.run(store_all(lss.tool, lss.pace, addresses))) if change.store else []
+    screen.say(f"[yellow]{counted(len(absent), 'device')} missing at {change.new} kbit/s: back to {change.old}[/]")
+    back = [each for each in addresses if each not in absent]
+    if back:
+        await _switch(settings, screen, change.back, back, window)
+    elif change.command:
+        await _run_command(change.back)
+    settings.bus = change.locators[0]
+    async with open_lss(settings, screen, window) as lss:
+        lost: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
+    seen = f"at {change.new} kbit/s nothing from {', '.join(map(address_text, absent))}; "
+    seen += f"back at {change.old} kbit/s, {'all are there' if not lost else 'missing: ' + ', '.join(map(address_text, lost))}"
+    raise Problem(
+        ExitCode.PARTIAL, "CO212", f"not every device came to {change.new} kbit/s; nothing was stored", seen=seen,
+        tries=("a longer --delay", "power off and on: each device has its old bit rate again"),
+    )  # fmt: skip

@@ -1,0 +1,286 @@
+"""`canopen lss set-id`, `store` and `assign`: they write to devices, and ask before they do."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import click
+import trio
+
+from canopen_cli.bus.nmt import confirm
+from canopen_cli.lss.support import (
+    Lss,
+    Target,
+    TargetKind,
+    address_text,
+    estimate,
+    knowing,
+    limited,
+    node_id_text,
+    number_of,
+    open_lss,
+    progress,
+    selected,
+    windowed,
+)
+from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, node_id_of
+from canopen_cli.shared.overlays import read_text
+from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.questions import Questions, require_somebody
+from canopen_cli.shared.running import run
+from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_proto.lss.assign import (
+    NOBODY_AGREED,
+    Assignment,
+    Choice,
+    Given,
+    Planned,
+    by_table,
+    give,
+    in_order,
+    nodes_there,
+)
+from canopen_proto.lss.bit_rate import store_all
+from canopen_proto.lss.scan import Known, all_waiting
+from canopen_proto.machine import Time
+
+GO_ON: Final = "the same command again: it goes on with those that are left"
+TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
+
+
+@click.command("set-id")
+@click.argument("device", metavar="DEVICE", type=TargetKind())
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.option("--no-store", is_flag=True, help="Only until the power goes off.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@windowed
+@common
+@click.pass_obj
+def set_id(settings: Settings, device: Target, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
+    """Give one device a node-ID, or another one.
+
+    DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus. A device that has a node-ID resets its
+    communication: PDOs and heartbeat settings that were not stored are lost, and a drive that moves stops.
+
+    \b
+    canopen lss set-id 0x360:0x2:0x10000:7 12 -b can0
+    canopen lss set-id 5 12 -b can0
+    """
+    screen = settings.screen()
+    confirm(
+        screen, f"give a device the node-ID {node_id}; one that has a node-ID now is reset, and a drive stops", yes, needed=True
+    )
+
+    async def change() -> Given:
+        async with open_lss(settings, screen, window) as lss:
+            address, present = await selected(lss, device)
+            await lss.run(all_waiting(lss.tool))
+            if present != node_id and node_id in await lss.run(nodes_there(lss.tool, [node_id])):
+                raise Problem(
+                    ExitCode.USAGE, "CO123", f"another node has the node-ID {node_id}", seen="nothing was written",
+                    tries=("canopen scan    (which are free?)",),
+                )  # fmt: skip
+            screen.say(f"{escape(address_text(address))}: node-ID {node_id_text(present)}")
+            given: Given = await lss.run(give(lss.tool, lss.pace, address, node_id, present=present, store=not no_store))
+            return given
+
+    _show(settings, screen, [run(settings, screen, change)])
+
+
+@click.command()
+@click.argument("device", metavar="DEVICE", type=TargetKind())
+@windowed
+@common
+@click.pass_obj
+def store(settings: Settings, device: Target, window: Time) -> None:
+    """Let one device store its node-ID and bit rate. DEVICE: see set-id."""
+    screen = settings.screen()
+
+    async def keep() -> None:
+        async with open_lss(settings, screen, window) as lss:
+            address, node_id = await selected(lss, device)
+            failed = await lss.run(store_all(lss.tool, lss.pace, [address]))
+            if failed:
+                raise Problem(ExitCode.PARTIAL, "CO212", f"{address_text(address)} has stored nothing", seen=failed[0].remark)
+            screen.say(f"{escape(address_text(address))}: stored, node-ID {node_id_text(node_id)}")
+
+    run(settings, screen, keep)
+
+
+@click.command()
+@click.option("--ids", "node_ids", type=NodeIds(), help="The node-IDs to give, in this order: 10-20,30.")
+@click.option(
+    "--table", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.csv",
+    help=f"Which device gets which: columns {', '.join(TABLE_COLUMNS)}; an empty number fits any.",
+)  # fmt: skip
+@click.option("--no-store", is_flag=True, help="Only until the power goes off.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@knowing
+@windowed
+@limited
+@common
+@click.pass_obj
+def assign(
+    settings: Settings,
+    node_ids: tuple[int, ...] | None,
+    table: Path | None,
+    no_store: bool,
+    yes: bool,
+    vendor: int | None,
+    product: int | None,
+    revision: int | None,
+    serial: int | None,
+    window: Time,
+    limit: Time,
+) -> None:
+    """Give all devices without a node-ID theirs, in order or by a table.
+
+    One after the other: it finds a device, shows what it is to get, and asks; the device stores its node-ID and boots before the
+    next one is searched. Node-IDs that somebody has are not given. Interrupted, or with devices switched on later: the same
+    command again goes on.
+
+    \b
+    canopen lss assign --ids 10-20 -b can0
+    canopen lss assign --table nodes.csv --vendor 0x360 -b can0
+    """
+    screen = settings.screen()
+    if (node_ids is None) == (table is None):
+        raise usage("CO123", "node-IDs in order, or by a table: one of the two", tries=("--ids 10-20", "--table nodes.csv"))
+    rows = read_table(table) if table is not None else ()
+    choose = by_table(rows) if node_ids is None else in_order(node_ids)
+    known = (vendor, product, revision, serial)
+    require_somebody(screen, "write node-IDs into devices", yes)
+    questions = Questions(screen, agrees=yes)
+
+    async def give_all() -> tuple[Assignment, list[int]]:
+        async with open_lss(settings, screen, window, limit) as lss:
+            screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
+            assignment = await _assign(lss, screen, questions, choose, known, store=not no_store)
+            given = {each.node_id for each in assignment.done}
+            wanted = [node_id for _, node_id in rows if node_id not in given]
+            there = await lss.run(nodes_there(lss.tool, wanted)) if wanted else set()
+            return assignment, [node_id for node_id in wanted if node_id not in there]
+
+    result, absent = run(settings, screen, give_all)
+    for address, why in result.left.items():
+        screen.say(f"[yellow]{escape(address_text(address))} is left alone: {escape(why)}[/]")
+    if result.remark:
+        screen.say(f"[yellow]{escape(result.remark)}[/]")
+    _show(settings, screen, result.done)
+    if NOBODY_AGREED in result.left.values():
+        raise Problem(ExitCode.INTERRUPTED, "CO132", f"by you: {counted(len(result.done), 'node-ID')} written")
+    if result.unfinished:
+        text, _, tries = result.unfinished.partition(" Try: ")
+        failed = f"there may be more devices without a node-ID: {text}"
+        raise Problem(ExitCode.PARTIAL, "CO212", failed, tries=(*filter(None, tries.split("; ")), GO_ON))
+    if absent:
+        failed = f"no device has node-ID {', '.join(map(str, absent))} of {table}"
+        step = "look whether these devices are on, and whether their rows have the right numbers"
+        raise Problem(ExitCode.PARTIAL, "CO212", failed, tries=(step, "canopen lss scan"))
+    if result.left:
+        raise Problem(
+            ExitCode.PARTIAL,
+            "CO212",
+            f"{counted(len(result.left), 'device')} left without a node-ID",
+            tries=("more --ids, or rows",),
+        )
+
+
+async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice, known: Known, *, store: bool) -> Assignment:
+    assignment, begun = Assignment(lss.tool, choose, lss.pace, known, store), trio.current_time()
+    while True:
+        async with progress(lss, screen, known):
+            plan: list[Planned] = await lss.run(assignment.next_plan())
+        if not plan:
+            return assignment
+        for planned in plan:
+            screen.say(f"{escape(address_text(planned.address))} is to get the node-ID [bold]{planned.node_id}[/]")
+        if not await questions.may(f"Write {counted(len(plan), 'node-ID')}?"):
+            assignment.leave(plan)
+            continue
+        for planned in plan:
+            (given,) = await lss.run(assignment.write([planned]))
+            screen.say(f"{_line(given)}")
+            screen.say(f"[dim]{counted(len(assignment.done), 'device')} so far, in {trio.current_time() - begun:.1f} s[/]")
+
+
+def read_table(path: Path | None) -> Sequence[tuple[Known, int]]:
+    """Read a table of addresses and node-IDs. Raises a Problem."""
+    assert path is not None
+    rows: list[tuple[Known, int]] = []
+    reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
+    if reader.fieldnames is None or set(reader.fieldnames) - set(TABLE_COLUMNS) or "node_id" not in reader.fieldnames:
+        seen = f"line 1: {', '.join(reader.fieldnames)}" if reader.fieldnames else "the file is empty"
+        raise _bad_table(f"{path}: its columns are not node_id and some of {', '.join(TABLE_COLUMNS[1:])}", seen)
+    lines: dict[int, int] = {}
+    for row in reader:
+        try:
+            numbers = [number_of(text) if (text := (row.get(name) or "").strip()) else None for name in TABLE_COLUMNS[1:]]
+            node_id = node_id_of(row["node_id"] or "")
+        except Problem as wrong:
+            raise _bad_table(f"{path}:{reader.line_num}: {wrong.failed}") from None
+        if node_id in lines:
+            raise _bad_table(f"{path}:{reader.line_num}: node-ID {node_id} is in line {lines[node_id]}, too")
+        lines[node_id] = reader.line_num
+        rows.append(((numbers[0], numbers[1], numbers[2], numbers[3]), node_id))
+    return rows
+
+
+def _bad_table(failed: str, seen: str = "") -> Problem:
+    return Problem(ExitCode.BAD_FILE, "CO301", failed, seen=seen, tries=("correct the file",))
+
+
+def _line(given: Given) -> str:
+    state = "ready" if given.is_complete else "[yellow]not ready[/]"
+    why = f": {escape(given.remark)}" if given.remark else ""
+    return f"{escape(address_text(given.address))}: node-ID {given.node_id}, {state}{why}"
+
+
+def _show(settings: Settings, screen: Screen, done: Sequence[Given]) -> None:
+    """Show what became of the devices. Raises a Problem if it is not all."""
+    if settings.json:
+        screen.json([_as_json(given) for given in done])
+    elif done:
+        yes_no = {True: "yes", False: "NO", None: "not wanted"}
+        rows = [(str(g.node_id), address_text(g.address), yes_no[g.written], yes_no[g.stored], yes_no[g.booted]) for g in done]
+        screen.table(("node", "address", "written", "stored", "booted"), rows, right=("node",))
+    unfinished = [given for given in done if not given.is_complete]
+    screen.say(f"{counted(len(done) - len(unfinished), 'device')} ready")
+    if unfinished:
+        first = unfinished[0]
+        failed = f"{counted(len(unfinished), 'device')} did not get everything; the first: {address_text(first.address)}"
+        raise Problem(ExitCode.PARTIAL, "CO212", failed, seen=first.remark, tries=_next_steps(first))
+
+
+def _next_steps(given: Given) -> tuple[str, ...]:
+    """Return what may help a device that did not get everything. The same again does not help one that has refused."""
+    if given.is_refused and given.stored is False:
+        return (
+            f"canopen store {given.node_id}    (0x1010: some devices keep their node-ID with their parameters)",
+            "the maker's manual: many such devices take their node-ID from switches",
+            "--no-store, and this command after each power-up",
+        )
+    if given.is_refused:
+        return ("another node-ID: --ids", "the maker's manual: the device has refused this one")
+    if given.written and not given.booted:
+        return ("canopen nmt reset-comm --all", "power off and on")
+    return ("the same command again: devices that have their node-ID are left alone",)
+
+
+def _as_json(given: Given) -> dict[str, Any]:
+    vendor, product, revision, serial = given.address
+    return {
+        "node": given.node_id,
+        "vendor_id": vendor,
+        "product_code": product,
+        "revision_number": revision,
+        "serial_number": serial,
+        "written": given.written,
+        "stored": given.stored,
+        "booted": given.booted,
+        "remark": given.remark or None,
+        "refused": given.is_refused,
+    }

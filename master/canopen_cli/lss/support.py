@@ -1,0 +1,240 @@
+"""Shared by the commands of `canopen lss`: the tool on the bus, addresses as they are typed, progress."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
+
+import click
+import trio
+from rich.progress import BarColumn, Progress, TextColumn
+
+from canopen_cli.shared.chosen_machine import NUMBER
+from canopen_cli.shared.options import Duration, Kind, Settings, node_id_of
+from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.screen import Screen, escape
+from canopen_cli.shared.session import Session, open_session
+from canopen_proto import indices
+from canopen_proto.lss.assign import LssNotSelected, own_node_id, select_only
+from canopen_proto.lss.master import WINDOW
+from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssState
+from canopen_proto.lss.scan import (
+    DEVICE_LIMIT,
+    NUMBERS,
+    Known,
+    LssError,
+    LssFound,
+    LssProgress,
+    LssTool,
+    Pace,
+    all_waiting,
+    duration_of,
+    identity_of_selected,
+)
+from canopen_proto.machine import SECOND, Time
+from canopen_proto.procedures.steps import Procedure, act
+
+T = TypeVar("T", bound=Callable[..., Any])
+
+ONLY: Final = "only"
+MAX_TEXT: Final = 0xFFFF_FFFF
+
+
+@dataclass
+class Lss:
+    """An open session with a tool for LSS."""
+
+    session: Session
+    tool: LssTool
+    pace: Pace
+
+    async def run(self, procedure: Procedure[Any]) -> Any:
+        """Run a procedure; LssError and LssNotSelected become a Problem."""
+        try:
+            return await self.session.master.run(procedure)
+        except (LssError, LssNotSelected) as failed:
+            text, _, tries = str(failed).partition(" Try: ")
+            raise Problem(
+                ExitCode.NO_ANSWER, "CO211", text, tries=tries.split("; ") if tries else ("canopen lss scan", "canopen scan")
+            ) from failed
+
+
+@asynccontextmanager
+async def open_lss(settings: Settings, screen: Screen, window: Time, limit: Time = DEVICE_LIMIT) -> AsyncIterator[Lss]:
+    """Open the bus of the options, with a tool for LSS on it."""
+    async with open_session(settings, screen) as session:
+        tool = LssTool(session.network.out)
+        session.network.attach(tool)
+        try:
+            yield Lss(session, tool, Pace(window=window, device_limit=limit))
+        finally:
+            session.network.detach(tool)
+
+
+class Number(Kind):
+    """An UNSIGNED32: decimal, or hexadecimal with 0x."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        return value if isinstance(value, int) else number_of(str(value))
+
+
+class Bounds(Kind):
+    """Two UNSIGNED32, inclusive: "1-100"; or one."""
+
+    name = "a-b"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        if isinstance(value, tuple):
+            return value
+        first, dash, last = str(value).partition("-")
+        low = number_of(first)
+        return low, number_of(last) if dash else low
+
+
+def number_of(text: str) -> int:
+    """Return the UNSIGNED32 in a text. Raises a Problem."""
+    try:
+        number = int(text.strip(), 0)
+    except ValueError:
+        number = -1
+    if not 0 <= number <= MAX_TEXT:
+        raise usage("CO120", f"{text!r} is not a number of an LSS address", tries=("0x360, or decimal: 864",))
+    return number
+
+
+@dataclass(frozen=True)
+class Target:
+    """One device: by its LSS address, by its node-ID, or the only one on the bus (both None)."""
+
+    address: LssAddress | None = None
+    node_id: int | None = None
+
+
+class TargetKind(Kind):
+    """A device: "0x360:0x2:0x10000:7" (vendor-ID, product code, revision, serial number), a node-ID, or "only"."""
+
+    name = "device"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Target:
+        if isinstance(value, Target):
+            return value
+        text = str(value).strip()
+        if text == ONLY:
+            return Target()
+        parts = text.split(":")
+        if len(parts) == NUMBERS:
+            return Target(LssAddress(*map(number_of, parts)))
+        if len(parts) > 1:
+            raise usage("CO120", f"{text!r} is not an LSS address, which has {NUMBERS} numbers", tries=("0x360:0x2:0x10000:7",))
+        settings = None if ctx is None else ctx.find_object(Settings)
+        if not NUMBER.fullmatch(text) and (settings is None or settings.machine_file() is None):
+            raise usage(
+                "CO120", f"{text!r} is no device: neither an LSS address, nor a node-ID, nor `{ONLY}`",
+                tries=("0x360:0x2:0x10000:7", "5", f"{ONLY}    (it is the only device on the bus)"),
+            )  # fmt: skip
+        return Target(node_id=node_id_of(text) if settings is None else settings.node_id(text))
+
+
+def windowed(command: T) -> T:
+    """Add --window."""
+    help_text = f"How long silence has to last to count.  [default: {WINDOW // 10**6}ms; slow or busy buses need more]"
+    added: T = click.option("--window", type=Duration(2_000_000), default=WINDOW, help=help_text)(command)
+    return added
+
+
+def limited(command: T) -> T:
+    """Add --limit."""
+    help_text = f"The longest time to find one device.  [default: {DEVICE_LIMIT // SECOND}s]"
+    added: T = click.option("--limit", type=Duration(SECOND), default=DEVICE_LIMIT, help=help_text)(command)
+    return added
+
+
+def knowing(command: T) -> T:
+    """Add the options for known numbers of an address."""
+    for name, text in (
+        ("serial", "serial number"),
+        ("revision", "revision"),
+        ("product", "product code"),
+        ("vendor", "vendor-ID"),
+    ):
+        command = click.option(f"--{name}", type=Number(), help=f"The {text} of the devices, if it is known: quicker.")(command)
+    return command
+
+
+def address_text(address: LssAddress) -> str:
+    """Return an address as it is typed."""
+    return ":".join(f"0x{number:X}" for number in address)
+
+
+def node_id_text(node_id: int) -> str:
+    """Return a node-ID, or that there is none."""
+    return "none" if node_id == UNCONFIGURED else str(node_id)
+
+
+async def selected(lss: Lss, target: Target) -> tuple[LssAddress, int]:
+    """Select one device; return its address and node-ID. Nothing else is selected then. Raises a Problem."""
+    if target.node_id is not None:
+        node = lss.session.node(target.node_id)
+        numbers = [int.from_bytes(await node.read_bytes(indices.IDENTITY_OBJECT, each), "little") for each in (1, 2, 3, 4)]
+        target = Target(LssAddress(*numbers))
+    address = target.address
+    if address is None:
+        address = await lss.run(_only_device(lss.tool, lss.pace))
+    await lss.run(select_only(lss.tool, lss.pace, address))
+    node_id: int = await lss.run(own_node_id(lss.tool, lss.pace))
+    return address, node_id
+
+
+def _only_device(tool: LssTool, pace: Pace) -> Procedure[LssAddress]:
+    yield from all_waiting(tool)
+    yield from act(lambda now: tool.master.switch_global(LssState.CONFIGURATION, now))
+    numbers = yield from identity_of_selected(tool, pace)
+    yield from all_waiting(tool)
+    if not all(len(given) == 1 for given in numbers):
+        seen = "nobody answers" if not any(numbers) else "several devices answer, or not all of its numbers came"
+        raise LssNotSelected(f"there is not exactly one device with LSS on the bus: {seen}")
+    return LssAddress(*(given.pop() for given in numbers))
+
+
+def estimate(pace: Pace, known: Known) -> str:
+    """Return how long one device takes, in words."""
+    least, greatest = (time / SECOND for time in duration_of(known, pace))
+    return f"{least:.1f} to {greatest:.1f} s for each device, more if answers are late or lost"
+
+
+@asynccontextmanager
+async def progress(lss: Lss, screen: Screen, known: Known) -> AsyncIterator[None]:
+    """Tell each device that is found; on a terminal also show how far the search for the next one is."""
+    async with trio.open_nursery() as nursery:
+        with lss.session.master.events(LssFound) as found, lss.session.master.events(LssProgress) as steps:
+            nursery.start_soon(_tell, screen, found)
+            if screen.draws:
+                nursery.start_soon(_draw, screen, steps, duration_of(known, lss.pace))
+            yield
+            await trio.sleep(0)
+        nursery.cancel_scope.cancel()
+
+
+async def _tell(screen: Screen, found: Any) -> None:
+    async for event in found:
+        screen.say(f"found {escape(address_text(event.address))}")
+
+
+async def _draw(screen: Screen, steps: Any, times: tuple[Time, Time]) -> None:
+    columns = (TextColumn("asking"), BarColumn(30), TextColumn("{task.fields[left]}"))
+    with Progress(*columns, console=screen.err, transient=True, auto_refresh=False) as drawn:
+        task = drawn.add_task("lss", total=NUMBERS, left="")
+        start, done = trio.current_time(), 0
+        while True:
+            for event in steps.take():
+                done = event.done % NUMBERS
+                start = trio.current_time() if done == 0 else start
+            spent = trio.current_time() - start
+            bounds = " to ".join(f"{max(0.0, time / SECOND - spent):.0f}" for time in times)
+            drawn.update(task, completed=done, left=f"{bounds} s for this device")
+            drawn.refresh()
+            await trio.sleep(0.1)

@@ -1,0 +1,1 @@
+"""The files about a machine, and what can be told without a bus: `canopen machine`, `plan`, `ros`, `data`."""

@@ -1,0 +1,115 @@
+"""`canopen backup`: write all values of a node into a DCF."""
+
+from __future__ import annotations
+
+import datetime
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from canopen_cli.node.backup_reading import (
+    check_indices,
+    counts_text,
+    read_all,
+    reading_as_json,
+    reading_options,
+    tell_unread,
+)
+from canopen_cli.shared.new_files import check_new_file, write_file
+from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.running import run
+from canopen_cli.shared.screen import Screen, escape, node_text
+from canopen_cli.shared.session import open_session
+from canopen_data.describing import EDS_VERSION
+from canopen_proto.manager.parameters.backup import Backup, Reading
+from canopen_proto.manager.parameters.walk import COMMUNICATION
+from canopen_transports import TransportError
+from canopen_transports.locator import parse_locator
+
+if TYPE_CHECKING:
+    from canopen_data.description import DeviceDescription
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.option("-o", "--output", metavar="FILE.dcf", required=True, help="The new file.")
+@reading_options
+@common
+@click.pass_obj
+def backup(settings: Settings, node_id: int, output: str, indices: tuple[range, ...] | None, domains: bool) -> int:
+    """Read all values of a node into a DCF, which `canopen restore` writes back. Nothing is changed in the device.
+
+    If another SDO client uses the node's channel meanwhile, the backup says so, and `restore` wants --force for it.
+    Its objects are those of its own file (-e). Without one, the communication objects and PDOs are looked for one by one, and
+    those of the data files are read; with --walk, all objects that answer at its indices. Exit status 7: an object could not be
+    read, the file cannot hold its exact bytes, or another client was heard.
+
+    \b
+    canopen backup 5 -o before.dcf -e drive.eds
+    canopen backup 3 -o joint1.dcf -b demo
+    """
+    screen = settings.screen()
+    check_indices(indices, settings.eds)
+    check_new_file(settings, screen, output)
+    if indices is not None:
+        indices = (COMMUNICATION, *indices)  # without the PDOs it would be no backup
+    found, description = run(settings, screen, lambda: _backup(settings, screen, node_id, indices, domains))
+    bit_rate = bit_rate_of(settings)
+    lost = write_dcf(output, found, description, bit_rate)
+    if settings.json:
+        unread = [reading_as_json(each) for each in found.readings if each.value is None]
+        counts = {str(result): number for result, number in found.counts.items()}
+        document = {"node": node_id, "file": output, "bit_rate": bit_rate, "counts": counts, "not_read": unread}
+        document["other_client"] = found.others_doing or None
+        screen.json(document | {"not_exact": [reading_as_json(each) for each in lost]})
+    else:
+        tell_unread(screen, found, lost)
+        screen.say(f"{escape(output)}: backup of {node_text(node_id)}, {counts_text(found)}")
+    return ExitCode.OK if found.is_complete and not lost else ExitCode.PARTIAL
+
+
+async def _backup(
+    settings: Settings, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool
+) -> tuple[Backup, DeviceDescription | None]:
+    async with open_session(settings, screen) as session, session.claim(node_id):
+        found = await read_all(session, screen, node_id, indices, domains)
+        return found, session.description_of(node_id)
+
+
+def bit_rate_of(settings: Settings) -> int | None:
+    """Return the bit rate in kbit/s if the bus of the options gives it and a DCF can hold it, else None."""
+    from canopen_data.description import BIT_RATES
+
+    with suppress(TransportError):
+        bit_rate = parse_locator(settings.required_bus()).bitrate
+        if bit_rate is not None and bit_rate // 1000 in BIT_RATES:
+            return bit_rate // 1000
+    return None
+
+
+def write_dcf(output: str, found: Backup, description: DeviceDescription | None, bit_rate: int | None) -> tuple[Reading, ...]:
+    """Write what was read as a DCF. Return what the file could not hold as it was read.
+
+    description: the one used for reading; None: the data files, or a walk. Raises Problem, also if the file is the one that
+    describes the device.
+    """
+    from canopen_data.backup_file import backup_file
+    from canopen_data.description import FileInfo
+
+    old = FileInfo(file_version=1, eds_version=EDS_VERSION) if description is None else description.file_info
+    now = datetime.datetime.now().astimezone()
+    file_info = replace(
+        old,
+        file_name=Path(output).name,
+        last_eds=old.last_eds or old.file_name,
+        modification_time=now.strftime("%I:%M%p"),
+        modification_date=now.strftime("%m-%d-%Y"),
+        modified_by="canopen backup",
+    )
+    made = backup_file(found, description, file_info, bit_rate)
+    write_file(output, made.data, *(() if description is None else (description.source,)))
+    return made.lost

@@ -1,0 +1,295 @@
+"""`canopen read` and `canopen write`: read and write objects of a node by SDO, by name or number."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import IO, Any
+
+import click
+
+from canopen_cli.node.object_files import FileTransfer, read_into_file, write_from_file
+from canopen_cli.shared.new_files import check_new_file, new_file
+from canopen_cli.shared.options import NodeId, Settings, common, enabling
+from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.running import run
+from canopen_cli.shared.screen import Screen, escape, node_text
+from canopen_cli.shared.session import open_session
+from canopen_cli.shared.values import (
+    BYTES,
+    TYPES,
+    as_json,
+    hex_text,
+    object_json,
+    parse_value,
+    physical,
+    physical_text,
+    place_text,
+    value_text,
+)
+from canopen_master.node import Node
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.indices import COMMUNICATION_AREA
+from canopen_proto.sdo.client import AUTO_BLOCK, Block
+
+_TYPE = click.option(
+    "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
+)
+
+_BLOCK = click.option(
+    "--block/--no-block", default=None, help="By SDO block transfer, or never so. By default where it pays and the device can."
+)
+
+
+@dataclass(frozen=True)
+class Request:
+    """The choices of the command line. type_name, block: see --type and --block; None if not given."""
+
+    node_id: int
+    type_name: str | None
+    block: bool | None
+    verify: bool = False
+
+
+@dataclass
+class Reading:
+    """The value of an object as it was read."""
+
+    node_id: int
+    variable: Variable
+    value: Value
+    constants: tuple[str, ...]
+
+    def row(self) -> tuple[str, str, str, str, str]:
+        """Return the cells for a table."""
+        place, name = place_text(self.variable), escape(self.variable.name)
+        words = escape(", ".join(self.constants))
+        meaning = physical_text(self.variable, self.value)
+        value = value_text(self.variable, self.value) + (f" = {meaning}" if meaning else "")
+        return place, name, escape(value), hex_text(self.variable, self.value), words
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the value for --json."""
+        return {
+            "node": self.node_id,
+            **object_json(self.variable),
+            "type": self.variable.data_type.name,
+            "value": as_json(self.variable, self.value),
+            "hex": hex_text(self.variable, self.value) or None,
+            "constants": list(self.constants),
+            "physical": physical(self.variable, self.value),
+            "unit": self.variable.unit,
+        }
+
+
+COLUMNS = ("object", "name", "value", "hex", "constants")
+
+
+async def read_object(node: Node, variable: Variable, block: bool | None = None) -> Reading:
+    """Read an object, also one that the node's dictionary lacks. block: see --block; None decides by the object."""
+    how = block_of(variable, block)
+    if node.dictionary.get(variable.index, variable.subindex) is not None:
+        message = await node.read_message(variable, block=how)
+        return Reading(node.node_id, variable, message.value, message.constants)
+    value = variable.decode(await node.read_bytes(variable.index, variable.subindex, block=how))
+    return Reading(node.node_id, variable, value, ())
+
+
+def block_of(variable: Variable, block: bool | None) -> Block:
+    """Return what --block means for an object. Without it a number is never read in blocks: the device might not know them."""
+    if block is not None:
+        return block
+    return "auto" if variable.size is None or variable.size > AUTO_BLOCK else False
+
+
+def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
+    """Return the object that a key names, or that --type describes. A communication object that the dictionary lacks is that
+    of the standard. Raises ObjectNotFound, Problem."""
+    try:
+        return dictionary.variable(key)
+    except ObjectNotFound as unknown:
+        index, _, subindex = key.lower().removeprefix("0x").replace(".", ":").partition(":")
+        try:
+            place = int(index, 16), int(subindex or "0", 16)
+        except ValueError:
+            raise unknown from None
+        if not (0 < place[0] <= 0xFFFF and place[1] <= 0xFF and len(index) == 4):
+            raise unknown from None
+        standard = find_standard(*place) if place[0] in COMMUNICATION_AREA else None
+        if type_name is None and standard is not None:
+            return standard
+        if type_name is None:
+            raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
+        return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("keys", metavar="OBJECT...", nargs=-1, required=True)
+@_TYPE
+@_BLOCK
+@click.option("-o", "--output", metavar="FILE", help="Write the bytes of the object, as they come, into a file.")
+@common
+@click.pass_obj
+def read(
+    settings: Settings, node_id: int, keys: tuple[str, ...], type_name: str | None, block: bool | None, output: str | None
+) -> None:
+    """Read objects of a node.
+
+    An OBJECT is a name (statusword, identity_object:vendor_id) or a number in hexadecimal (6041, 0x6041, 60C1:01).
+
+    \b
+    canopen read 3 statusword -b demo
+    canopen read 3 6041 6064 --json -b demo
+    canopen read 3 1008 -o name.bin -b demo
+    """
+    screen, request = settings.screen(), Request(node_id, type_name, block)
+    if output is not None:
+        if len(keys) > 1:
+            raise usage("CO001", f"one file takes one object, not {len(keys)}")
+        check_new_file(settings, screen, output)
+        with new_file(output) as file:  # opening a pipe waits for its reader: do it here, where Ctrl-C ends the wait
+            taken = run(settings, screen, lambda: _read_file(settings, screen, request, keys[0], output, file))
+        _tell_file(settings, screen, taken, "→")
+        return
+    readings = run(settings, screen, lambda: _read(settings, screen, request, keys))
+    if settings.json:
+        documents = [reading.as_json() for reading in readings]
+        screen.json(documents if len(documents) > 1 else documents[0])
+    else:
+        screen.say(f"[bold]{node_text(node_id)}[/]")
+        screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
+
+
+async def _read(settings: Settings, screen: Screen, request: Request, keys: tuple[str, ...]) -> list[Reading]:
+    async with open_session(settings, screen) as session:
+        await session.wait_for(request.node_id)
+        node = session.node(request.node_id)
+        variables = [find(node.dictionary, key, request.type_name) for key in keys]
+        for variable in variables:
+            _check_readable(variable)
+        return [await read_object(node, variable, request.block) for variable in variables]
+
+
+async def _read_file(
+    settings: Settings, screen: Screen, request: Request, key: str, output: str, file: IO[bytes]
+) -> FileTransfer:
+    async with open_session(settings, screen) as session, session.claim(request.node_id):
+        node = session.node(request.node_id)
+        variable = find(node.dictionary, key, request.type_name or BYTES)
+        _check_readable(variable)
+        return await read_into_file(screen, node, variable, output, file, block_of(variable, request.block))
+
+
+def _check_readable(variable: Variable) -> None:
+    if not variable.access.readable:
+        raise usage("CO303", f"{variable.label} is write-only", seen="nothing was sent")
+
+
+def _check_writable(variable: Variable) -> None:
+    if not variable.access.writable:
+        raise usage("CO303", f"{variable.label} is {variable.access}: it cannot be written", seen="nothing was sent")
+
+
+def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow: str, **more: Any) -> None:
+    if settings.json:
+        screen.json({**transfer.as_json(), **more})
+    else:
+        place = f"{node_text(transfer.node_id)} {escape(transfer.variable.label)}"
+        screen.data(f"{place} [bold]{arrow} {escape(transfer.path)}[/]: {transfer}")
+
+
+@click.command()
+@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("key", metavar="OBJECT")
+@click.argument("text", metavar="[VALUE]", required=False)
+@_TYPE
+@_BLOCK
+@click.option("--file", "path", metavar="FILE", help="Write what a file holds, instead of a VALUE.")
+@click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
+@enabling
+@common
+@click.pass_obj
+def write(
+    settings: Settings,
+    node_id: int,
+    key: str,
+    text: str | None,
+    type_name: str | None,
+    block: bool | None,
+    path: str | None,
+    verify: bool,
+) -> None:
+    """Write an object of a node, and show its value before and after.
+
+    A VALUE is a number (12, 0x0C, -5), or the name of a constant. A value that does not fit the object is refused
+    before anything is sent. Negative numbers go behind `--`.
+
+    \b
+    canopen write 3 controlword sm_shutdown -b demo
+    canopen write 3 6081 20000 -b demo
+    canopen write 5 1F50:01 --file firmware.bin
+    """
+    screen, request = settings.screen(), Request(node_id, type_name, block, verify)
+    if path is not None and text is None:
+        written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
+        _tell_file(settings, screen, written, "←", verified=verify)
+        return
+    if path is not None or text is None:
+        raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
+    before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text))
+    if settings.json:
+        previous = None if before is None else as_json(before.variable, before.value)
+        screen.json({**after.as_json(), "previous": previous, "verified": verify})
+        return
+    old = "?" if before is None else _shown(before)
+    screen.data(f"{node_text(node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
+
+
+def _shown(reading: Reading) -> str:
+    numbers = (hex_text(reading.variable, reading.value), physical_text(reading.variable, reading.value))
+    number = ", ".join(text for text in numbers if text)
+    words = f" [{', '.join(reading.constants)}]" if reading.constants else ""
+    return f"{value_text(reading.variable, reading.value)}{f' ({number})' if number else ''}{words}"
+
+
+async def _write_file(settings: Settings, screen: Screen, request: Request, key: str, path: str) -> FileTransfer:
+    async with open_session(settings, screen) as session, session.claim(request.node_id):
+        node = session.node(request.node_id)
+        variable = find(node.dictionary, key, request.type_name or BYTES)
+        _check_writable(variable)
+        verify = request.verify and variable.access.readable
+        return await write_from_file(screen, node, variable, path, block_of(variable, request.block), verify)
+
+
+async def _write(settings: Settings, screen: Screen, request: Request, key: str, text: str) -> tuple[Reading | None, Reading]:
+    async with open_session(settings, screen) as session:
+        node_id, block = request.node_id, request.block
+        node = session.node(node_id)
+        dictionary = node.dictionary
+        variable = find(dictionary, key, request.type_name)
+        value = parse_value(dictionary, variable, text)
+        _check_writable(variable)
+        variable.check_limits(value)
+        data = variable.encode(value)
+        before = await read_object(node, variable, block) if variable.access.readable else None
+        how = block_of(variable, block)
+        if dictionary.get(variable.index, variable.subindex) is not None:
+            await node.write(variable, value, block=how)
+        else:
+            await node.write_bytes(variable.index, variable.subindex, data, block=how)
+        after = Reading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
+        if request.verify and variable.access.readable:
+            shown = await read_object(node, variable, block)
+            if shown.value != value:
+                raise Problem(
+                    ExitCode.VERIFY_MISMATCH,
+                    "CO205",
+                    f"node {node_id} took {_shown(after)} for {variable.label}, but shows {_shown(shown)}",
+                    cause="the device rounds or limits the value, or it is a command that takes effect and vanishes",
+                    node=node_id,
+                    index=variable.index,
+                    subindex=variable.subindex,
+                )
+        return before, after

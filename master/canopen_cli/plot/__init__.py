@@ -1,0 +1,1 @@
+"""Pictures of motions: `canopen plot`, and --plot of other commands."""

@@ -1,0 +1,1 @@
+"""The parts that all commands share: options, session, output, failures, questions, files."""

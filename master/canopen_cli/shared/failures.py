@@ -1,0 +1,262 @@
+"""Turn the exceptions of all layers below into Problems.
+
+Most exceptions bring their own words (`TransportError`, `MasterError`, `DataError`, ...). `problem_of` is the one table that
+gives each its exit status, and a message to those without one. It stands apart from problem.py because it imports all layers, and
+`canopen --help` needs none of them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Final
+
+import click
+
+from canopen_cli.shared.problem import NO_ROOM, ExitCode, Problem, usage
+from canopen_master import errors
+from canopen_master.silence import LONGER, SCAN
+from canopen_proto.abort import AbortCode, AbortOrigin
+from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.dictionary import NotInDictionary
+from canopen_proto.drives.axis import DriveError, DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.drives.cia402.states import State
+from canopen_proto.explained import Explained
+from canopen_proto.machine import LocalProtocolError
+from canopen_proto.manager.programs.download import ProgramDownloadFailed
+from canopen_proto.procedures.objects import UnexpectedLength
+from canopen_proto.procedures.steps import ProcedureError, SdoFailed
+from canopen_transports import TransportError
+from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
+
+
+def problem_of(error: BaseException) -> Problem:
+    """Return the Problem for an exception. An exception that nobody foresaw is CO900: our own mistake."""
+    if isinstance(error, Problem):
+        error.also += [note for note in getattr(error, "__notes__", ()) if note not in error.also]
+        return error
+    if isinstance(error, BaseExceptionGroup):
+        return _of_group(error)
+    problem = _of_expected(error)
+    if problem is not None:
+        problem.seen, problem.cause = in_words_of_files(problem.seen), in_words_of_files(problem.cause)
+        problem.tries = tuple(map(in_words_of_files, problem.tries))
+    else:
+        problem = Problem(
+            ExitCode.INTERNAL,
+            "CO900",
+            f"this should not happen: {type(error).__name__}: {error}",
+            cause="a mistake in this program, not yours",
+            tries=("the same with -vv, and report what it shows",),
+        )
+    problem.also += getattr(error, "__notes__", [])
+    problem.__cause__ = error
+    return problem
+
+
+def _of_group(group: BaseExceptionGroup[BaseException]) -> Problem:
+    """Return the Problem for the first error that matters, and mention the others in it."""
+    problems = sorted((problem_of(each) for each in group.exceptions), key=lambda each: each.exit_code is ExitCode.INTERNAL)
+    first, rest = problems[0], problems[1:]
+    first.also += [f"{each.code}: {each.failed}" for each in rest if each.failed != first.failed]
+    return first
+
+
+def _of_expected(error: BaseException) -> Problem | None:
+    match error:
+        case TransportError():
+            return _spoken(error, _of_bus(error.code))
+        case errors.BusError():
+            return _spoken(error, _of_bus(error.code))
+        case errors.SdoTimeout() | errors.NodeSilent():
+            return _spoken(error, ExitCode.NO_ANSWER)
+        case errors.SdoError():
+            return _spoken(error, ExitCode.SDO_ABORT)
+        case errors.ChainFileError():
+            return _spoken(error, ExitCode.BAD_FILE)
+        case errors.UnknownChain() | errors.SetPointRefused() | errors.PlanRefused() | errors.PackageMissing():
+            return _spoken(error, ExitCode.USAGE)
+        case errors.RealtimeRefused():
+            return _spoken(error, ExitCode.PERMISSION)
+        case errors.NodeError():
+            return _spoken(error, ExitCode.SDO_ABORT)
+        case errors.MasterError():
+            return _of_chain(error)
+        case Explained():  # of a file: DataError, DictionaryError, LogFileError, ScriptError, StateFileError
+            return _spoken(error, ExitCode.BAD_FILE)
+        case SdoFailed():
+            return _of_sdo(error)
+        case ProcedureError():
+            return _of_procedure(error)
+        case NotInDictionary():
+            failed, _, hint = str(error).partition("; ")
+            return usage("CO302", failed, tries=(hint,) if hint else ())
+        case ValueRangeError():
+            return usage("CO304", str(error), seen="nothing was sent")
+        case LocalProtocolError():
+            return usage("CO120", str(error), seen="nothing was sent")
+        case OSError(errno=number) if number in NO_ROOM:
+            return Problem(
+                ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
+            )
+        case PermissionError():
+            return Problem(ExitCode.PERMISSION, "CO109", str(error))
+        case click.UsageError():
+            return _of_usage(error)
+        case click.ClickException():
+            return usage("CO001", error.format_message())
+    return None
+
+
+def _of_usage(error: click.UsageError) -> Problem:
+    command = error.ctx.command_path if error.ctx is not None else "canopen"
+    tries = [f"{command} --help"]
+    if isinstance(error, click.NoSuchOption) and re.match(r"-[0-9.]", error.option_name):
+        tries.insert(0, f"negative numbers behind `--`: {command} ... -- {error.option_name}")
+    text = error.format_message()
+    if isinstance(error, click.MissingParameter):
+        text = text.replace("\n\t", " ")  # click lists the choices in lines of their own
+    return usage("CO001", text, tries=tries)
+
+
+def _of_bus(code: str) -> ExitCode:
+    if code == NO_PERMISSION:
+        return ExitCode.PERMISSION
+    return ExitCode.CANNOT_OPEN if code in (BAD_LOCATOR, CANNOT_OPEN) else ExitCode.BUS_FAULT
+
+
+def advice(steps: Iterable[str]) -> list[str]:
+    """Translate what the library advises its callers into commands and options."""
+    chosen = []
+    for step in steps:
+        longer, _, limit = step.partition(": ")
+        if longer == LONGER:
+            chosen.append(f"--timeout {limit.replace(' ', '')}" if limit else "a longer --timeout")
+        elif not step.startswith("await "):
+            chosen.append(step.partition(", then await ")[0])
+    return chosen
+
+
+_SETTING = re.compile(
+    r"(?P<what>Axis|Chain)Settings(?:\((?P<key>[\w.]+)(?:=(?P<value>[^()]*))?\)|\.(?P<name>\w+))(?: in `axes`)?"
+)
+_OF_PYTHON = {
+    "; `set_max_speed` of `direct`": "",
+    "180_000 / math.pi for millidegrees on the wire": "or its unit",
+    "math.inf": "inf",
+}
+
+
+def in_words_of_files(text: str) -> str:
+    """Translate settings of the library into keys of the machine file: AxisSettings(max_speed=...) into max_speed = ..."""
+    for words, others in _OF_PYTHON.items():
+        text = text.replace(words, others)
+    return _SETTING.sub(_as_key, text)
+
+
+def _as_key(setting: re.Match[str]) -> str:
+    entry = "joint" if setting["what"] == "Axis" else "chain"
+    if setting["name"] is not None:
+        return f"{setting['name']} of its {entry} in the machine file"
+    if setting["value"] is None:
+        return f"{setting['key']} of its {entry} in the machine file"
+    value = {"True": "true", "False": "false"}.get(setting["value"], setting["value"])
+    if value.startswith("State."):
+        value = repr(State[value.removeprefix("State.")].value)
+    return f"{setting['key']} = {value} of its {entry} in the machine file"
+
+
+def _spoken(error: Explained, exit_code: ExitCode) -> Problem:
+    """Return the Problem for an error that brings its own words."""
+    return Problem(
+        exit_code,
+        error.code,
+        error.failed,
+        seen=error.seen,
+        cause=error.cause,
+        also=error.also,
+        tries=advice(error.tries),
+        node=getattr(error, "node_id", None),
+        index=getattr(error, "index", None),
+        subindex=getattr(error, "subindex", None),
+        abort=getattr(error, "abort_code", None),
+    )
+
+
+_OF_CHAIN = {
+    errors.NO_ANSWER: ExitCode.NO_ANSWER,
+    errors.REFUSED: ExitCode.SDO_ABORT,
+    errors.GIVEN_UP: ExitCode.SDO_ABORT,
+}
+
+
+def _of_chain(error: errors.MasterError) -> Problem:
+    """Return the Problem for a chain. The error of the joint that caused it may know more."""
+    problem = _spoken(error, _OF_CHAIN.get(error.code, ExitCode.DRIVE_FAULT))
+    below = _of_expected(error.__cause__) if error.__cause__ is not None else None
+    if below is not None:
+        problem.exit_code, problem.code = below.exit_code, below.code
+        problem.tries = problem.tries or below.tries
+        problem.node = problem.node or below.node
+        problem.index, problem.subindex, problem.abort = below.index, below.subindex, below.abort
+    return problem
+
+
+def _of_sdo(error: SdoFailed) -> Problem:
+    silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # our own side ended it
+    code = errors.NO_ANSWER if silent else _SDO_CODES.get(error.origin, errors.GIVEN_UP)
+    failed, _, seen = (error.failed if isinstance(error, DriveError) else str(error)).partition(": ")
+    return Problem(
+        ExitCode.NO_ANSWER if silent or error.not_confirmed else ExitCode.SDO_ABORT,
+        code,
+        failed,
+        seen=seen,
+        cause="no device has this node-ID, its power is off, or it is stopped" if silent else "",
+        tries=(SCAN, "a longer --timeout") if silent else (),
+        node=error.node_id,
+        index=error.index,
+        subindex=error.subindex,
+        abort=error.abort_code,
+    )
+
+
+_SDO_CODES: Final = {AbortOrigin.PEER: errors.REFUSED, AbortOrigin.CONTESTED: errors.CONTESTED}
+
+
+def _of_flash(error: ProgramDownloadFailed) -> Problem:
+    failed = f'the program download to node {error.node_id} ended at "{error.so_far.step}"'
+    status = ExitCode.NO_ANSWER if error.is_silent else ExitCode.DRIVE_FAULT
+    return Problem(
+        ExitCode.VERIFY_MISMATCH if error.is_mismatch else status,
+        "CO214",
+        failed,
+        seen=error.seen,
+        also=(f"the device: {error.so_far.left}",),
+        tries=error.remedy.split("; ") if error.remedy else (),
+        node=error.node_id,
+    )
+
+
+_OF_DRIVE = {
+    DriveFault: errors.CHAIN_FAULT,
+    HomingFailed: errors.HOMING_FAILED,
+    ModeUnsupported: errors.MODE_UNSUPPORTED,
+}
+
+
+def _of_procedure(error: ProcedureError) -> Problem:
+    failed, _, hint = str(error).partition(". Try: ")
+    what, _, seen = failed.partition(": ")
+    tries = (hint,) if hint else ()
+    match error:
+        case ProgramDownloadFailed():
+            return _of_flash(error)
+        case UnexpectedLength():
+            what, _, cause = failed.partition("; ")
+            return Problem(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)
+        case DriveError():
+            code = next((code for kind, code in _OF_DRIVE.items() if isinstance(error, kind)), errors.PROCEDURE_FAILED)
+            tries = (error.remedy,) if error.remedy else ()
+            seen, cause = error.view.describe(), error.reason
+            return Problem(ExitCode.DRIVE_FAULT, code, error.failed, seen=seen, cause=cause, tries=tries, node=error.node_id)
+    return Problem(ExitCode.DRIVE_FAULT, errors.PROCEDURE_FAILED, what, seen=seen, tries=tries)

@@ -1,0 +1,100 @@
+"""Check that a new file may be written, and write it whole or not at all.
+
+Every command that writes a file which a user has named (-o, --trace, --plot ...) calls `check_new_file` before its work begins:
+an existing file is overwritten only if the user agrees, on a terminal or by --force.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+import click
+
+from canopen_cli.shared.options import Settings
+from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.screen import Screen
+from canopen_master.plain_text import clean
+from canopen_master.whole_file import whole_file
+
+
+def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs: str) -> None:
+    """Raise a Problem if there is no folder for the file, if it is one of the inputs, or if it exists and the user does not want
+    it overwritten.
+
+    Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). If the path is not a
+    regular file (/dev/null, a pipe), nothing is asked: nothing is overwritten there.
+    """
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise Problem(
+            ExitCode.BAD_FILE, "CO341", f"cannot write {path}: there is no folder {target.parent}", tries=("write elsewhere",)
+        )
+    if target.is_dir():
+        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: it is a folder", tries=("the name of a file",))
+    _check_no_input(target, inputs)
+    if settings.force or not target.is_file():
+        return
+    if not (screen.err.is_terminal and sys.stdin.isatty()):
+        tries = (f"another name than {path}", "the same with --force")
+        raise usage("CO135", f"{path} is there already, and was not overwritten", seen="nothing was done", tries=tries)
+    if not click.confirm(f"{clean(str(path))} is there already. Overwrite it?", err=True):
+        raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was done")
+
+
+def check_writable(path: str | Path) -> None:
+    """Raise a Problem if the file cannot be opened for writing. For files that are written where they stand, not as `new_file`.
+
+    One that is not there is made and removed again: nothing else tells for sure. Pipes and devices are not tried.
+    """
+    target = Path(path)
+    is_new = not target.exists()
+    if not is_new and not target.is_file():
+        return
+    try:
+        with target.open("ab"):
+            pass
+        if is_new:
+            target.unlink()
+    except OSError as error:
+        raise _cannot_write(str(path), error) from error
+
+
+def write_file(path: str, data: bytes, *inputs: str) -> None:
+    """Write a file as `whole_file` does. Raises a Problem if it is one of the inputs, or cannot be written."""
+    _check_no_input(Path(path), inputs)
+    try:
+        with whole_file(path) as file:
+            file.write(data)
+    except (OSError, ValueError) as error:
+        raise _cannot_write(path, error) from error
+
+
+@contextmanager
+def new_file(path: str) -> Iterator[IO[bytes]]:
+    """Open a file as `whole_file` does. Raises a Problem if it cannot be opened."""
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(whole_file(path))
+        except (OSError, ValueError) as error:
+            raise _cannot_write(path, error) from error
+        yield file
+
+
+def _cannot_write(path: str, error: OSError | ValueError) -> Problem:
+    reason = error.strerror if isinstance(error, OSError) else error
+    if isinstance(error, PermissionError):
+        return Problem(ExitCode.PERMISSION, "CO109", f"cannot write {path}: {reason}", tries=("another folder",))
+    return Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",))
+
+
+def _check_no_input(target: Path, inputs: Iterable[str]) -> None:
+    for each in inputs:
+        with suppress(OSError):
+            if target.exists() and target.samefile(each):
+                raise usage(
+                    "CO123", f"{target} is the file that is read; it is not overwritten", tries=("another name after -o",)
+                )

@@ -1,0 +1,362 @@
+"""The options and kinds of argument that all commands share.
+
+`common` adds -b, -m, -e, --overlay, --encoding, --timeout, --trace, --force, --json, -q, -v and --no-color to a command. They
+may also stand before the command's name (`canopen -b can0 scan`); after it they win. CANOPEN_BUS names the bus, and
+CANOPEN_MACHINE the machine file, if no option does.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+
+import click
+
+from canopen_cli.shared.chosen_machine import MACHINE_VARIABLE, NUMBER, ChosenMachine
+from canopen_cli.shared.importing import importing
+from canopen_cli.shared.problem import Problem, usage
+from canopen_proto.frame import MAX_NODE_ID
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+
+if TYPE_CHECKING:
+    import trio
+
+    from canopen_cli.shared.screen import Screen
+    from canopen_master.machine_file import JointEntry, MachineFile
+    from canopen_proto.drives.axis.grip import Grip
+
+    Kind: TypeAlias = click.ParamType[Any, Any]
+else:
+    Kind = click.ParamType  # generic since click 8.4 only
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+BUS_VARIABLE: Final = "CANOPEN_BUS"
+_NODE_ID: Final = re.compile(r"0[xX][0-9A-Fa-f]+|[0-9]+")
+DEMO: Final = "demo"
+"""The bus on which six simulated drives live, in the same process."""
+
+
+@dataclass
+class Settings:
+    """The values of the common options. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
+    overlays.py. trace: the file that records the traffic of the bus. encoding: of device files, "" for a guess. force: overwrite
+    files; `flash` also writes a program that the device has already. clock: a test's virtual one. late: a problem to be shown
+    after the results of the command. notes: what a Screen is to say at the end, with --json. master_id: the node-ID of our
+    heartbeat, which the drives that we enable watch. dry_run: show the frames, and send nothing but reads."""
+
+    bus: str | None = None
+    machine: Path | None = None
+    eds: tuple[str, ...] = ()
+    overlays: tuple[str, ...] = ()
+    timeout: Time | None = None
+    trace: Path | None = None
+    encoding: str = ""
+    force: bool = False
+    json: bool = False
+    verbosity: int = 0
+    no_color: bool = False
+    clock: trio.abc.Clock | None = None
+    late: Problem | None = None
+    master_id: int | None = None
+    dry_run: bool = False
+    notes: list[str] = field(default_factory=list)
+    chosen: ChosenMachine = field(default_factory=ChosenMachine)
+
+    @property
+    def grip(self) -> Grip | None:
+        """How enabled drives notice that this program is gone; None if the machine file says that they shall not."""
+        from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+
+        if self.master_id is not None:
+            return Grip(node_id=self.master_id)
+        machine = self.machine_file()
+        return DEFAULT_GRIP if machine is None else machine.master.grip
+
+    @property
+    def sdo_timeout(self) -> float | None:
+        """Seconds for one answer of a node, by --timeout or the machine file; None if neither says it."""
+        machine = self.machine_file()
+        time = self.timeout if self.timeout is not None or machine is None else machine.master.timeout
+        return None if time is None else time / SECOND
+
+    def typed_bus(self) -> tuple[str | None, str | None]:
+        """Return what -b and -m of another command have to be for the same bus; None: not needed."""
+        bus = self.bus or (self.chosen.bus if self.chosen.has_several else None)
+        return bus or None, None if self.machine is None else str(self.machine)
+
+    def screen(self) -> Screen:
+        """The screen that the command writes to."""
+        with importing():
+            from canopen_cli.shared.screen import Screen
+        return Screen(json_output=self.json, verbosity=self.verbosity, color=not self.no_color, notes=self.notes)
+
+    def machine_file(self) -> MachineFile | None:
+        """Return the machine of -m or CANOPEN_MACHINE, or None. Raises DataError, DictionaryError."""
+        return self.chosen.file(self.machine, self.bus)
+
+    def machine_on_bus(self) -> tuple[MachineFile | None, str]:
+        """Return the machine, and the name of its bus that this command is about; "" if there is none, or it is not clear."""
+        machine = self.machine_file()
+        if machine is not None:
+            self.chosen.locator(machine, self.bus)
+        return machine, self.chosen.bus
+
+    def told_bitrate(self) -> int | None:
+        """Return the bit rate that the machine file gives the bus of this command, bit/s; None if it gives none."""
+        machine, bus = self.machine_on_bus()
+        return machine.buses[bus].bitrate if machine is not None and bus in machine.buses else None
+
+    def joint(self, node_id: int, axis: int = 0) -> JointEntry | None:
+        """Return the joint of an axis of a node on the bus that this command is about, or None."""
+        machine, bus = self.machine_on_bus()
+        return None if machine is None else machine.joint_on(machine.node_at(bus, node_id), axis)
+
+    def has_file(self, node_id: int) -> bool:
+        """Return whether -e or the machine file names the device's own file of a node."""
+        machine, bus = self.machine_on_bus()
+        node = None if machine is None else machine.node_at(bus, node_id)
+        return bool(self.eds) or (node is not None and bool(node.device.file))
+
+    def is_node(self, text: str) -> bool:
+        """Return whether a text that could also be a file means a node: it is a number, or a name in the machine file."""
+        if _NODE_ID.fullmatch(text):
+            return True
+        machine = None if Path(text).exists() else self.machine_file()
+        return machine is not None and machine.node_of(text) is not None
+
+    def node_id(self, text: str, *, any_axis: bool = False) -> int:
+        """Return the node-ID in a text, or that of the joint or node of this name in the machine file. Raises a Problem.
+
+        any_axis: see ChosenMachine.
+        """
+        machine = None if NUMBER.fullmatch(text) else self.machine_file()
+        return node_id_of(text) if machine is None else self.chosen.node_id(machine, text.strip(), any_axis=any_axis)
+
+    def named_bus(self) -> str | None:
+        """Return the bus that this command is about: of the machine file, else of -b or CANOPEN_BUS; None if it is not clear."""
+        machine = self.machine_file()
+        if machine is not None:
+            return self.chosen.locator(machine, self.bus)
+        return self.bus or os.environ.get(BUS_VARIABLE) or None
+
+    def required_bus(self, first: str = "-b demo                        six simulated drives, for trying things out") -> str:
+        """Return the bus as `named_bus` does. Raises a Problem if there is none. first: what to try first."""
+        bus, machine = self.named_bus(), self.machine_file()
+        if bus is None and machine is not None:
+            raise self.chosen.unclear(machine)
+        if bus is None:
+            raise usage(
+                "CO121",
+                "no bus was named",
+                tries=(
+                    first,
+                    "-b socketcan:can0              Linux, any adapter that the kernel knows",
+                    "-b pcan:PCAN_USBBUS1@500k      PEAK adapters",
+                    f"export {BUS_VARIABLE}=can0       once for all commands",
+                ),
+            )
+        return bus
+
+
+class NodeId(Kind):
+    """A node-ID: decimal, or hexadecimal with 0x. With a machine file also the name of a joint or a node."""
+
+    name = "node"
+    any_axis = False
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        if isinstance(value, int):
+            return value
+        settings = None if ctx is None else ctx.find_object(Settings)
+        return node_id_of(str(value)) if settings is None else settings.node_id(str(value), any_axis=self.any_axis)
+
+
+class DriveId(NodeId):
+    """A node-ID, or the name of a joint that may be a further axis of its node."""
+
+    any_axis = True
+
+
+class NodeIds(Kind):
+    """Several node-IDs: "1-32,40"."""
+
+    name = "node-ids"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        ids: dict[int, None] = {}
+        for part in str(value).split(","):
+            first, dash, last = part.partition("-")
+            low = node_id_of(first)
+            high = node_id_of(last) if dash else low
+            if high < low:
+                raise usage("CO120", f"{part.strip()!r} runs backwards", tries=(f"{last.strip()}-{first.strip()}",))
+            ids.update(dict.fromkeys(range(low, high + 1)))
+        return tuple(ids)
+
+
+class Duration(Kind):
+    """A time: "500ms", "2s", "100us"; only 0 needs no unit. In ns."""
+
+    name = "time"
+
+    def __init__(self, low: Time = MILLISECOND, high: Time = 24 * 3600 * 10**9) -> None:
+        self.low = low
+        self.high = high
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Time:
+        if isinstance(value, int):
+            return value
+        from canopen_data.durations import parse_duration
+
+        try:
+            time = parse_duration(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        if not self.low <= time <= self.high:
+            self.fail(f"{value} is outside {_time_text(self.low)} to {_time_text(self.high)}", param, ctx)
+        return time
+
+
+class FiniteRange(click.FloatRange):
+    """A number within a range; nan and inf are none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
+
+
+class Encoding(Kind):
+    """The encoding of a text: "gbk", "cp932", "cp1252"."""
+
+    name = "encoding"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from canopen_data.eds.encodings import is_encoding
+
+        if not is_encoding(str(value)):
+            self.fail(f"{value!r} is not an encoding such as gbk, cp932 or cp1252", param, ctx)
+        return str(value)
+
+
+class Fault(Kind):
+    """The simulated drive that breaks down, and when: "5@2.0"."""
+
+    name = "node@seconds"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, float]:
+        if isinstance(value, tuple):
+            return value
+        node, at, seconds = str(value).partition("@")
+        try:
+            time = float(seconds)
+        except ValueError:
+            time = -1.0
+        if not at or not 0 <= time < 1e6:
+            self.fail(f"{value!r} is not of the form NODE@SECONDS, such as 5@2.0", param, ctx)
+        return node_id_of(node), time
+
+
+def node_id_of(text: str) -> int:
+    """Return the node-ID in a text. Raises a Problem (CO120) that says what was perhaps meant."""
+    text = text.strip()
+    try:
+        node_id = int(text, 16 if text.lower().startswith("0x") else 10)
+    except ValueError:
+        hint = (f"0x{text}, if it is hexadecimal",) if re.fullmatch("[0-9A-Fa-f]{1,2}", text) else ()
+        raise usage("CO120", f"{text!r} is not a node-ID: 1 to {MAX_NODE_ID}, or hexadecimal with 0x", tries=hint) from None
+    if 1 <= node_id <= MAX_NODE_ID:
+        return node_id
+    raise usage("CO120", f"node-ID {text} is outside 1..{MAX_NODE_ID}", tries=("canopen scan    (who is there?)",))
+
+
+def _time_text(time: Time) -> str:
+    return f"{time / 10**9:g} s" if time >= 10**9 else f"{time / 10**6:g} ms"
+
+
+def _store(ctx: click.Context, param: click.Parameter, value: Any) -> None:
+    """Keep the value of an option in the settings, under the option's name."""
+    settings, name = ctx.ensure_object(Settings), str(param.name)
+    if name in ("eds", "overlays"):  # may be repeated
+        setattr(settings, name, getattr(settings, name) + value)
+    elif name == "quiet":
+        settings.verbosity = -1 if value else settings.verbosity
+    elif value not in (None, False):
+        setattr(settings, name, value)
+
+
+def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
+    return click.option(*names, callback=_store, expose_value=False, **attributes)
+
+
+def enabling(command: F) -> F:
+    """Add the option that commands have which enable drives."""
+    from canopen_proto.drives.axis.grip import DEFAULT_GRIP
+
+    help_text = f"The node-ID of our own heartbeat, by which drives notice that we are gone.  [default: {DEFAULT_GRIP.node_id}]"
+    added: F = _option("--master-id", type=NodeId(), help=help_text)(command)
+    return added
+
+
+def commanding(command: F) -> F:
+    """Add the option of commands that command drives: see rehearsal.py."""
+    added: F = _option("--dry-run", is_flag=True, help="Only read the drive, and show the frames that would be sent.")(command)
+    return added
+
+
+def common(command: F) -> F:
+    """Add the options that every command has. The command takes `settings` by `@click.pass_obj`."""
+    options: list[Callable[[F], F]] = [
+        _option(
+            "-b",
+            "--bus",
+            metavar="BUS",
+            help=f"The bus: demo, socketcan:can0, pcan:PCAN_USBBUS1@500k, slcan:/dev/ttyACM0@250k ...  [env: {BUS_VARIABLE}]",
+        ),
+        _option(
+            "-m",
+            "--machine",
+            type=click.Path(dir_okay=False, path_type=Path),
+            metavar="FILE.toml",
+            help=f"The machine file: buses, devices, joints, chains, by their names.  [env: {MACHINE_VARIABLE}]",
+        ),
+        _option(
+            "-e",
+            "--eds",
+            multiple=True,
+            metavar="[NODE=]FILE",
+            help="The device's own file (EDS, DCF, XDD, XDC), which names its objects; once for each device.",
+        ),
+        _option(
+            "--overlay",
+            "overlays",
+            multiple=True,
+            metavar="FILE.toml",
+            help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
+        ),
+        _option("--encoding", type=Encoding(), help="Of device files that are not UTF-8: gbk, cp932 ... By default a guess."),
+        _option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
+        _option(
+            "--trace",
+            type=click.Path(dir_okay=False, path_type=Path),
+            metavar="FILE",
+            help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.",
+        ),
+        _option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
+        _option("--json", is_flag=True, help="Results and errors as JSON."),
+        _option("-q", "--quiet", is_flag=True, help="Only results and errors."),
+        _option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
+        _option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command

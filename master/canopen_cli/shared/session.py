@@ -1,0 +1,170 @@
+"""The session of most commands: the dictionary, the bus of the options, a master on it, and for `-b demo` the drives too.
+
+A command that gets no answer has listened only for its time limit, while heartbeats come about each second. So it listens on for
+LISTEN_ON before it says what it heard of the node that it asked, and of others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable, Iterable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import trio
+
+from canopen_cli.shared.failures import advice, problem_of
+from canopen_cli.shared.node_files import NodeFiles
+from canopen_cli.shared.options import DEMO, Settings
+from canopen_cli.shared.problem import Problem
+from canopen_cli.shared.screen import Screen, escape
+from canopen_data import load_dictionary
+from canopen_data.description import DeviceDescription
+from canopen_data.findings import Severity
+from canopen_master.errors import NO_ANSWER, SdoTimeout
+from canopen_master.master import Master
+from canopen_master.node import Node
+from canopen_master.participant.channel_claim import channel_claim, channel_free
+from canopen_master.session import open_master
+from canopen_master.silence import sdo_silence
+from canopen_proto.abort import AbortOrigin
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.cia402.axes import with_axis
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.steps import SdoFailed
+from canopen_transports import open_transport
+from canopen_transports.record import Record
+from canopen_transports.tracing import overheard
+
+if TYPE_CHECKING:
+    from canopen_master.simulation.fleet import Fleet
+
+LISTEN_ON: Final = 1.5
+"""Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may just be late."""
+LOOK_AGAIN: Final = 0.05
+"""Seconds between two checks of what was heard."""
+
+
+class Session:
+    """An open master of one bus, and the files of the devices on it. bus: its locator."""
+
+    def __init__(self, master: Master, files: NodeFiles, bus: str) -> None:
+        self.master = master
+        self.bus = bus
+        self.files = files
+        self._of_axes: dict[tuple[int, int], ObjectDictionary] = {}
+
+    def node(self, node_id: int, axis: int = 0) -> Node:
+        """Return a node of the only bus.
+
+        axis: the one that the command is about. A node without a file of its own is taken to have it.
+        """
+        dictionary = self.dictionary_of(node_id)
+        if axis and self.description_of(node_id) is None:
+            dictionary = self._of_axes.setdefault((node_id, axis), with_axis(dictionary, axis))
+        return self.master.node(node_id, dictionary)
+
+    def claim(self, node_id: int) -> AbstractAsyncContextManager[None]:
+        """Have the SDO channel of a node for a long transfer; see channel_claim.py. Raises ChannelTaken."""
+        return channel_claim(self.bus, node_id)
+
+    async def wait_for(self, node_id: int) -> None:
+        """Wait for a long transfer of another program with a node. Raises ChannelTaken."""
+        await channel_free(self.bus, node_id)
+
+    def dictionary_of(self, node_id: int) -> ObjectDictionary:
+        """Return the dictionary of a node; see NodeFiles."""
+        return self.files.dictionary_of(node_id)
+
+    def description_of(self, node_id: int) -> DeviceDescription | None:
+        """Return the description of a node in its own file, or None."""
+        return self.files.description_of(node_id)
+
+    def axis_settings(self, node_id: int, axis: int = 0) -> AxisSettings:
+        """Return the settings of a drive: those of its joint in the machine file; else the unit is the count."""
+        joint = self.files.settings.joint(node_id, axis)
+        settings = AxisSettings() if joint is None else joint.settings
+        return settings if joint is not None and joint.has_unit else replace(settings, counts_per_unit=1.0)
+
+    @property
+    def network(self) -> Network:
+        """The core's network on that bus."""
+        return self.master.bus().network
+
+
+def read_dictionary(screen: Screen) -> ObjectDictionary:
+    """Read the object dictionary. Tells if a user's own file is used; with -v also warnings about it."""
+    dictionary, findings = load_dictionary()
+    for finding in findings:
+        if finding.severity is Severity.NOTICE:
+            screen.say(f"[dim]{escape(finding.source)}: {escape(finding.message)}[/]")
+        else:
+            screen.detail(str(finding))
+    return dictionary
+
+
+def simulated_fleet(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextManager[Fleet]:
+    """See fleet.py, which is imported only for the demonstration: a command on a real bus sends its first frame sooner."""
+    from canopen_master.simulation import fleet
+
+    return fleet.simulated_fleet(devices)
+
+
+@asynccontextmanager
+async def open_session(
+    settings: Settings, screen: Screen, *, heard: Callable[[Record], None] | None = None
+) -> AsyncIterator[Session]:
+    """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError.
+
+    heard: is called with each frame on the bus, those that we send too. Raises also TransportError then.
+    """
+    bus = settings.required_bus()
+    files = NodeFiles(settings, screen, read_dictionary(screen))
+    async with AsyncExitStack() as stack:
+        if bus == DEMO:
+            from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES
+
+            await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
+            bus = DEMO_LOCATOR
+        opened = bus if heard is None else overheard(await open_transport(bus), heard)
+        master = await stack.enter_async_context(
+            open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
+        )
+        session = Session(master, files, bus)
+        try:
+            yield session
+        except Exception as error:
+            silence = _silence_in(error)
+            if silence is None:
+                raise
+            raise await _explained(session.node(silence.node_id), session, silence) from error
+
+
+def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
+    """Return the missing answer in an exception, also in a group that a nursery made of it; else None."""
+    if isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
+        return _silence_in(error.exceptions[0])
+    if isinstance(error, SdoTimeout) and error.code == NO_ANSWER:  # SdoNotConfirmed: may also be a transfer that we gave up
+        return error
+    if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
+        return error
+    return None
+
+
+async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed) -> Problem:
+    """Return the Problem for a missing answer, with what was heard until now and a little longer."""
+    if not node.was_enabled:  # else a drive may move and must be halted first
+        with trio.move_on_after(LISTEN_ON):
+            while not _is_explained(node, session.network):
+                await trio.sleep(LOOK_AGAIN)
+    problem = problem_of(error)
+    problem.seen, problem.cause, tries = sdo_silence(session.network, node.remote, session.master.now())
+    problem.tries = tuple(advice(tries))
+    return problem
+
+
+def _is_explained(node: Node, network: Network) -> bool:
+    """Return whether further listening could not change the message."""
+    return node.nmt_state is NmtState.STOPPED or network.heard(node.node_id).late_answer is not None

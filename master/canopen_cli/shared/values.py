@@ -1,0 +1,113 @@
+"""Convert values of objects from what a user types, and to what is shown."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from canopen_cli.shared.problem import usage
+from canopen_data.eds.writer_values import bytes_text
+from canopen_proto.datatypes import DataType, Value, is_number, text_for_people
+from canopen_proto.dictionary import ObjectDictionary, Variable
+
+_TRUTH: Final = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
+
+BYTES: Final = "bytes"
+"""The --type for the bytes of any object as they go over the wire, which files hold."""
+TYPES: Final = {
+    **{f"u{bits}": DataType[f"UNSIGNED{bits}"] for bits in (8, 16, 24, 32, 40, 48, 56, 64)},
+    **{f"i{bits}": DataType[f"INTEGER{bits}"] for bits in (8, 16, 24, 32, 40, 48, 56, 64)},
+    "bool": DataType.BOOLEAN,
+    "f32": DataType.REAL32,
+    "f64": DataType.REAL64,
+    "text": DataType.VISIBLE_STRING,
+    BYTES: DataType.OCTET_STRING,
+}
+"""The values of --type, for objects that the dictionary lacks."""
+
+
+def place_text(variable: Variable) -> str:
+    """Return index and subindex as all outputs show them: 6041:00."""
+    return f"{variable.index:04X}:{variable.subindex:02X}"
+
+
+def object_json(variable: Variable) -> dict[str, Any]:
+    """Return how an object is named in a JSON document."""
+    return {"index": variable.index, "sub": variable.subindex, "name": variable.name}
+
+
+def value_text(variable: Variable, value: Value) -> str:
+    """Return a value for people. A text of a device is read as UTF-8 if it is valid, else as Latin-1."""
+    if isinstance(value, bytes):
+        return value.hex(" ") if len(value) <= 64 else f"{value[:64].hex(' ')} ... ({len(value)} bytes)"
+    if isinstance(value, str):
+        return repr(text_for_people(value, variable.data_type))
+    return str(value)
+
+
+def hex_text(variable: Variable, value: Value) -> str:
+    """Return a whole number in hexadecimal with all its digits; the bytes of a text or REAL whose text is not exact; "" for
+    anything else."""
+    if not isinstance(value, int) or isinstance(value, bool):
+        return "" if isinstance(value, bytes) else bytes_text(variable, value) or ""
+    bits = variable.bit_length or 32
+    return f"0x{value & (1 << bits) - 1:0{bits // 4}X}"
+
+
+def physical(variable: Variable, value: Value) -> float | None:
+    """Return the physical value in the object's unit; None if no side file gives a unit."""
+    if not variable.unit and variable.factor == 1.0:
+        return None
+    return value * variable.factor if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def physical_text(variable: Variable, value: Value) -> str:
+    """Return the physical value for people: "12.5 deg"; "" if there is none."""
+    number = physical(variable, value)
+    return "" if number is None else f"{number:.10g} {variable.unit}".rstrip()
+
+
+def as_json(variable: Variable, value: Value) -> Any:
+    """Return the value of an object for a JSON document: a text as people read it, all else by `plain_json`."""
+    return text_for_people(value, variable.data_type) if isinstance(value, str) else plain_json(value)
+
+
+def plain_json(value: Value) -> Any:
+    """Return a value for a JSON document: bytes as hexadecimal text, times as text. (`json_text` takes care of NaN.)"""
+    if isinstance(value, bytes):
+        return value.hex()
+    return value if isinstance(value, int | float | str) else str(value)
+
+
+def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> Value:
+    """Return the value that a user typed for an object: a constant's name, a number, a text, or bytes in hexadecimal.
+
+    Raises ConstantNotFound for an unknown name, else Problem. Range and limits are not checked here.
+    """
+    if any(constant.name == text for constant in dictionary.constants_of(variable)):
+        return dictionary.value_from(variable, text)
+    kind = variable.data_type
+    if kind is DataType.BOOLEAN and text.lower() in _TRUTH:
+        return _TRUTH[text.lower()]
+    if is_number(kind):
+        number = _number(text)
+        return dictionary.value_from(variable, text) if number is None else number
+    if kind in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING):
+        return text
+    if kind in (DataType.OCTET_STRING, DataType.DOMAIN):
+        try:
+            return bytes.fromhex(text.removeprefix("0x"))
+        except ValueError:
+            raise usage("CO304", f"{variable.label} takes bytes in hexadecimal, not {text!r}", tries=("01ff20",)) from None
+    raise usage("CO304", f"{variable.label} is of type {kind.name}, which cannot be typed; {text!r} was not sent")
+
+
+def _number(text: str) -> int | float | None:
+    try:
+        return int(text, 0)
+    except ValueError:
+        pass
+    try:
+        # People type "007", which is no literal of Python. "1.5" for a whole number is refused later, with its range.
+        return int(text) if text.lstrip("+-").isdecimal() else float(text)
+    except ValueError:
+        return None

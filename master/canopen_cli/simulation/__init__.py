@@ -1,0 +1,1 @@
+"""Simulated devices: `canopen sim`, and the drives behind `--eds`."""

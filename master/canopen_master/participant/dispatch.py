@@ -1,0 +1,181 @@
+"""Hands the reports of the machines to those who wait: outcomes to requests, events to subscriptions and chains.
+
+This happens inside the pump's turn, and nothing here blocks. If a callback raises, the others still get the event.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import trio
+
+from canopen_master.participant.bus import Bus
+from canopen_proto.machine import Event, Outcome, RequestId, Time
+from canopen_proto.sdo.events import SdoProgress
+
+
+class ProcedureTakenBack(Exception):
+    """A procedure that a task waits for was cancelled elsewhere: its chain was stopped, or the master ended."""
+
+
+class Canceller(Protocol):
+    """An object that can take a request back: a RemoteNode, a Runner."""
+
+    def cancel(self, request_id: RequestId, now: Time) -> object:
+        """Take the request back; its outcome follows."""
+
+
+class Waiter:
+    """A place to wait for the outcome of one request. is_done: whether there is a `result`. ends: a scope to cancel then."""
+
+    __slots__ = ("_error", "_news", "_outcome", "_parked", "canceller", "ends", "is_done")
+
+    def __init__(self, canceller: Canceller) -> None:
+        self.canceller = canceller
+        self.is_done = False
+        self.ends: trio.CancelScope | None = None
+        self._news: deque[SdoProgress] = deque()  # a stream tells little before it is answered
+        self._parked: trio.lowlevel.ParkingLot | None = None  # made for the first that waits: an answer may be there before
+        self._outcome: Outcome | None = None
+        self._error: Exception | None = None
+
+    def resolve(self, outcome: Outcome) -> None:
+        """Take the outcome, and wake the waiting task."""
+        self._outcome = outcome
+        self._end()
+
+    def fail(self, error: Exception) -> None:
+        """End the wait: there will be no outcome, for this reason."""
+        self._error = error
+        self._end()
+
+    def _end(self) -> None:
+        self.is_done = True
+        if self._parked is not None:
+            self._parked.unpark_all()
+        if self.ends is not None:
+            self.ends.cancel()
+
+    def tell(self, report: SdoProgress) -> None:
+        """Take a report of a stream."""
+        self._news.append(report)
+        if self._parked is not None:
+            self._parked.unpark_all()
+
+    async def wait(self) -> None:
+        """Wait until the request is done. Always a checkpoint."""
+        if self.is_done:
+            await trio.lowlevel.checkpoint()
+        while not self.is_done:
+            await self._park()
+
+    async def next_news(self) -> SdoProgress | None:
+        """Wait for the next report of a stream; None once all were returned and the stream has ended."""
+        await trio.lowlevel.checkpoint_if_cancelled()
+        while not self._news and not self.is_done:
+            await self._park()
+        return self._news.popleft() if self._news else None
+
+    async def _park(self) -> None:
+        if self._parked is None:
+            self._parked = trio.lowlevel.ParkingLot()
+        await self._parked.park()
+
+    def result(self) -> Outcome:
+        """Return the outcome. Raises the reason if there is none."""
+        if self._error is not None:
+            raise self._error
+        assert self._outcome is not None
+        return self._outcome
+
+
+class Watcher:
+    """A callback for events of some kinds, of one bus and one node, or of all (None, 0)."""
+
+    __slots__ = ("bus", "callback", "kinds", "node_id")
+
+    def __init__(self, kinds: tuple[type[Event], ...], bus: Bus | None, node_id: int, callback: Callable[[Any], None]) -> None:
+        self.kinds = kinds
+        self.bus = bus
+        self.node_id = node_id
+        self.callback = callback
+
+
+class Dispatcher:
+    """Hands each event to the tasks and callbacks that wait for it."""
+
+    def __init__(self) -> None:
+        self._waiters: dict[tuple[object, RequestId], Waiter] = {}
+        self._watchers: list[Watcher] = []
+        # By kind: how to tell the one whose request it is about, if it is about one; and those who watch
+        self._by_kind: dict[type[Event], tuple[Callable[[Bus, Any], None] | None, tuple[Watcher, ...]]] = {}
+
+    def expect(self, root: object, request_id: RequestId, canceller: Canceller) -> Waiter:
+        """Wait for the outcome of a request of the network whose `out.root` is given."""
+        waiter = self._waiters[root, request_id] = Waiter(canceller)
+        return waiter
+
+    def forget(self, root: object, request_id: RequestId) -> bool:
+        """Stop waiting. Returns False if the outcome has come already."""
+        return self._waiters.pop((root, request_id), None) is not None
+
+    def give_up(self, error: Exception, now: Time) -> None:
+        """End all waiting with an error, and take the requests back."""
+        for (_, request_id), waiter in tuple(self._waiters.items()):
+            waiter.fail(error)
+            waiter.canceller.cancel(request_id, now)
+        self._waiters.clear()
+
+    def watch(
+        self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0
+    ) -> Watcher:
+        """Call `callback` with each event of these kinds (and of kinds derived from them), until `unwatch`."""
+        watcher = Watcher(kinds, bus, node_id, callback)
+        self._watchers.append(watcher)
+        self._by_kind.clear()
+        return watcher
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Stop calling a callback; does nothing if it was stopped before."""
+        if watcher in self._watchers:
+            self._watchers.remove(watcher)
+            self._by_kind.clear()
+
+    def dispatch(self, bus: Bus, event: Event) -> None:
+        """Hand out an event of a bus's network. Calls all callbacks, then raises the first error of one."""
+        kind = type(event)
+        told = self._by_kind.get(kind)
+        if told is None:
+            watching = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
+            told = self._by_kind[kind] = self._teller_of(kind), watching
+        tell, watchers = told
+        if tell is not None:
+            tell(bus, event)
+        if not watchers:
+            return
+        failure: Exception | None = None
+        for watcher in watchers:
+            if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
+                try:
+                    watcher.callback(event)
+                except Exception as error:  # noqa: BLE001 - raised below, when all have been told
+                    failure = failure or error
+        if failure is not None:
+            raise failure
+
+    def _teller_of(self, kind: type[Event]) -> Callable[[Bus, Any], None] | None:
+        if issubclass(kind, Outcome):
+            return self._resolve
+        return self._progress if issubclass(kind, SdoProgress) else None
+
+    def _resolve(self, bus: Bus, outcome: Outcome) -> None:
+        waiter = self._waiters.pop((bus.network.out.root, outcome.request_id), None)
+        if waiter is not None:
+            waiter.resolve(outcome)
+
+    def _progress(self, bus: Bus, report: SdoProgress) -> None:
+        waiter = self._waiters.get((bus.network.out.root, report.request_id))
+        if waiter is not None:
+            waiter.tell(report)

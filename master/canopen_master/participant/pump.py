@@ -1,0 +1,317 @@
+"""The pump: it drives the Networks of one participant, on one or several buses, with trio. A master has one, a simulated device
+has one.
+
+The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending and of what a bus reports: bus.py)
+
+- one task per bus receives frames, one per bus sends them, and one for all buses keeps the time. Delivery needs no task: events
+  go into bounded queues and wake tasks, which neither blocks nor calls anybody's code;
+- a bus inside this process pushes its frames (`PushingTransport`): they are taken in within the turn of the participant that
+  sends them, and no task is woken. So a read of a simulated device costs one round of the scheduler: the caller's own;
+- whatever mutates a machine (a frame, a deadline, a command of any task) is followed by `pump`, at once and without a checkpoint
+  between: it drains all networks until none has anything more to say. A task that is cancelled can so never leave the core ahead
+  of the wire, nor the wire ahead of the core;
+- what delivery itself mutates (a chain that stops because a joint failed) is drained in the same turn;
+- a machine may be commanded by anybody, without `pump` behind it (`node.remote.start_guarding(...)`): before trio's loop sleeps,
+  `_LastLook` sees what was left, and has it taken up.
+
+The tasks are shielded and survive the cancelling of the user's code: `Pump.run` ends by `Pump.stop` only. Without that a cancel
+would put nothing on the wire, and drives would run on. All of it is protected from a KeyboardInterrupt in the middle of a turn.
+
+**Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once where
+the transport can tell what has come, else by giving the receivers a few rounds of trio's scheduler: a process
+that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
+An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
+The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
+
+**When a bus fails**, its tasks end, what is queued for it is dropped, and `on_failure` is told once; the other buses run on until
+they are stopped. A bug in the core is told in the same way, and the pump runs on, so that drives can still be halted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from functools import partial
+from typing import Final, TypeAlias
+
+import trio
+from trio.lowlevel import enable_ki_protection
+
+from canopen_master.participant.alarm import Alarm, best_alarm
+from canopen_master.participant.bus import FRAME_BITS, MAX_BATCH, Bus
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
+from canopen_transports import FrameNotSent, Received, Report, TransportError
+from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
+
+MAX_CATCH_UP: Final = 4096
+"""Frames that are taken in before a due timeout is handled. A bus that brings more, without end, must not hold up the time."""
+
+_STALL: Final = 5 * MILLISECOND
+"""An alarm that comes later than this means that the process was stalled."""
+
+_TICKS: Final = 2
+"""A frame that is there reaches us within two rounds of trio's scheduler; through a thread, the second one is needed."""
+
+QUIET_TICKS: Final = 3
+"""A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
+
+
+OnEvent: TypeAlias = Callable[[Bus, Event], None]
+"""An event came out of a bus's network. May mutate machines; must not block. `OnFailure` is told of its exceptions."""
+
+OnFailure: TypeAlias = Callable[[Bus | None, Exception], None]
+"""A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
+
+
+class _LastLook(trio.abc.Instrument):
+    """Looks at the machines before trio's loop sleeps; costs some 0.3 us each time."""
+
+    def __init__(self, pump: Pump) -> None:
+        self._pump = pump
+        self._outboxes = [bus.network.out for bus in pump.buses]
+        self._token = trio.lowlevel.current_trio_token()
+
+    def before_io_wait(self, timeout: float) -> None:
+        for out in self._outboxes:
+            if out.frames or out.events or out.armed or out.rerouted:
+                self._token.run_sync_soon(self._pump.pump, idempotent=True)  # which ends this sleep at once
+                return
+
+
+class Pump:
+    """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
+
+    on_event, on_failure: called with what the networks report, and with what goes wrong.
+    before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
+    quiet_ticks: after a stall, so many rounds of trio's scheduler without a frame show that all frames were taken in.
+    """
+
+    def __init__(
+        self,
+        buses: Sequence[Bus],
+        on_event: OnEvent,
+        on_failure: OnFailure,
+        quiet_ticks: int = QUIET_TICKS,
+        before_timeouts: Callable[[Time], None] | None = None,
+    ) -> None:
+        self.buses = tuple(buses)
+        self._on_event = on_event
+        self._on_failure = on_failure
+        self._quiet_ticks = quiet_ticks
+        self._before_timeouts = before_timeouts
+        self._scope = trio.CancelScope(shield=True)
+        self._alarm: Alarm | None = None
+        self._wake: Time = NEVER  # what the alarm is set for
+        self._is_pumping = False
+        self._received = 0
+        self._outs = tuple((bus, bus.network.out) for bus in self.buses)
+        self._clock = trio.lowlevel.current_clock()
+        self._filtered = tuple(bus for bus in self.buses if bus.is_filtered)
+        self._renew_filters()
+
+    def now(self) -> Time:
+        """trio's clock in ns: the one time of all machines."""
+        return round(self._clock.current_time() * SECOND)
+
+    @enable_ki_protection
+    def pump(self, now: Time | None = None) -> None:
+        """Take up everything that the machines have to say, until nothing is left. Call it after each mutation (at `now`)."""
+        if self._is_pumping:
+            return  # called by what is being delivered: the loop below goes round again
+        self._is_pumping = True
+        try:
+            if now is None:
+                now = self.now()
+            busy = True
+            while busy:
+                busy = False
+                for bus, out in self._outs:
+                    if out.frames or out.events:
+                        busy = True
+                        self._take(bus, now)
+        finally:
+            self._is_pumping = False
+        if self._filtered:
+            self._renew_filters()
+        self._set_alarm()
+
+    def _renew_filters(self) -> None:
+        for bus in self._filtered:
+            bus.renew_filters()
+
+    def _take(self, bus: Bus, now: Time) -> None:
+        frames, events = bus.network.drain(now)
+        try:
+            if frames and not bus.queue(frames, now):
+                name, seen = getattr(bus.transport, "locator", bus.name), f"{bus.pending} frames wait to be sent"
+                raise TransportError(NOT_ACKNOWLEDGED, name, f"{name} does not take our frames", seen=seen)
+        except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+            self._fail(bus, error, "send")
+        if bus.hears_own_sync:
+            events = bus.with_own_syncs(events, now)
+        for each in events:
+            try:
+                self._on_event(bus, each)
+            except Exception as error:  # noqa: BLE001 - it must reach the user, but the other events be told before
+                self._on_failure(None, error)
+
+    def stop(self) -> None:
+        """End the tasks. Queued frames are not sent: call `flush` before."""
+        self._scope.cancel()
+
+    async def flush(self) -> None:
+        """Wait until all that is queued has reached the transports."""
+        for bus in self.buses:
+            await bus.flush()
+
+    @enable_ki_protection
+    async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
+        """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
+        last_look = _LastLook(self)
+        trio.lowlevel.add_instrument(last_look)
+        try:
+            with self._scope:
+                async with trio.open_nursery() as nursery:
+                    for bus in self.buses:
+                        bus.push_to(partial(self._pushed, bus))
+                        nursery.start_soon(self._receive, bus)
+                        nursery.start_soon(self._send, bus)
+                    nursery.start_soon(self._keep_time)
+                    task_status.started()
+        finally:
+            for bus in self.buses:
+                bus.push_to(None)
+            trio.lowlevel.remove_instrument(last_look)
+
+    @enable_ki_protection
+    async def _receive(self, bus: Bus) -> None:
+        while not bus.failed:
+            try:
+                received = await bus.receive()
+            except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+                self._fail(bus, error, "receive")
+            else:
+                self._received += len(received)
+                self._take_in(bus, received, self.now())
+
+    @enable_ki_protection
+    def _pushed(self, bus: Bus, frame: Frame, now: Time) -> None:
+        if bus.failed:
+            return
+        self._received += 1
+        bus.bits += FRAME_BITS[len(frame.data)]
+        try:
+            bus.network.receive(frame, now, now)
+            self.pump(now)
+        except Exception as error:  # noqa: BLE001 - as in `_turn`
+            self._on_failure(None, error)
+
+    def _take_in(self, bus: Bus, received: Sequence[Received | Report], now: Time) -> None:
+        """Hand over all that came, and pump once."""
+        left = iter(received)
+        try:
+            while True:
+                try:
+                    bus.take_in(left, now)
+                    break
+                except Exception as error:  # noqa: BLE001 - as in `_turn`, but the rest of the frames shall be heard
+                    self._on_failure(None, error)
+            self.pump(now)
+        except Exception as error:  # noqa: BLE001 - as in `_turn`
+            self._on_failure(None, error)
+
+    @enable_ki_protection
+    async def _send(self, bus: Bus) -> None:
+        while not bus.failed:
+            frame = await bus.next_frame(self.now)
+            try:
+                await bus.transport.send(frame)
+            except FrameNotSent as refusal:
+                self._turn(bus.drop, refusal.seen)
+            except Exception as error:  # noqa: BLE001 - as above
+                self._fail(bus, error, f"send {frame}")
+            else:
+                bus.bits += FRAME_BITS[len(frame.data)]
+                if bus.is_dropping:
+                    self._turn(bus.settle_not_sent)
+
+    @enable_ki_protection
+    async def _keep_time(self) -> None:
+        with closing(best_alarm()) as self._alarm:
+            while True:
+                self._set_alarm()
+                await self._alarm.wait()
+                self._wake = NEVER
+                late = self.now() - self._next_deadline()
+                if late >= 0:
+                    if late > _STALL or not all(self._take_what_has_come(bus) for bus in self.buses):
+                        await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
+                    self._turn(self._handle_timeouts)
+
+    def _take_what_has_come(self, bus: Bus) -> bool:
+        """Take in what a bus has brought so far, without waiting for its receiver; False if that may not have been all."""
+        if bus.failed:
+            return True
+        try:
+            received = bus.receive_nowait()
+        except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
+            self._fail(bus, error, "receive")
+            return True
+        if received:
+            self._received += len(received)
+            self._take_in(bus, received, self.now())
+        return received is not None and len(received) < MAX_BATCH
+
+    async def _catch_up(self, ticks: int) -> None:
+        """Let the receivers handle what is already there, until for so many rounds of the scheduler no frame has come."""
+        enough = self._received + MAX_CATCH_UP
+        while self._received < enough:
+            received = self._received
+            for _ in range(ticks):
+                await trio.lowlevel.checkpoint()
+            if received == self._received:
+                return
+
+    def _handle_timeouts(self) -> None:
+        """One instant for all buses: SYNCs that are due together go out together."""
+        now = self.now()
+        if self._before_timeouts is not None:
+            self._before_timeouts(now)
+        for bus in self.buses:
+            bus.network.handle_timeout(now)
+
+    def _set_alarm(self) -> None:
+        """Wake the timekeeper in time. An earlier alarm is left alone: an early wake does no harm."""
+        deadline = self._next_deadline()  # which also takes up what machines have announced
+        if deadline < self._wake and self._alarm is not None:
+            self._wake = deadline
+            self._alarm.set(deadline / SECOND)
+
+    def _next_deadline(self) -> Time:
+        nearest = NEVER
+        for bus in self.buses:
+            deadline = bus.network.next_deadline()
+            if deadline < nearest:
+                nearest = deadline
+        return nearest
+
+    def _turn(self, mutate: Callable[..., object], *args: object) -> None:
+        """Call something that mutates machines, then pump."""
+        try:
+            mutate(*args)
+            self.pump()
+        except Exception as error:  # noqa: BLE001 - a bug in the core: it must reach the user, but the drives be halted before
+            self._on_failure(None, error)
+
+    def _fail(self, bus: Bus, error: Exception, doing: str) -> None:
+        if bus.failed:
+            return
+        bus.fail()
+        if not isinstance(error, TransportError):
+            closed = isinstance(error, trio.ClosedResourceError)
+            seen = "somebody has closed the transport" if closed else f"{type(error).__name__}: {error}"
+            name = getattr(bus.transport, "locator", bus.name)
+            cause, error = error, TransportError(BUS_LOST, name, f"cannot {doing} on {name}", seen=seen)
+            error.__cause__ = cause
+        self._on_failure(bus, error)

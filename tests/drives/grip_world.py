@@ -1,0 +1,107 @@
+"""A simulated drive, and a master that holds it and can be killed, in virtual time."""
+
+from __future__ import annotations
+
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip, Hold, take_hold
+from canopen_proto.drives.cia402 import objects
+from canopen_proto.heartbeat import OwnHeartbeat
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.network import Network
+from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Track
+from tests.core.bus import Bus
+
+NODE = 5
+SETTINGS = DriveSettings(position=0, lag=0, track=Track(negative_limit=-1e9, positive_limit=1e9))
+
+
+class World:
+    """A simulated drive, and a master with its own heartbeat, which can be killed: it sends nothing from then on."""
+
+    def __init__(
+        self,
+        dictionary: ObjectDictionary | None = None,
+        kind: type[DriveNode] = DriveNode,
+    ) -> None:
+        self.bus = Bus()
+        device = self.bus.attach(Network())
+        self.node = kind(device.out, NODE, SETTINGS, dictionary or drive_dictionary())
+        device.attach(self.node)
+        self.master = self.bus.attach(Network())
+        self.remote = RemoteNode(self.master.out, NODE, self.node.dictionary)
+        self.heartbeat = OwnHeartbeat(self.master.out, DEFAULT_GRIP.node_id)
+        for machine in (self.remote, self.heartbeat):
+            self.master.attach(machine)
+        self.hold = Hold(self.remote)
+        self.node.boot(0)
+        self.bus.run(MILLISECOND)
+        self.store = self.node.values.store
+
+    def run(self, procedure: Procedure[None]) -> None:
+        ended: list[ProcedureFinished | ProcedureFailed] = []
+        request_id = self.master.run(procedure, self.bus.now)
+
+        def has_ended() -> bool:
+            kinds = ProcedureFinished | ProcedureFailed
+            ended.extend(each for each in self.bus.events if isinstance(each, kinds) and each.request_id == request_id)
+            return bool(ended)
+
+        self.bus.run_until(has_ended, 10 * SECOND)
+        if isinstance(ended[0], ProcedureFailed):
+            raise ended[0].error
+
+    def take_hold(self, grip: Grip = DEFAULT_GRIP) -> str:
+        self.heartbeat.start(grip.period, self.bus.now)
+        self.run(take_hold(self.hold, grip))
+        self.bus.run(self.heartbeat.deadline - self.bus.now)
+        return self.hold.gap
+
+    def put(self, key: int, value: int) -> None:
+        """As if a client had written it."""
+        self.node.set_value(key >> 8, key & 0xFF, value, self.bus.now)
+        self.node.drive.written(key >> 8, key & 0xFF, self.bus.now)
+
+    def move(self, mode: int) -> None:
+        """Set it in motion by pp or pv, at 20000 units/s."""
+        for key, value in ((objects.PROFILE_VELOCITY, 20_000), (objects.MAX_PROFILE_VELOCITY, 20_000), (0x6083_00, 100_000)):
+            if key in self.store:
+                self.store[key] = value
+        self.put(objects.MODES_OF_OPERATION, mode)
+        for word in (0x06, 0x07, 0x0F):
+            self.put(objects.CONTROLWORD, word)
+        if mode == 1:
+            self.put(objects.TARGET_POSITION, 2_000_000)
+            self.put(objects.CONTROLWORD, 0x1F)
+        else:
+            self.put(objects.TARGET_VELOCITY, 20_000)
+        self.bus.run(2 * SECOND)
+        assert self.speed() == 20_000
+
+    def speed(self) -> int:
+        self.node.drive.refresh(self.bus.now)
+        found = self.store[objects.VELOCITY_DEMAND_VALUE]
+        assert isinstance(found, int)
+        return abs(found)
+
+    def kill_master(self) -> None:
+        self.heartbeat.stop(self.bus.now)
+        if self.remote.guarding.guard_time:
+            self.remote.stop_guarding()
+
+    def time_to_stand(self, limit: Time) -> Time:
+        """ns until it stands; `limit` if it does not."""
+        began = self.bus.now
+        while self.speed() and self.bus.now < began + limit:
+            self.bus.run(5 * MILLISECOND)
+        return self.bus.now - began
+
+
+def without(*indices: int, more: tuple[int, ...] = ()) -> ObjectDictionary:
+    kept = [each for index, each in drive_dictionary().objects.items() if index not in indices]
+    return ObjectDictionary([*kept, *(standard_object(index) for index in more)])

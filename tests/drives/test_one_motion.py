@@ -1,0 +1,145 @@
+"""One motion command at a time on each axis: a second one is refused, a stop takes over, and each is told; in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from canopen_proto.drives import axis as drive
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.slow_position import start_slow_position
+from canopen_proto.drives.cia402.states import ControlBit, State
+from canopen_proto.machine import MILLISECOND, SECOND, RequestId
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
+from tests.drives.rig import CYCLE, Rig
+
+FAR = 3.0
+"""Radians: seconds away."""
+
+Make = Callable[[Axis], Procedure[Any]]
+
+MOTIONS: dict[str, Make] = {
+    "move_to": lambda axis: drive.move_to(axis, FAR, timeout=60 * SECOND),
+    "move_along": lambda axis: drive.move_along(axis, [drive.Target(FAR)], timeout=60 * SECOND),
+    "home": drive.home,
+    "run_at": lambda axis: drive.run_at(axis, 0.1),
+    "apply_torque": lambda axis: drive.apply_torque(axis, 0.01, 60 * SECOND, max_speed=100.0),
+}
+OTHERS: dict[str, Make] = {
+    **MOTIONS,
+    "set_mode": lambda axis: drive.set_mode(axis, 3),
+    "enable": drive.enable,
+    "select_standing_mode": drive.select_standing_mode,
+    "start_interpolation": lambda axis: drive.start_interpolation(axis, CYCLE, sends_itself=True),
+    "start_cyclic_position": lambda axis: drive.start_cyclic_position(axis, CYCLE, sends_itself=True),
+    "start_slow_position": start_slow_position,
+}
+STOPS: dict[str, Make] = {
+    "halt": drive.halt,
+    "quick_stop": drive.quick_stop,
+    "engage_brake": drive.engage_brake,
+    "shut_down": drive.shut_down,
+    "change_state_down": lambda axis: drive.change_state(axis, State.SWITCHED_ON),
+}
+
+
+def rig_of() -> Rig:
+    rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=0, lag=0, track=Track(negative_limit=-1e9)))
+    rig.axis.settings = replace(rig.axis.settings, homing_method=17)
+    return rig
+
+
+def begun(rig: Rig, make: Make) -> RequestId:
+    """Start a motion and let it run until the drive moves."""
+    request_id = rig.master.run(make(rig.axis), rig.bus.now)
+    rig.bus.run(400 * MILLISECOND)
+    assert rig.master.runner.busy
+    return request_id
+
+
+def commands(rig: Rig) -> int:
+    """How many objects were written to the drive."""
+    return sum(frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20 for _, frame in rig.bus.sent)
+
+
+@pytest.mark.parametrize("second", OTHERS)
+def test_a_second_motion_is_refused_and_the_first_goes_on(second: str) -> None:
+    rig = rig_of()
+    first = rig.master.run(drive.move_to(rig.axis, 0.2, timeout=60 * SECOND), rig.bus.now)
+    rig.bus.run(500 * MILLISECOND)
+    before = commands(rig)
+    with pytest.raises(drive.AxisBusy, match=f"^drive 5 cannot {second} now: move_to is under way; nothing was sent") as caught:
+        rig.run(OTHERS[second](rig.axis))
+    assert "wait for its end, or halt the drive first" in str(caught.value)
+    assert commands(rig) == before
+    assert isinstance(rig.outcome(first), ProcedureFinished)
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.2, abs=0.001)
+
+
+@pytest.mark.parametrize("stop", STOPS)
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_stop_takes_over_and_the_motion_says_so(motion: str, stop: str) -> None:
+    rig = rig_of()
+    first = begun(rig, MOTIONS[motion])
+    rig.run(STOPS[stop](rig.axis))
+    ended = rig.outcome(first)
+    assert isinstance(ended, ProcedureFailed)
+    assert isinstance(ended.error, drive.TakenOver)
+    assert str(ended.error).startswith(f"drive 5 was taken from {motion}: {stop} took over")
+    rig.bus.run(2 * SECOND)
+    here = rig.run(drive.read_position(rig.axis))
+    rig.bus.run(SECOND)
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(here, abs=1e-6)
+    assert stop != "halt" or rig.axis.controlword & ControlBit.HALT
+
+
+def test_the_motion_ends_before_the_drive_stands() -> None:
+    rig = rig_of()
+    first = begun(rig, MOTIONS["move_to"])
+    halting = rig.master.run(drive.halt(rig.axis), rig.bus.now)
+    began = rig.bus.now
+    rig.outcome(first)
+    assert rig.bus.now - began <= 20 * MILLISECOND
+    assert isinstance(rig.outcome(halting), ProcedureFinished)
+
+
+def test_a_motion_waits_for_the_halt_of_the_one_before() -> None:
+    rig = rig_of()
+    first = begun(rig, MOTIONS["move_to"])
+    rig.master.cancel(first, rig.bus.now)
+    rig.run(drive.move_to(rig.axis, 0.0, timeout=60 * SECOND))
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.0, abs=0.001)
+
+
+def test_a_motion_waits_for_a_stop() -> None:
+    rig = rig_of()
+    first = begun(rig, MOTIONS["run_at"])
+    halting = rig.master.run(drive.halt(rig.axis), rig.bus.now)
+    rig.run(drive.move_to(rig.axis, 0.0, timeout=60 * SECOND))
+    assert isinstance(rig.outcome(first), ProcedureFailed)
+    assert isinstance(rig.outcome(halting), ProcedureFinished)
+
+
+@pytest.mark.parametrize("stop", STOPS)
+def test_a_stop_that_is_cancelled_leaves_the_drive_halted(stop: str) -> None:
+    rig = rig_of()
+    begun(rig, MOTIONS["move_to"])
+    stopping = rig.master.run(STOPS[stop](rig.axis), rig.bus.now)  # nothing of it has left yet
+    rig.master.cancel(stopping, rig.bus.now)
+    assert isinstance(rig.outcome(stopping), ProcedureCancelled)
+    here = rig.run(drive.read_position(rig.axis))
+    rig.bus.run(SECOND)
+    assert rig.run(drive.read_position(rig.axis)) == pytest.approx(here, abs=1e-6)
+
+
+def test_a_procedure_that_was_given_up_leaves_the_axis_free() -> None:
+    rig = rig_of()
+    moving = drive.move_to(rig.axis, FAR, timeout=60 * SECOND)
+    moving.send(None)
+    moving.close()
+    rig.run(drive.move_to(rig.axis, 0.1, timeout=60 * SECOND))
