@@ -11,11 +11,17 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master.channel_claim import LONG, SHORT, ChannelTaken, channel_claim, channel_free
+from canopen_master.channel_claim import LONG, SHORT, ChannelTaken, channel_claim
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
 BUS = f"tcp:127.0.0.1:{os.getpid()}"
 """No bus: only its name counts. Of this process alone, since tests run side by side."""
+
+
+async def channel_free(locator: str, node_id: int, patience: float = SHORT) -> None:
+    """Wait as a short command does."""
+    async with channel_claim(locator, node_id, patience, brief=True):
+        pass
 
 
 def in_virtual_time(function: object) -> None:
