@@ -28,7 +28,7 @@ Directions have the device's point of view: an RPDO is sent by us, a TPDO is rec
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import Any, Final
 
 from canopen_proto.abort import AbortCode
@@ -36,7 +36,7 @@ from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
-from canopen_proto.frame import KEY_EXTENDED, RoutingKey, routing_key
+from canopen_proto.frame import KEY_EXTENDED, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
@@ -52,6 +52,7 @@ from canopen_proto.pdo.multiplexed_listener import MpdoListener
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import MAX_PDOS
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
+from canopen_proto.sdo.transfer import Channel
 
 FRESH: Final = 100 * MILLISECOND
 """A value younger than this is taken as the present one: ten cycles of the usual 10 ms."""
@@ -201,12 +202,7 @@ class RemoteNode(Group):
         node boots or is lost, values that it reads or writes go into `values`, and `cancel` finds its requests. Raises
         LocalProtocolError for an invalid key, or one that this node already uses. CiA 301 v4.2.0, 7.5.2.33
         """
-        for key in (request_key, response_key):
-            self._check_key("SDO channel", key)
-        if request_key == response_key or any(response_key in client.can_ids() for client in self._clients):
-            raise LocalProtocolError(
-                f"SDO channel of node {self.node_id}: another channel uses CAN-ID 0x{response_key & ~KEY_EXTENDED:X}"
-            )
+        self._check_channel(request_key, response_key, self._clients)
         client = SdoClient(self.inner, self.node_id, request_key=request_key, response_key=response_key, timeout=self.sdo.timeout)
         self.sdo_channels.append(client)
         self._members.attach(client)
@@ -219,6 +215,28 @@ class RemoteNode(Group):
         self._settle(mark, now)
         self._members.detach(client)
         self.sdo_channels.remove(client)
+
+    def move_sdo(self, channel: Channel | None, now: Time) -> None:
+        """Use another SDO server of the node for all requests of `sdo`. channel: client to server, server to client; None: the
+        first one again.
+
+        For a program that leaves the first channel to another one. Open requests of `sdo` end as SdoAborted. Raises
+        LocalProtocolError for an invalid key, or one that another channel of this node already uses.
+        """
+        first = (routing_key(SDO_CLIENT_TO_SERVER + self.node_id), routing_key(SDO_SERVER_TO_CLIENT + self.node_id))
+        wanted = first if channel is None else channel
+        self._check_channel(*wanted, self.sdo_channels)
+        mark = len(self.inner.events)
+        self.sdo.set_channel(wanted, now)
+        self._settle(mark, now)
+
+    def _check_channel(self, request_key: RoutingKey, response_key: RoutingKey, others: Iterable[SdoClient]) -> None:
+        for key in (request_key, response_key):
+            self._check_key("SDO channel", key)
+        if request_key == response_key or any(response_key in client.can_ids() for client in others):
+            raise LocalProtocolError(
+                f"SDO channel of node {self.node_id}: another channel uses CAN-ID 0x{response_key & ~KEY_EXTENDED:X}"
+            )
 
     @property
     def _clients(self) -> tuple[SdoClient, ...]:

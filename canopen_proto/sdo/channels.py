@@ -119,13 +119,6 @@ class ChannelClient(SdoClient):
         """Whether it takes requests: it has a channel, and SDO lives in the NMT state of the device."""
         return self._lives and self.channel is not None
 
-    def set_channel(self, channel: tuple[RoutingKey, RoutingKey] | None, now: Time) -> None:
-        """Be the client of another channel, or of none. Does nothing if it is the same; else open requests end."""
-        if channel != self.channel:
-            self.abort_all(AbortCode.DEVICE_STATE, now)
-            self._use(channel)
-            self._reroute()
-
     def set_enabled(self, lives: bool, now: Time) -> None:
         """Tell whether SDO lives in the NMT state of the device. If not, open requests end without a frame."""
         if lives != self._lives:

@@ -76,7 +76,7 @@ from canopen_proto.sdo.contention import SERVICE_ERROR, Contested, OtherClient, 
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request_queue import RequestQueue
 from canopen_proto.sdo.segmented_client import Download, Upload, own
-from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd, Transfer
+from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, Channel, ChannelEnd, Transfer
 
 __all__ = [
     "AUTO_BLOCK", "CONTEST_LIMIT", "LATE_GUARD", "MAX_QUEUE", "MAX_UPLOAD", "TIMEOUT", "Block", "SdoAborted", "SdoChunk",
@@ -289,6 +289,16 @@ class SdoClient(ChannelEnd):
         for transfer in waiting:
             self.report_abort(transfer, abort_code, AbortOrigin.LOCAL, False)
         self.deadline = NEVER
+
+    def set_channel(self, channel: Channel | None, now: Time) -> None:
+        """Be the client of another channel (client to server, server to client). Does nothing if it is the same.
+
+        Open requests end: SdoAborted, 0x08000022, origin LOCAL. None: of no channel, which only a ChannelClient can do without.
+        """
+        if channel != self.channel:
+            self.abort_all(AbortCode.DEVICE_STATE, now)
+            self._use(channel)
+            self._reroute()
 
     # ---- getters ----
 

@@ -140,6 +140,8 @@ def _sign_of_life(heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[Time |
 def _other_clients(network: Network, heard: NodeHeard, node: RemoteNode, now: Time) -> tuple[str, str]:
     """Return the signs that another client asks this node, and their meaning; "" if there are none."""
     node_id, request, answer = heard.node_id, heard.foreign_request, heard.unasked_answer
+    if node.sdo.can_id != SDO_CLIENT_TO_SERVER + node_id:
+        return "", ""  # we use a further channel (`move_sdo`); what is heard of others is on the first one
     if request is not None and now - request.time <= RECENT:
         can_id = SDO_CLIENT_TO_SERVER + node_id
         seen = f"; another client asked it {_ago(now - request.time)} (0x{can_id:X}{_said(request.frame, node)})"

@@ -25,9 +25,9 @@ from canopen_cli.shared.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_master import errors
+from canopen_master.claims.channel_claim import ChannelTaken
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.set_point_check import FASTER, NO_SCALE
-from canopen_master.participant.channel_claim import ChannelTaken
 from canopen_master.simulation.hooks import ScriptError
 from canopen_master.simulation.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin

@@ -51,6 +51,28 @@ def test_requests_of_a_channel_are_cancelled_by_the_node() -> None:
     assert bench.take() == ["640#4000100000000000", "640#8000100000000008"]
 
 
+def test_all_requests_move_to_another_channel_and_back() -> None:
+    bench = MasterBench()
+    other = bench.node.add_sdo_channel(0x641, 0x5C1)
+    with pytest.raises(LocalProtocolError, match="another channel uses CAN-ID 0x5C1"):
+        bench.node.move_sdo((REQUESTS, 0x5C1), bench.now)
+    bench.node.remove_sdo_channel(other, bench.now)
+    client, open_request = bench.node.sdo, bench.node.read(0x1000, bench.now)
+    bench.take()
+    bench.node.move_sdo((REQUESTS, RESPONSES), bench.now)
+    assert bench.take() == ["605#8000100022000008"]
+    assert [(each.request_id, each.origin) for each in bench.seen(SdoAborted)] == [(open_request, AbortOrigin.LOCAL)]
+    assert bench.node.sdo is client
+    bench.node.read(0x1000, bench.now)
+    assert bench.take() == ["640#4000100000000000"]
+    assert bench.tell("5C0#4300100091010000") == []
+    assert bench.node.values.store[0x1000_00] == 0x191
+    assert {0x585, 0x605}.isdisjoint(client.can_ids())
+    bench.node.move_sdo(None, bench.now)
+    bench.node.read(0x1000, bench.now)
+    assert bench.take() == ["605#4000100000000000"]
+
+
 def test_they_end_when_the_node_boots_or_is_lost() -> None:
     bench = MasterBench(heartbeat_timeout=SECOND)
     channel = bench.node.add_sdo_channel(REQUESTS | KEY_EXTENDED, RESPONSES | KEY_EXTENDED)

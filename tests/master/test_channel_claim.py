@@ -11,11 +11,17 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master.participant.channel_claim import LONG, SHORT, ChannelTaken, channel_claim, channel_free
+from canopen_master.claims.channel_claim import LONG, SHORT, ChannelTaken, channel_claim
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
 BUS = f"tcp:127.0.0.1:{os.getpid()}"
 """No bus: only its name counts. Of this process alone, since tests run side by side."""
+
+
+async def channel_free(locator: str, node_id: int, patience: float = SHORT) -> None:
+    """Wait as a short command does."""
+    async with channel_claim(locator, node_id, patience, brief=True):
+        pass
 
 
 def in_virtual_time(function: object) -> None:
@@ -84,7 +90,7 @@ def test_a_bus_in_the_process_and_a_log_need_no_claim() -> None:
 def test_the_kernel_releases_the_claim_of_a_process_that_is_killed() -> None:
     script = f"""
 import trio
-from canopen_master.participant.channel_claim import channel_claim
+from canopen_master.claims.channel_claim import channel_claim
 async def main():
     async with channel_claim({BUS!r}, 7):
         print("claimed", flush=True)

@@ -170,7 +170,7 @@ def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
 async def _read(settings: Settings, screen: Screen, node_id: int, file: Side) -> Backup:
     """Read the objects of the file from the node."""
     only = [file.dictionary.variable(split_mux(key)) for key in sorted(file.values)]
-    async with open_session(settings, screen) as session, session.claim(node_id):
+    async with open_session(settings, screen) as session, session.claim(node_id, file.dictionary):
         node = session.node(node_id).remote
         reading = back_up(node, file.dictionary, only=only, domains=True)
         return await shown(session, screen, f"reading {node_text(node_id)}", reading, ObjectRead)

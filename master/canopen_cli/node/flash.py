@@ -186,7 +186,7 @@ def story(so_far: ProgramDownload) -> list[str]:
 async def _flash(
     settings: Settings, screen: Screen, questions: Questions, wanted: Wanted, so_far: ProgramDownload, dry_run: bool
 ) -> None:
-    async with open_session(settings, screen) as session, session.claim(wanted.node_id):
+    async with open_session(settings, screen) as session, session.claim_to_write(wanted.node_id):
         node, nmt = session.node(wanted.node_id).remote, session.master.nmt_master(session.master.bus())
         found = await session.master.run(look(node, wanted.program))
         if not settings.json:

@@ -59,8 +59,7 @@ def info(settings: Settings, node_id: int) -> None:
 
 
 async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
-    async with open_session(settings, screen) as session:
-        await session.wait_for(node_id)
+    async with open_session(settings, screen) as session, session.turn(node_id):
         node = session.node(node_id)
         facts = await identity_facts(session, node)
         await _add_health(node, facts)

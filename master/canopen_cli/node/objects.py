@@ -163,8 +163,7 @@ def read(
 
 
 async def _read(settings: Settings, screen: Screen, request: Request, keys: tuple[str, ...]) -> list[Reading]:
-    async with open_session(settings, screen) as session:
-        await session.wait_for(request.node_id)
+    async with open_session(settings, screen) as session, session.turn(request.node_id):
         node = session.node(request.node_id)
         variables = [find(node.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
@@ -255,7 +254,7 @@ def _shown(reading: Reading) -> str:
 
 
 async def _write_file(settings: Settings, screen: Screen, request: Request, key: str, path: str) -> FileTransfer:
-    async with open_session(settings, screen) as session, session.claim(request.node_id):
+    async with open_session(settings, screen) as session, session.claim_to_write(request.node_id):
         node = session.node(request.node_id)
         variable = find(node.dictionary, key, request.type_name or BYTES)
         _check_writable(variable)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -156,7 +157,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
 
 
 async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: list[Restoration]) -> None:
-    async with open_session(settings, screen) as session, session.claim(wanted.node_id):
+    async with open_session(settings, screen) as session, _claim(session, wanted):
         if not wanted.any_device:
             await _check_identity(session, wanted)
         node = session.node(wanted.node_id).remote
@@ -168,6 +169,13 @@ async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: l
         nmt = session.master.nmt_master(session.master.bus())
         writing = carry_out(node, nmt, plan, so_far[0], verify=wanted.verify, store=wanted.store)
         await shown(session, screen, f"writing {node_text(wanted.node_id)}", writing, ObjectRestored)
+
+
+def _claim(session: Session, wanted: Wanted) -> AbstractAsyncContextManager[None]:
+    """Have the node, to write it; or a channel of it for a dry run, which only reads."""
+    if wanted.dry_run:
+        return session.claim(wanted.node_id, wanted.dictionary)
+    return session.claim_to_write(wanted.node_id)
 
 
 async def _check_identity(session: Session, wanted: Wanted) -> None:

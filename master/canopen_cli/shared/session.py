@@ -21,10 +21,11 @@ from canopen_cli.shared.screen import Screen, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_data.findings import Severity
+from canopen_master.claims.channel_claim import SHORT, channel_claim
+from canopen_master.claims.further_channels import FurtherChannels
 from canopen_master.errors import NO_ANSWER, SdoTimeout
 from canopen_master.master import Master
 from canopen_master.node import Node
-from canopen_master.participant.channel_claim import channel_claim, channel_free
 from canopen_master.session import open_master
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
@@ -50,8 +51,9 @@ LOOK_AGAIN: Final = 0.05
 class Session:
     """An open master of one bus, and the files of the devices on it. bus: its locator."""
 
-    def __init__(self, master: Master, files: NodeFiles, bus: str) -> None:
+    def __init__(self, master: Master, files: NodeFiles, bus: str, screen: Screen) -> None:
         self.master = master
+        self._screen = screen
         self.bus = bus
         self.files = files
         self._of_axes: dict[tuple[int, int], ObjectDictionary] = {}
@@ -66,13 +68,25 @@ class Session:
             dictionary = self._of_axes.setdefault((node_id, axis), with_axis(dictionary, axis))
         return self.master.node(node_id, dictionary)
 
-    def claim(self, node_id: int) -> AbstractAsyncContextManager[None]:
-        """Have the SDO channel of a node for a long transfer; see channel_claim.py. Raises ChannelTaken."""
-        return channel_claim(self.bus, node_id)
+    def claim(self, node_id: int, *files: ObjectDictionary) -> AbstractAsyncContextManager[None]:
+        """Have an SDO channel of a node, to read much of it; see channel_claim.py. Raises ChannelTaken.
 
-    async def wait_for(self, node_id: int) -> None:
-        """Wait for a long transfer of another program with a node. Raises ChannelTaken."""
-        await channel_free(self.bus, node_id)
+        files: what the command knows of the device besides its own file, for the further channels.
+        """
+        return channel_claim(self.bus, node_id, further=self._further(node_id, files))
+
+    def claim_to_write(self, node_id: int) -> AbstractAsyncContextManager[None]:
+        """Have a node without other programs of ours, to write to it; see channel_claim.py. Raises ChannelTaken."""
+        return channel_claim(self.bus, node_id, writes=True)
+
+    def turn(self, node_id: int) -> AbstractAsyncContextManager[None]:
+        """Have an SDO channel of a node for a few reads, behind a long transfer of another program. Raises ChannelTaken."""
+        return channel_claim(self.bus, node_id, SHORT, brief=True, further=self._further(node_id, ()))
+
+    def _further(self, node_id: int, files: Iterable[ObjectDictionary]) -> FurtherChannels:
+        own = self.description_of(node_id)
+        known = (*files, *(() if own is None else (own.dictionary,)))
+        return FurtherChannels(self.node(node_id), known, lambda line: self._screen.say(escape(line)))
 
     def dictionary_of(self, node_id: int) -> ObjectDictionary:
         """Return the dictionary of a node; see NodeFiles."""
@@ -132,7 +146,7 @@ async def open_session(
         master = await stack.enter_async_context(
             open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
         )
-        session = Session(master, files, bus)
+        session = Session(master, files, bus, screen)
         try:
             yield session
         except Exception as error:
