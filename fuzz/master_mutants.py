@@ -12,6 +12,7 @@ KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
 NODE_PDOS: Final = ("tests/master/test_node_pdos.py",)
 SLOTS: Final = ("tests/master/test_procedure_slot.py",)
+PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
 
 _LATE_SYNC: Final = "canopen_master/motion/late_sync.py"
 
@@ -41,6 +42,22 @@ MASTER_MUTANTS: Final = tuple(
             "cycle_time)\n        self.state = ChainState.FOLLOWING",
             "a chain that is stopped while it begins to follow goes on to take set-points",
             SLOTS,
+        ),
+        (
+            "others_wait_for_the_path",
+            "canopen_master/master.py",
+            "        if self._brakes_along_paths():\n",
+            "        if False:\n",
+            "a drive off the path runs on while a chain brakes along its path, when the master is left",
+            PATH_TROUBLES,
+        ),
+        (
+            "halted_off_the_path",
+            "canopen_master/master.py",
+            "each.device not in led and not each.node.bus_has_failed",
+            "not each.node.bus_has_failed",
+            "the joints of a chain that brakes along its path are halted by their own ramps, when the master is left",
+            PATH_TROUBLES,
         ),
         (
             "dropped_uncounted",

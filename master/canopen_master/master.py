@@ -18,6 +18,7 @@ from canopen_data.descriptions import load_description_with_names
 from canopen_master.grip import Grips, NodeGrip
 from canopen_master.motion.chain import Chain, ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
+from canopen_master.motion.chain_view import ChainState
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt, halt_node
 from canopen_master.motion.path_motion import LONGEST_STOP
@@ -41,6 +42,9 @@ SDO_TIMEOUT = 0.5
 
 _LOOK = 0.01
 """Seconds between two looks, on the way out, whether chains still brake along their paths."""
+
+_LEADING = (ChainState.FOLLOWING, ChainState.STOPPING)
+"""The states of a chain that sends set-points to its drives."""
 
 
 class Master(Participant):
@@ -218,8 +222,15 @@ class Master(Participant):
         await self.finish(scope, longest, in_a_hurry)
 
     async def _brake_along_paths(self, scope: trio.CancelScope, in_a_hurry: Callable[[], bool]) -> None:
-        """Let chains that move along a path come to rest on it first, unless somebody is in a hurry. No command comes between."""
+        """Let chains that move along a path come to rest on it first, unless somebody is in a hurry. No command comes between.
+
+        Drives that no chain leads are halted meanwhile. Those of a chain that follows set-points have got their last one.
+        """
         self.is_closed = True
+        if self._brakes_along_paths():
+            led = [device for chain in self.chains.values() if chain.state in _LEADING for device in chain.devices]
+            others = (each for each in self._halts_needed() if each.device not in led and not each.node.bus_has_failed)
+            self.launch(all_of(*(each.run() for each in others)))
         left, end = scope.deadline - trio.current_time(), trio.current_time() + LONGEST_STOP
         scope.deadline += LONGEST_STOP
         while self.failure is None and self._brakes_along_paths():

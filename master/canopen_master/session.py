@@ -2,7 +2,8 @@
 
 **The way out.** However the `async with` block ends (its end, an error, a cancel, Ctrl-C, a bus that fails), the master takes no
 new commands, cancels all procedures, halts every drive that is enabled, and waits until that is done and sent: SHUTDOWN_TIME at
-most, or up to BRAKING_TIME for a drive that answers and still slows down. Only then do its tasks end and its transports close.
+most, or up to BRAKING_TIME for a drive that answers and still slows down. Chains that move along a path first brake on it, for
+LONGEST_STOP at most; drives that no chain leads do not wait for that. Only then do its tasks end and its transports close.
 The tasks are shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. If a
 drive did not confirm that it stands, HaltNotConfirmed is raised, or a note is added to the exception under way.
 

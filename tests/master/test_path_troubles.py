@@ -12,10 +12,11 @@ from trio.testing import MockClock
 
 from canopen_master import AxisSettings, ChainError, ChainFault, ChainHalted, ChainState, MasterClosed, open_master, together
 from canopen_proto.abort import AbortCode
+from canopen_proto.drives.axis import TakenOver, run_at
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulation.drive.answers import Answer
 from tests.master.direct_world import patient
-from tests.master.path_world import AXIS, Record, arms, swing
+from tests.master.path_world import AXIS, COUNTS, Record, arms, demands, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
@@ -82,6 +83,33 @@ async def test_the_end_of_the_master_is_a_stop_on_the_path() -> None:
     assert 0.1 < record.rows[-1][0] < 0.5
     assert record.rows[-1] == record.rows[-3]
     assert_on_path(record)
+
+
+@pytest.mark.parametrize("ramp", [10.0, 0.3])
+@virtual_time
+async def test_the_end_of_the_master_halts_a_drive_off_the_path_at_once(ramp: float) -> None:
+    """It does not wait until the chains have come to rest on their paths, and goes on if it needs longer than they do."""
+    speed = 0.5
+    async with trio.open_nursery() as nursery:
+        async with arms(1, 1) as (master, [arm, other], record):
+
+            async def follow() -> None:
+                with pytest.raises(MasterClosed):
+                    await arm.follow(swing(0.5))
+
+            async def run() -> None:
+                with pytest.raises((MasterClosed, TakenOver)):
+                    await master.run(run_at(other.devices[0].axis, speed, acceleration=10.0, deceleration=ramp))
+
+            nursery.start_soon(follow)
+            nursery.start_soon(run)
+            await moved(arm, 0.8)
+            left = trio.current_time()
+        assert record.times[-1] - left > 0.2  # the arm needs its time
+        before = next(row[1] for time, row in zip(record.times, record.rows, strict=True) if time > left)
+        [demand] = demands(record.hosts[1])
+        assert 0.0 < demand / COUNTS - before < speed * 0.02 + speed**2 / 2 / ramp  # two cycles until it is told, and its ramp
+        assert max(abs(row[0]) for row in record.derivatives(2)) < AXIS.max_acceleration  # it braked along the path
 
 
 @virtual_time
