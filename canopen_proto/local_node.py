@@ -13,14 +13,17 @@ The reactions:
 
     NMT state changes          services start or stop (`nmt.SERVICES`); the heartbeat shows the new state; the application is told
     NMT reset                  values (all, or 0x1000 to 0x1FFF) as at power-on, errors (all, or those below) cleared; boot-up
-    "save", "load" written     ObjectAccessPending; once the host has stored: other values at power-on (`storage`) SYNC received
-    or sent      in this order: TPDOs are sent, held RPDOs take effect, the application makes its step PDO received
-    the application is told of each value heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007);
-    behaviour of 0x1029, by default pre-operational life guarding lost         the same, without a node-ID PDO too short, or
-    overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack PDO too long               it is
-    used; EMCY 0x8220 if that is wanted (`optional_emcy`); likewise 0x8240 for a SYNC's length remote request of a TPDO   the
-    application updates its values, and the TPDO is sent an error of the device     EMCY, 0x1001 and 0x1003; behaviour of 0x1029
-    if it has the class of the error CAN was off the bus        behaviour of 0x1029:01, and EMCY 0x8140 when it is back
+    "save", "load" written     ObjectAccessPending; once the host has stored: other values at power-on (`storage`)
+    SYNC received or sent      in this order: TPDOs are sent, held RPDOs take effect, the application makes its step
+    PDO received               the application is told of each value
+    heartbeat of 0x1016 lost   EMCY 0x8130 for that node; the application (0x6007); behaviour of 0x1029, by default
+                               pre-operational
+    life guarding lost         the same, without a node-ID
+    PDO too short, or overdue  EMCY 0x8210, 0x8250, until a good one comes; 0x8230 for an MPDO whose object we lack
+    PDO too long               it is used; EMCY 0x8220 if that is wanted (`optional_emcy`); likewise 0x8240 for a SYNC's length
+    remote request of a TPDO   the application updates its values, and the TPDO is sent
+    an error of the device     EMCY, 0x1001 and 0x1003; behaviour of 0x1029 if it has the class of the error
+    CAN was off the bus        behaviour of 0x1029:01, and EMCY 0x8140 when it is back
 
 **A device without a node-ID** (UNCONFIGURED, 255) has nothing but its LSS slave, and stays in INITIALISING until a master gives
 it one. It then boots as after a reset of the communication; values that depend on the node-ID follow it, stored ones too.
