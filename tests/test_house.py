@@ -1,4 +1,4 @@
-"""The house of docs/contract.md: which package may import which, and no circle anywhere.
+"""The house of docs/architecture.md: which package may import which, and no circle anywhere.
 
 Every import counts: inside a function, and under TYPE_CHECKING. The rooms of a folder are its folders and its files.
 """
@@ -131,12 +131,55 @@ def test_a_circle_would_be_seen() -> None:
     assert set(imported(ast.parse(text), known)) == known
 
 
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
 def test_the_page_of_the_house_names_each_folder_and_file_at_the_root_of_the_core() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "contract.md").read_text(encoding="utf-8")
     places = [
         f"{each.name}/" if each.is_dir() else each.name
         for each in Path(str(canopen_proto.__file__)).parent.iterdir()
         if (each.suffix == ".py" and each.name != "__init__.py") or (each / "__init__.py").is_file()
     ]
     assert "sdo/" in places
-    assert sorted(place for place in places if not re.search(rf"\b{re.escape(place)}", page)) == []
+    assert sorted(place for place in places if not re.search(rf"\b{re.escape(place)}", PAGE)) == []
+
+
+def table(head: str) -> dict[str, set[str]]:
+    """The rows of a table of the page with two columns: what stands left -> what stands right."""
+    rows = PAGE[PAGE.index(head) :].split("\n\n", 1)[0].splitlines()[2:]
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    return {left: {each.strip() for each in right.split(",")} - {"none"} for left, right in cells}
+
+
+def test_the_page_of_the_house_has_the_arrows_between_the_rooms_of_the_core(graph: Graph) -> None:
+    core = Path(str(canopen_proto.__file__)).parent
+    folders_only = {room for room in rooms(graph, "canopen_proto") if (core / room.partition(".")[2] / "__init__.py").is_file()}
+
+    def name(room: str) -> str:
+        return f"{room.partition('.')[2]}/"
+
+    arrows = {
+        name(room): {name(each) for each in others & folders_only}
+        for room, others in rooms(graph, "canopen_proto").items()
+        if room in folders_only
+    }
+    assert table("| room | imports these rooms |") == arrows
+    picture = re.findall(r"^(\d)   (\w.*)$", PAGE[PAGE.index("## The rooms of the core") :], re.MULTILINE)
+    level = {room: int(number) for number, line in picture for room in line.split() if room.endswith("/")}
+    assert level.keys() == arrows.keys()
+    assert {room: number for room, number in level.items() if any(level[each] >= number for each in arrows[room])} == {}
+
+
+def test_each_step_of_the_ways_on_the_page_is_in_the_file_that_it_names() -> None:
+    steps = re.findall(r"^ *(\S.*?) {2,}(\w[\w/]*\.py) {2,}\S", PAGE, re.MULTILINE)
+    assert len(steps) > 30
+    elsewhere = {"SYNC", "Upload"}  # words, or what the file imports
+
+    def absent(step: str, file: str) -> list[str]:
+        source = (ROOT / file).read_text(encoding="utf-8") if (ROOT / file).is_file() else ""
+        names = re.findall(r"\b(?:[A-Z]\w+(?:\.\w+)?|\w+(?=\())", step.removeprefix("await node.").removeprefix("device."))
+        parts = {part for name in names for part in name.split(".")} - elsewhere
+        return [f"{file}: {part}" for part in sorted(parts) if not re.search(rf"\b{part}\b", source)]
+
+    assert [each for step, file in steps for each in absent(step, file)] == []
