@@ -23,9 +23,10 @@ device adds its own (a controlword is not a parameter). COB-IDs that an SDO mana
 Before step 3 nothing changes. A reset puts back `saved` in place of the defaults: all of it (reset node), or 0x1000 to 0x1FFF
 (reset communication).
 
-**0x1020** holds date and time of a configuration (CiA 301 v4.2.0, 7.5.2.21; from memory): a tool writes it at the end, and reads
-it later to see whether the device still has that configuration. It becomes 0 as soon as a client changes any other setting;
-commands, set-points and outputs are none.
+**0x1020** holds date and time of a configuration, in days since 1984 and ms since midnight (CiA 301 v4.2.0, 7.5.2.21, as the
+manuals of Nanotec, esd and TR-Electronic have it): a tool writes it at the end, and reads it later to see whether the device
+still has that configuration. It becomes 0 as soon as a client changes any other setting (from memory; esd's modules leave it
+alone); commands, set-points and outputs are none.
 
 A value that a DCF configures (`Variable.configured`) counts as stored, as if the device had been set up by the DCF: after "load"
 the parameter has the default of its EDS again. An object that a client cannot write keeps its configured value.

@@ -1,6 +1,7 @@
 """How an NMT master treats its network and each node: the bits of 0x1F80 and 0x1F81.
 
-Source: CiA 302-2, objects 0x1F80 (NMT startup) and 0x1F81 (slave assignment); from memory, agrees with Lely core and dcfgen.
+Source: CiA 302-2, objects 0x1F80 (NMT startup) and 0x1F81 (slave assignment), as Lely core and dcfgen have them. Turck's manual
+of its BL20 gateway has bits 0 to 4 of 0x1F81 alike.
 """
 
 from __future__ import annotations
