@@ -29,6 +29,7 @@ from fuzz.lss_mutants import LSS_MUTANTS
 from fuzz.master_mutants import MASTER_MUTANTS
 from fuzz.mutant import Mutant
 from fuzz.observer_mutants import OBSERVER_MUTANTS
+from fuzz.ros_mutants import ROS_MUTANTS
 from fuzz.service_mutants import SERVICE_MUTANTS
 from fuzz.trajectory_mutants import TRAJECTORY_MUTANTS
 from fuzz.transport_mutants import TRANSPORT_MUTANTS
@@ -415,6 +416,7 @@ WINGS: Final = {
     "master": MASTER_MUTANTS,
     "data": DATA_MUTANTS,
     "observer": OBSERVER_MUTANTS,
+    "ros": ROS_MUTANTS,
 }
 MUTANTS: Final = tuple(mutant for wing in WINGS.values() for mutant in wing)
 

@@ -43,7 +43,7 @@ MOST_SAMPLES: Final = 256
 EARLY: Final = 0.002
 """Seconds that a sample may be early, so that a rate of 100 Hz takes each SYNC at 10 ms."""
 SAME_AGAIN: Final = 5.0
-"""Seconds until the same report is made again: commands may be refused a hundred times a second."""
+"""Seconds until the same report is made again, unless it is news: commands may be refused a hundred times a second."""
 
 
 class Report(NamedTuple):
@@ -178,10 +178,10 @@ class Bridge:
             chain.fail(error)
         self._changed.unpark_all()
 
-    def _report(self, chain: str, text: str) -> None:
+    def _report(self, chain: str, text: str, is_news: bool) -> None:
         what, now = (chain, text.partition("\n")[0]), trio.current_time()
         self._reported = {each: at for each, at in self._reported.items() if now - at < SAME_AGAIN}
-        if what in self._reported:
+        if what in self._reported and not is_news:
             return
         self._reported[what] = now
         self._reports.append(Report(chain, text))

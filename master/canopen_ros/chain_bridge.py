@@ -60,7 +60,7 @@ class ChainBridge:
         self,
         chain: Chain,
         nursery: trio.Nursery,
-        report: Callable[[str, str], object],
+        report: Callable[[str, str, bool], object],
         wall: Callable[[], int],
         wake: Callable[[Node], Awaitable[object]],
         *,
@@ -68,8 +68,9 @@ class ChainBridge:
         goal_time: float = GOAL_TIME,
         start_tolerance: float = START,
     ) -> None:
-        """nursery: for what moves the chain on behalf of topics. report: called with the name of the chain and the text of an
-        error of a command that has no answer. wall: the time in ns since 1970. wake: lets a node be pre-operational.
+        """nursery: for what moves the chain on behalf of topics. report: called with the name of the chain, the text of an error
+        of a command that has no answer, and whether it is news though the same was told lately. wall: the time in ns since
+        1970. wake: lets a node be pre-operational.
         """
         self.chain = chain
         self.name = chain.name
@@ -329,11 +330,11 @@ class ChainBridge:
     def _is_refused(self, source: Source, error: ChainError | None) -> bool:
         """Return whether a source is not taken over; tell so, once."""
         if error is not None and self._take_over.is_news(source):
-            self._tell(error)
+            self._report(self.name, text_of(error, self.name), True)
         return error is not None
 
     def _tell(self, error: Exception) -> None:
-        self._report(self.name, text_of(error, self.name))
+        self._report(self.name, text_of(error, self.name), False)
 
     def _in_units(self, kind: str, values: Sequence[float]) -> list[float]:
         """Return values in the joints' own units. Raises SetPointRefused for a wrong count, and for what is no finite number."""
@@ -383,7 +384,7 @@ class ChainBridge:
             return
         result = await self._follow(goal, Source.TRAJECTORIES)
         if result.outcome is not Outcome.SUCCEEDED:
-            self._report(self.name, f"the trajectory was {result.outcome.value}: {result.text}")
+            self._report(self.name, f"the trajectory was {result.outcome.value}: {result.text}", False)
 
     def _not_taken(self, goal: TrajectoryGoal) -> ChainError | None:
         """Return why a trajectory of the topic is not taken over; None also for one that `follow` refuses."""

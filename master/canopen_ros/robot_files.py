@@ -182,6 +182,7 @@ def _controllers(chains: tuple[ChainEntry, ...], controllers: Mapping[str, str])
             f"    joints: {_list(chain.joints)}",
             "    command_interfaces: [position]",
             "    state_interfaces: [position, velocity]",
+            "    set_last_command_interface_value_as_state_on_activation: false # it begins where the joints are",
         ]
     return "\n".join([*lines, ""])
 

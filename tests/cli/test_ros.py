@@ -143,6 +143,8 @@ def test_the_files_for_controllers_and_moveit_have_the_names_and_limits_of_the_m
     assert set(controllers["controller_manager"]["ros__parameters"]) == {"update_rate", "arm_controller", "base_1_controller"}
     assert controllers["arm_controller"]["ros__parameters"]["joints"] == ["lift", "pan&tilt"]
     assert controllers["base_1_controller"]["ros__parameters"]["joints"] == ["wheel"]
+    for controller in ("arm_controller", "base_1_controller"):  # begins where the joints are; true is the default
+        assert controllers[controller]["ros__parameters"]["set_last_command_interface_value_as_state_on_activation"] is False
     moveit = robot / "config" / "moveit"
     limits = yaml_of(moveit / "joint_limits.yaml")["joint_limits"]
     assert limits["lift"] == {

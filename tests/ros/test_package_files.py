@@ -111,6 +111,7 @@ def test_the_controller_has_the_joints_and_interfaces_of_the_robot(control: Elem
     for joint in joints:
         assert texts(entries["command_interfaces"]) == interfaces(joint, "command")
         assert texts(entries["state_interfaces"]) == interfaces(joint, "state")
+    assert entries["set_last_command_interface_value_as_state_on_activation"].text == "false"  # true is the default
     assert f'"{controller}"' in text_of("launch/canopen.launch.py")  # the one that is spawned
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 import trio
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_ros.goals import START, Outcome, TrajectoryGoal, TrajectoryPoint
@@ -81,6 +81,7 @@ class Servo(Streamer):
         self.is_on = False
         await trio.sleep(PAUSE + 2 * PERIOD)
         self.is_on = True
+        await trio.sleep(2 * PERIOD)  # the first one is on its way: it is taken also behind a service that comes before it
 
 
 SOURCES = (Controller, Joystick, Servo)
@@ -106,6 +107,9 @@ def is_near(world: Cell, before: list[int]) -> bool:
 
 
 @examples(25)
+@example("Schunk's, in ip", 0, [("call", "position_mode"), ("call", "init")], set())  # a mode that these drives do not have
+@example("a file's, whose drives choose", 2, [("call", "cyclic_position_mode"), ("call", "init")], set())
+@example("Schunk's, in ip", 0, [("switch", 2), ("call", "IPmode")], set())
 @given(
     drives=st.sampled_from(list(DRIVES)),
     first=st.integers(0, 2),
@@ -143,11 +147,14 @@ async def run(drives: str, first: int, steps: list[tuple[str, object]], on: set[
                 case "call", str(service):
                     followed = world.arm.state in ("following", "moving")
                     reply = await world.arm.call(service)
-                    changes_nothing = "it is busy" in reply.message or (followed and service in ("IPmode", *MODE_SERVICES))
+                    is_refused = not reply.success and any(why in reply.message for why in ("it is busy", "its mode is"))
+                    changes_nothing = is_refused or (followed and service in ("IPmode", *MODE_SERVICES))
                     is_taken = is_taken and changes_nothing
                 case "switch", int(number):
                     sources[number].is_on = not sources[number].is_on
-                    is_taken |= number == 2  # behind a pause a trajectory is a new one
+                    if number == 2:  # behind a pause a trajectory is a new one
+                        is_taken = True
+                        await trio.sleep(2 * PERIOD)
                 case "take", int(number):
                     for source in sources:
                         source.is_on = False
@@ -202,6 +209,32 @@ async def test_a_controller_that_goes_on_sending_is_refused_once_with_its_distan
 
 
 @virtual_time
+async def test_a_zero_for_one_joint_alone_takes_no_velocities_over() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        joystick = Joystick(world, (0.0, 0.2))
+        world.nursery.start_soon(joystick.run)
+        joystick.is_on = True
+        await world.assert_all_stand()
+
+
+@virtual_time
+async def test_a_refusal_behind_a_service_is_told_though_the_same_was_told_a_moment_ago() -> None:
+    async with cell() as world:
+        await world.ask("init")
+        joystick = Joystick(world, (0.2, 0.2))
+        world.nursery.start_soon(joystick.run)
+        joystick.is_on = True
+        for _ in range(3):
+            await trio.sleep(0.5)
+            assert [text for text in await reports(world) if "have to be 0 once" in text]
+            joystick.is_on = False
+            await world.ask("halt")
+            await world.ask("recover")
+            joystick.is_on = True
+
+
+@virtual_time
 async def test_a_controller_is_not_taken_over_where_homing_passes_it() -> None:
     async with cell(start_tolerance=0.05) as world:
         for each in ("init", "home"):
@@ -232,7 +265,10 @@ async def test_the_tolerance_is_a_parameter_and_counts_for_the_place_of_rest() -
             await world.ask(each)
         world.arm.command_positions(["joint1", "joint2"], [0.04, 0.051])
         await world.assert_all_stand()
-        world.arm.command_positions(["joint1"], [0.0], [0.9])  # it would come to rest far away
+        for _ in range(20):  # it would come to rest far away; one alone counts as silence before the chain follows
+            world.arm.command_positions(["joint1"], [0.0], [0.9])
+            await trio.sleep(PERIOD)
+            assert not world.is_moving
         await world.assert_all_stand()
         assert len(await reports(world)) == 1  # the second one is the same source, and was told of already
         world.arm.command_positions(["joint1", "joint2"], [0.04, 0.049])

@@ -34,8 +34,8 @@ class Device:
     """A joint; see this module's text. axis: the core's view of the drive. cyclic: the objects that it sends at every n-th SYNC
     (mux -> n), which show that it is alive; without any, only its heartbeat does. plan: how it follows set-points, once
     `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. modes: 0x6502, as read for it. following: whether it
-    follows its set-points. limits: for its set-points; the drive's own are read each time that it begins to follow
-    set-points. last_look: what the drive showed when its chain was stopped, if it had no power then.
+    follows its set-points. limits: for its set-points; the drive's own are read by `Chain.initialise`, and each time
+    that it begins to follow set-points. last_look: what the drive showed when its chain was stopped, if it had no power then.
 
     Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """

@@ -182,7 +182,7 @@ def find(device: Device) -> Procedure[None]:
 
 
 def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) -> Procedure[None]:
-    """Exchange PDOs with the joint, and have it send its heartbeat if that is supervised."""
+    """Exchange PDOs with the joint, have it send its heartbeat if that is supervised, and read its limits."""
     node = device.node.remote
     yield from exchange(device, settings)
     is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
@@ -193,6 +193,7 @@ def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) ->
         except SdoFailed as failed:
             if failed.abort_code not in (*ABSENT, AbortCode.READ_ONLY):
                 raise
+    device.limits = yield from read_limits(device.axis, mode_of(device, settings))
 
 
 def reset_and_enable(device: Device) -> Procedure[None]:

@@ -164,7 +164,7 @@ class Moving:
 
     @property
     def path_limits(self) -> list[JointLimits]:
-        """The limits of each joint on paths. Those of its drive are known once it follows set-points."""
+        """The limits of each joint on paths. Those of its drive are known once the chain is initialised."""
         return [device.limits.of_paths for device in self._devices]
 
     # ---- by targets and velocities: see target_motion.py ----
