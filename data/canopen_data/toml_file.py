@@ -11,6 +11,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from canopen_data.findings import DictionaryError, Finding, Severity
@@ -80,11 +81,26 @@ def _path(keys: str) -> Path:
 
 
 class Kind(NamedTuple):
-    """The values that a key takes. expected: for the error of one that does not fit. convert: makes our value of TOML's."""
+    """The values that a key takes. expected: for the error of one that does not fit. convert: makes our value of TOML's, and
+    write TOML's of ours."""
 
     expected: str
     fits: Callable[[Any], bool]
     convert: Callable[[Any], Any] = lambda value: value
+    write: Callable[[Any], Any] = lambda value: value
+
+
+Keys: TypeAlias = Mapping[str, Kind]
+"""The keys of a table, each with the values that it takes."""
+
+
+def table_of(keys: Keys, entry: object, default: object, fields: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any]:
+    """Return the keys of an entry as a file has them, without those that have the value of `default`.
+
+    fields: attributes of the entry whose name is not that of their key, by the key.
+    """
+    values = {key: (getattr(entry, fields.get(key, key)), getattr(default, fields.get(key, key))) for key in keys}
+    return {key: keys[key].write(value) for key, (value, usual) in values.items() if value != usual}
 
 
 @dataclass
@@ -115,36 +131,43 @@ class TomlReading:
 
 
 class TomlTable:
-    """One table of a file while it is read. place: its name in errors. fallback: has values of keys that it lacks; or None."""
+    """One table of a file while it is read. place: its name in errors. keys: an error is added for each other key; None: any may
+    be there. fallback: has values of keys that it lacks; or None. owner: in place of a name that the table lacks."""
 
     def __init__(
-        self, reading: TomlReading, place: str, values: Mapping[str, Any], path: Path = (), fallback: TomlTable | None = None
+        self,
+        reading: TomlReading,
+        place: str,
+        values: Mapping[str, Any],
+        keys: Keys | None = None,
+        path: Path = (),
+        fallback: TomlTable | None = None,
+        owner: str = "",
     ) -> None:
         self._reading = reading
+        self._keys: Keys = {} if keys is None else keys
         self.fallback = fallback
         self.place = place
         self.values = values
         self.path = path
+        for key in values if keys is not None else ():
+            if key not in self._keys:
+                message = f"there is no entry {key[:_SHOWN]!r}{did_you_mean(key, self._keys)}"
+                reading.error(place or owner, message, (*path, key))
 
     def error(self, message: str, key: str = "") -> None:
         """Add an error about the table, or about one of its keys."""
         place = ": ".join(filter(None, (self.place, key)))
         self._reading.error(place, message, (*self.path, key) if key else self.path)
 
-    def check_keys(self, keys: Iterable[str], owner: str = "") -> None:
-        """Add an error for each key that is none of these. owner: in place of a name that the table lacks."""
-        keys = tuple(keys)
-        for key in self.values:
-            if key not in keys:
-                message = f"there is no entry {key[:_SHOWN]!r}{did_you_mean(key, keys)}"
-                self._reading.error(self.place or owner, message, (*self.path, key))
-
     def has(self, key: str) -> bool:
         """Return whether the table, or its fallback, has a value for a key."""
         return key in self.values or (self.fallback is not None and self.fallback.has(key))
 
-    def take(self, key: str, kind: Kind) -> Any:
-        """Return the value of a key; None if it is missing, or if it does not fit, which adds an error."""
+    def take(self, key: str, kind: Kind | None = None) -> Any:
+        """Return the value of a key; None if it is missing, or if it does not fit, which adds an error. kind: in place of that of
+        the table's keys."""
+        kind = kind or self._keys[key]
         if key not in self.values:
             return None if self.fallback is None else self.fallback.take(key, kind)
         value = self.values[key]
@@ -152,6 +175,15 @@ class TomlTable:
             return kind.convert(value)
         self.error(f"{kind.expected} is expected, not {repr(value)[:_SHOWN]}", key)
         return None
+
+    def take_all(self, keys: Iterable[str]) -> dict[str, Any]:
+        """Return the values of those keys that are there and fit; as `take`."""
+        return {key: value for key in keys if (value := self.take(key)) is not None}
+
+    def table(self, key: str, keys: Keys | None = None, fallback: TomlTable | None = None) -> TomlTable:
+        """Return a table in this one; an empty one if there is none. keys, fallback: as of TomlTable."""
+        place = f"{self.place}.{key}" if self.place else key
+        return TomlTable(self._reading, place, self.take(key, TABLE) or {}, keys, (*self.path, key), fallback)
 
 
 def _is_text(value: Any) -> bool:
@@ -170,13 +202,23 @@ def text(expected: str) -> Kind:
 
 def texts(expected: str) -> Kind:
     """A text, or a list of them; always read as a tuple."""
-    return Kind(expected, lambda value: all(map(_is_text, listed(value))), lambda value: tuple(listed(value)))
+    return Kind(expected, lambda value: all(map(_is_text, listed(value))), lambda value: tuple(listed(value)), list)
+
+
+def tables(expected: str) -> Kind:
+    """A list of tables."""
+    return Kind(expected, lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value))
 
 
 def one_of(choices: Iterable[str]) -> Kind:
     """One of these texts."""
     choices = tuple(choices)
     return Kind(" or ".join(map(repr, choices)), lambda value: isinstance(value, str) and value in choices)
+
+
+def whole(expected: str, least: int, most: int) -> Kind:
+    """A whole number of least..most."""
+    return Kind(f"{expected} of {least}..{most}", lambda value: type(value) is int and least <= value <= most)
 
 
 def _is_number(value: Any) -> bool:
@@ -190,6 +232,7 @@ def _is_number(value: Any) -> bool:
 
 BOOLEAN: Final = Kind("true or false", lambda value: isinstance(value, bool))
 TABLE: Final = Kind("a table", lambda value: isinstance(value, dict))
+FALSE_OR_TABLE: Final = Kind("false, or a table", lambda value: value is False or isinstance(value, dict))
 INTEGER: Final = Kind("a whole number", lambda value: type(value) is int)
 NUMBER: Final = Kind("a number", _is_number, float)
 """Also `inf`, but not `nan`."""

@@ -18,7 +18,7 @@ from canopen_data import DataError
 from canopen_data.findings import DictionaryError
 from canopen_master.errors import ChainFileError, MasterError
 from canopen_master.machine_file import MachineFile, machine_of_chains, read_machine
-from canopen_master.machine_file.reader import machine_of_tables
+from canopen_master.machine_file.toml_text import machine_of_tables
 from canopen_master.motion.chain_file import ChainDescription, parse_chains, read_chains
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.machine import MILLISECOND, SECOND

@@ -14,7 +14,7 @@ from canopen_master.exchanges import exchange_of_file, exchange_with_links
 from canopen_master.machine_file import MachineFile, machine_text, parse_machine, read_machine
 from canopen_master.machine_file.boot_entries import network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_master.machine_file.link_entries import KEYS
+from canopen_master.machine_file.keys import KEYS
 from canopen_master.machine_file.links import linked_buses, linked_writes, plan_bus
 from canopen_proto.dictionary import Direction
 from canopen_proto.dictionary.concise import pack_concise
@@ -107,7 +107,7 @@ def test_each_key_stands_on_the_page() -> None:
     page = (Path(__file__).parents[2] / "docs" / "machine.md").read_text(encoding="utf-8")
     (table,) = re.findall(r"^`\[\[links\]\]`(.*?)(?=^`\[|^## )", page, re.DOTALL | re.MULTILINE)
     rows = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
-    assert [name for row in rows for name in re.findall(r"`(\w+)`", row)] == list(KEYS)
+    assert [name for row in rows for name in re.findall(r"`(\w+)`", row)] == list(KEYS["links"])
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,7 @@ import trio
 from canopen_data import DictionaryError, load_dictionary
 from canopen_master import AxisSettings, Chain, ChainFault, ChainSettings, Grip, Host, Master, open_master
 from canopen_master.direct.drive import DirectDrive
-from canopen_master.machine_file.reader import parse_machine
-from canopen_master.machine_file.writer import machine_text
+from canopen_master.machine_file.toml_text import machine_text, parse_machine
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.cia402.modes import Mode

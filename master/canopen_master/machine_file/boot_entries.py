@@ -21,9 +21,8 @@ from canopen_data import DataError, content_of
 from canopen_data.describing import identified
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
-from canopen_master.machine_file.booting import MAX_MILLISECONDS, BootSettings, LossReaction, StartOrder
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_master.machine_file.model import MachineFile, NodeEntry
+from canopen_master.machine_file.model import MAX_MILLISECONDS, BootSettings, LossReaction, MachineFile, NodeEntry, StartOrder
 from canopen_proto import indices
 from canopen_proto.dictionary.concise import ConciseError, from_concise, pack_concise
 from canopen_proto.dictionary.download_order import Write, download_order, settings_of

@@ -8,38 +8,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from canopen_data.durations import duration_text
-from canopen_data.toml_file import BOOLEAN, Kind, TomlReading, TomlTable, texts
-from canopen_master.machine_file.kinds import DURATION
+from canopen_data.toml_file import TomlReading, TomlTable, table_of
+from canopen_master.machine_file.keys import KEYS
 from canopen_master.machine_file.model import JointEntry, NodeEntry
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.manager.linking import MASTER, End, Link, Timing
-from canopen_proto.manager.linking.model import MAX_EVERY
 
 LINKS: Final = "links"
 _TIMES: Final = ("inhibit_time", "event_timer", "timeout")
-KEYS: Final = ("from", "to", "every", "event_driven", *_TIMES)
-_ENDS: Final = texts('"NODE OBJECT", "master", or a list of such texts')
-_EVERY: Final = Kind(f"a number of SYNCs, 1..{MAX_EVERY}", lambda value: type(value) is int and 1 <= value <= MAX_EVERY)
-_TABLES: Final = Kind(
-    "a list of tables: [[links]]", lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value)
-)
 
 
 def take_links(
     reading: TomlReading, top: TomlTable, nodes: Mapping[str, NodeEntry], joints: Mapping[str, JointEntry]
 ) -> tuple[Link, ...]:
     """Return the links of a file. Those with errors are left out; the errors stay in the reading."""
-    entries = top.take(LINKS, _TABLES) or []
+    entries = top.take(LINKS) or []
     if entries and MASTER in nodes:
         reading.error(
             f"nodes.{MASTER}", f"a link's {MASTER!r} is the master itself: this node needs another name", ("nodes", MASTER)
         )
     found = []
     for number, entry in enumerate(entries, start=1):
-        table = TomlTable(reading, name_of(number), entry, (LINKS, str(number)))
-        table.check_keys(KEYS)
+        table = TomlTable(reading, name_of(number), entry, KEYS[LINKS], (LINKS, str(number)))
         link = _Link(table, nodes, joints).link()
         if link is not None:
             found.append(link)
@@ -78,8 +69,8 @@ class _Link:
 
     def _timing(self) -> Timing | None:
         table = self._table
-        every, event_driven = table.take("every", _EVERY), table.take("event_driven", BOOLEAN)
-        times = {key: table.take(key, DURATION) or 0 for key in _TIMES}
+        every, event_driven = table.take("every"), table.take("event_driven")
+        times = table.take_all(_TIMES)
         if event_driven and table.has("every"):
             table.error("it is sent at SYNCs or event-driven: every, or event_driven", "event_driven")
             return None
@@ -90,7 +81,7 @@ class _Link:
         table = self._table
         if not table.has(key):
             table.error(f"it has no {key!r}")
-        ends = [self._end(key, str(each)) for each in table.take(key, _ENDS) or ()]
+        ends = [self._end(key, str(each)) for each in table.take(key) or ()]
         found = [end for end in ends if end is not None]
         return tuple(found) if len(found) == len(ends) else ()
 
@@ -114,20 +105,14 @@ class _Link:
         return End(node, target.strip())
 
 
-def links_tables(links: Sequence[Link]) -> list[dict[str, Any]]:
-    """Return the links as a file has them."""
-    return [_table_of(link) for link in links]
-
-
-def _table_of(link: Link) -> dict[str, Any]:
+def link_table(link: Link) -> dict[str, Any]:
+    """Return a link as a file has it."""
     timing = link.timing
     table: dict[str, Any] = {"from": _text(link.sources), "to": _text(link.targets)}
     if timing.is_event_driven:
         table["event_driven"] = True
-    elif timing.every != 1:
-        table["every"] = timing.every
-    times = {key: getattr(timing, key) for key in _TIMES}
-    return table | {key: duration_text(time) for key, time in times.items() if time}
+    times = _TIMES if timing.is_event_driven else ("every", *_TIMES)
+    return table | table_of({key: KEYS[LINKS][key] for key in times}, timing, Timing())
 
 
 def _text(ends: Sequence[End]) -> str | list[str]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from canopen_data.describing import identified
 from canopen_data.durations import duration_text
-from canopen_master.machine_file.reader import MODES
+from canopen_master.machine_file.keys import MODES
 from canopen_master.ros_configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
 from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_master.ros_configurations.report import Report, Section, section_of

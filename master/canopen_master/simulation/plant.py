@@ -27,8 +27,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from canopen_data import toml_file
-from canopen_data.toml_file import BOOLEAN, TABLE, Kind, TomlReading, TomlTable, listed, one_of, parse_toml
+from canopen_data import toml_file as toml
 from canopen_proto.frame import MAX_NODE_ID
 
 MAX_DEVICES: Final = MAX_NODE_ID
@@ -67,22 +66,18 @@ class Plant:
     state: str = ""
 
 
-def parse_plant(text: str, source: str = "plant.toml") -> Plant:
+def parse_plant(content: str, source: str = "plant.toml") -> Plant:
     """Return the plant that a text describes. Raises DictionaryError with every error in it."""
-    reading = TomlReading(source, "plant")
-    plant = TomlTable(reading, "", parse_toml(text, source))
-    plant.check_keys(("bus", "state", "device"), "plant")
-    bus = plant.take("bus", toml_file.text("a bus"))
-    state = plant.take("state", FILE)
-    entries = plant.take("device", _DEVICES) or []
+    reading = toml.TomlReading(source, "plant")
+    plant = toml.TomlTable(reading, "", toml.parse_toml(content, source), _PLANT_KEYS, owner="plant")
+    bus, state, entries = (plant.take(key) for key in _PLANT_KEYS)
     if not entries and not reading.findings:
         plant.error("there is none: [[device]] begins one", "device")
-    if len(entries) > MAX_DEVICES:
+    if len(entries or ()) > MAX_DEVICES:
         plant.error(f"there are {len(entries)}; a bus has {MAX_DEVICES} node-IDs", "device")
     devices = []
-    for number, entry in enumerate(entries[:MAX_DEVICES], start=1):
-        table = TomlTable(reading, f"device {number}", entry)
-        table.check_keys(DEVICE_KEYS)
+    for number, entry in enumerate((entries or ())[:MAX_DEVICES], start=1):
+        table = toml.TomlTable(reading, f"device {number}", entry, DEVICE_KEYS)
         if "file" not in entry:
             table.error("it has no file")
         devices.append(device_of(table))
@@ -90,35 +85,37 @@ def parse_plant(text: str, source: str = "plant.toml") -> Plant:
     return Plant(tuple(devices), bus or "", state or "")
 
 
-DEVICE_KEYS: Final = ("file", "id", "encoding", "profile", "shape", "script", "overlay", "defaults", "values")
+def device_of(table: toml.TomlTable) -> DeviceEntry:
+    """Return the device that a table describes by DEVICE_KEYS; values that do not fit are errors of it."""
+    values = table.take_all(DEVICE_KEYS)
+    return DeviceEntry(values.pop("file", ""), **{_FIELDS.get(key, key): value for key, value in values.items()})
 
 
-def device_of(table: TomlTable, ids: Kind | None = None) -> DeviceEntry:
-    """Return the device that a table describes by DEVICE_KEYS; values that do not fit are errors of it. ids: the kind of `id`."""
-    return DeviceEntry(
-        table.take("file", FILE) or "",
-        table.take("id", ids or _NODE_IDS) or (),
-        table.take("profile", one_of(PROFILES)) or AUTOMATIC,
-        table.take("shape", one_of(SHAPES)) or "",
-        table.take("script", FILE) or "",
-        table.take("overlay", toml_file.texts("a file name, or a list of them,")) or (),
-        bool(table.take("defaults", BOOLEAN)),
-        table.take("values", TABLE) or {},
-        table.take("encoding", toml_file.text("an encoding")) or "",
-    )
+def device_table(device: DeviceEntry, keys: toml.Keys) -> dict[str, Any]:
+    """Return a device as a file has it. keys: DEVICE_KEYS, with the kind of `id` of that file."""
+    return toml.table_of({key: keys[key] for key in _WRITTEN}, device, DeviceEntry(""), _FIELDS)
 
 
-FILE: Final = toml_file.text("a file name")
-
-
-def is_node_id(value: Any) -> bool:
-    """Return whether a value of a file is a node-ID."""
-    return type(value) is int and 1 <= value <= MAX_NODE_ID
-
-
-_DEVICES: Final = Kind("[[device]]", lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value))
-_NODE_IDS: Final = Kind(
-    f"a node-ID of 1..{MAX_NODE_ID}, or a list of them,",
-    lambda value: value != [] and all(map(is_node_id, listed(value))),
-    lambda value: tuple(listed(value)),
+FILE: Final = toml.text("a file name")
+NODE_ID: Final = toml.whole("a node-ID", 1, MAX_NODE_ID)
+_NODE_IDS: Final = toml.Kind(
+    f"{NODE_ID.expected}, or a list of them,",
+    lambda value: value != [] and all(map(NODE_ID.fits, toml.listed(value))),
+    lambda value: tuple(toml.listed(value)),
 )
+DEVICE_KEYS: Final[toml.Keys] = {
+    "file": FILE,
+    "id": _NODE_IDS,
+    "profile": toml.one_of(PROFILES),
+    "shape": toml.one_of(SHAPES),
+    "script": FILE,
+    "overlay": toml.texts("a file name, or a list of them,"),
+    "defaults": toml.BOOLEAN,
+    "values": toml.TABLE,
+    "encoding": toml.text("an encoding"),
+}
+"""The keys of a device, here and in a machine file."""
+_WRITTEN: Final = ("id", "file", "encoding", "overlay", "profile", "shape", "script", "defaults", "values")
+"""The order in which they are written: how the device is simulated comes last."""
+_FIELDS: Final = {"id": "node_ids", "overlay": "overlays"}
+_PLANT_KEYS: Final[toml.Keys] = {"bus": toml.text("a bus"), "state": FILE, "device": toml.tables("[[device]]")}

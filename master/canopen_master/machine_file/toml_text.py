@@ -1,6 +1,7 @@
-"""Read machine files; docs/machine.md has all keys. Nothing is guessed: a key that is not known, or does not fit, is an error.
+"""Read and write machine files; docs/machine.md has all keys. Nothing is guessed: a key that is not known, or does not fit, is an
+error. All errors of a file are found in one pass, each with its line. A text that is no TOML has one error.
 
-All errors of a file are found in one pass, each with its line. A text that is no TOML has one error.
+What is written leaves out defaults; the reader gives the same machine back.
 """
 
 from __future__ import annotations
@@ -13,45 +14,41 @@ from typing import Any, Final, TypeVar
 
 from canopen_data import DataError, expanded, text_of
 from canopen_data.descriptions import samples
-from canopen_data.toml_file import TABLE, Kind, TomlReading, TomlTable, one_of, parse_toml, places_of, text, texts
-from canopen_master.machine_file.booting import BootSettings, NetworkSettings
-from canopen_master.machine_file.kinds import DURATION, names_of, take_settings
-from canopen_master.machine_file.link_entries import LINKS, take_links
-from canopen_master.machine_file.model import BusEntry, ChainEntry, JointEntry, MachineFile, MasterEntry, NodeEntry
+from canopen_data.toml_file import TABLE, TomlReading, TomlTable, parse_toml, places_of, table_of, tables
+from canopen_master.machine_file.keys import KEYS, MODES, PER_TURN, keys_of, settings_table, take_settings
+from canopen_master.machine_file.link_entries import LINKS, link_table, take_links
+from canopen_master.machine_file.model import (
+    BootSettings,
+    BusEntry,
+    ChainEntry,
+    JointEntry,
+    MachineFile,
+    MasterEntry,
+    NetworkSettings,
+    NodeEntry,
+)
 from canopen_master.motion.chain import ChainSettings
-from canopen_master.simulation.plant import DEVICE_KEYS, FILE, device_of, is_node_id
+from canopen_master.simulation.plant import device_of, device_table
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis.grip import Grip
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import DriveUnits, Unit
-from canopen_proto.drives.cia402.axes import MAX_AXES
-from canopen_proto.drives.cia402.modes import Mode
-from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import SECOND
-from canopen_transports import TransportError, parse_bitrate
+from canopen_transports import TransportError
 from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.realtime import Realtime
 
 E = TypeVar("E")
 
-SECTIONS: Final = ("buses", "nodes", "joints", "chains")
-MODES: Final[dict[str, Mode | None]] = {
-    "auto": None,
-    "ip": Mode.INTERPOLATED_POSITION,
-    "csp": Mode.CYCLIC_SYNCHRONOUS_POSITION,
-    "pp": Mode.PROFILE_POSITION,
+_DEFAULTS: Final = ("nodes", "joints", "chains")
+_TOP: Final = {
+    **dict.fromkeys(("master", "network", "defaults", "simulation", "buses", *_DEFAULTS), TABLE),
+    LINKS: tables(f"a list of tables: [[{LINKS}]]"),
 }
-"""The modes of a chain."""
-_DEFAULTS: Final = SECTIONS[1:]
 _DEMO: Final = "demo"
 _WITHOUT_RATE: Final = "udp_multicast"
 """The one interface of python-can whose locator needs no bit rate; of ours, none does."""
 _NUMBER: Final = re.compile("0[xX].*|[0-9].*")
-_PER_TURN: Final = "counts_per_turn"
-_NODE_ID: Final = Kind(f"a node-ID of 1..{MAX_NODE_ID}", is_node_id, lambda value: (value,))
-_AXIS: Final = Kind(f"an axis of 0..{MAX_AXES - 1}", lambda value: type(value) is int and 0 <= value < MAX_AXES, int)
-_FALSE_OR_TABLE: Final = Kind("false, or a table", lambda value: value is False or isinstance(value, dict))
-_CYCLE: Final = DURATION._replace(fits=lambda value: DURATION.fits(value) and DURATION.convert(value) > 0)
 
 
 def read_machine(path: str | Path) -> MachineFile:
@@ -75,16 +72,16 @@ def parse_machine(content: str, source: str = "machine.toml", folder: Path | Non
     return _machine_of(parse_toml(content, source), TomlReading(source, "machine", places_of(content)), folder)
 
 
-def machine_of_tables(tables: dict[str, Any], source: str, folder: Path | None = None) -> MachineFile:
+def machine_of_tables(content: dict[str, Any], source: str, folder: Path | None = None) -> MachineFile:
     """Return the machine that tables describe, with the keys of a machine file, but from elsewhere.
 
     As `parse_machine` otherwise.
     """
-    return _machine_of(tables, TomlReading(source, "machine", {}), folder)
+    return _machine_of(content, TomlReading(source, "machine", {}), folder)
 
 
-def _machine_of(tables: dict[str, Any], reading: TomlReading, folder: Path | None) -> MachineFile:
-    machine = _Reader(reading, tables, folder).machine()
+def _machine_of(content: dict[str, Any], reading: TomlReading, folder: Path | None) -> MachineFile:
+    machine = _Reader(reading, content, folder).machine()
     reading.raise_errors()
     return replace(machine, source=reading.source, folder=folder)
 
@@ -92,15 +89,14 @@ def _machine_of(tables: dict[str, Any], reading: TomlReading, folder: Path | Non
 class _Reader:
     """Reads the tables of one file."""
 
-    def __init__(self, reading: TomlReading, tables: dict[str, Any], folder: Path | None) -> None:
+    def __init__(self, reading: TomlReading, content: dict[str, Any], folder: Path | None) -> None:
         self._reading = reading
         self._folder = folder
-        self._top = TomlTable(reading, "", tables)
-        self._top.check_keys(("master", "network", "defaults", "simulation", *SECTIONS, LINKS), "the file")
+        self._top = TomlTable(reading, "", content, _TOP, owner="the file")
 
     def machine(self) -> MachineFile:
         buses = self._entries("buses", self._bus)
-        self._buses = tuple(self._top.take("buses", TABLE) or ())  # also those with errors
+        self._buses = tuple(self._top.take("buses") or ())  # also those with errors
         if not self._buses and "buses" not in self._reading.blamed:
             self._top.error("there is none: [buses.NAME] begins one", "buses")
         nodes = self._entries("nodes", self._node)
@@ -109,31 +105,21 @@ class _Reader:
         master = self._master()
         chains = self._entries("chains", lambda table: self._chain(table, master, nodes, joints))
         self._check_unique(buses, nodes, joints, chains)
-        simulation = self._table(self._top, "simulation", ("state",))
-        network = take_settings(self._table(self._top, "network", tuple(names_of(NetworkSettings))), NetworkSettings)
+        network = take_settings(self._top.table("network", KEYS["network"]), NetworkSettings)
         links = take_links(self._reading, self._top, nodes, joints)
-        state = simulation.take("state", FILE) or ""
+        state = self._top.table("simulation", KEYS["simulation"]).take("state") or ""
         return MachineFile(buses, nodes, joints, chains, master, state, network or NetworkSettings(), links)
 
     # ---- tables ----
 
-    def _table(self, parent: TomlTable, key: str, keys: tuple[str, ...], fallback: TomlTable | None = None) -> TomlTable:
-        """Return a table in another one, empty if there is none, with its keys checked."""
-        place = f"{parent.place}.{key}" if parent.place else key
-        table = TomlTable(self._reading, place, parent.take(key, TABLE) or {}, (*parent.path, key), fallback)
-        table.check_keys(keys)
-        return table
-
     def _entries(self, section: str, make: Callable[[TomlTable], E | None]) -> dict[str, E]:
         """Return the entries of a section by name. One with errors is left out; the errors stay in the reading."""
-        keys: tuple[str, ...] = KEYS[section]
+        keys = KEYS[section]
         fallback = None
         if section in _DEFAULTS:
-            allowed = tuple(key for key in keys if key not in _OF_ONE)
-            defaults = TomlTable(self._reading, "defaults", self._top.take("defaults", TABLE) or {}, ("defaults",))
-            defaults.check_keys(_DEFAULTS)
-            fallback = self._table(defaults, section, allowed)
-        whole = TomlTable(self._reading, section, self._top.take(section, TABLE) or {}, (section,))
+            defaults = self._top.table("defaults", dict.fromkeys(_DEFAULTS, TABLE))
+            fallback = defaults.table(section, {key: kind for key, kind in keys.items() if key not in _OF_ONE})
+        whole = self._top.table(section)
         found = {}
         for name in whole.values:
             if not name.strip() or any(map(str.isspace, name)) or (_NUMBER.fullmatch(name) and section != "buses"):
@@ -141,35 +127,29 @@ class _Reader:
                 continue
             if whole.take(name, TABLE) is None:
                 continue
-            entry = make(self._table(whole, name, keys, fallback))
-            if entry is not None:
+            if (entry := make(whole.table(name, keys, fallback))) is not None:
                 found[name] = entry
         return found
 
     # ---- entries ----
 
     def _master(self) -> MasterEntry:
-        table = self._table(self._top, "master", ("cycle", "timeout", "heartbeat_timeout", "grip", "realtime"))
-        cycle, timeout = table.take("cycle", _CYCLE), table.take("timeout", _CYCLE)
-        heartbeat = table.take("heartbeat_timeout", DURATION)
-        given = {"cycle": cycle, "timeout": timeout, "heartbeat_timeout": heartbeat}
-        entry = MasterEntry(**{key: value for key, value in given.items() if value is not None})
-        if table.take("realtime", _FALSE_OR_TABLE) not in (None, False):
-            entry = replace(entry, realtime=take_settings(self._table(table, "realtime", tuple(names_of(Realtime))), Realtime))
-        grip = table.take("grip", _FALSE_OR_TABLE)
-        if grip is False:
-            return replace(entry, grip=None)
-        if grip is not None:
-            settings = take_settings(self._table(table, "grip", tuple(names_of(Grip))), Grip)
-            return entry if settings is None else replace(entry, grip=settings)
-        return entry
+        table = self._top.table("master", KEYS["master"])
+        values = table.take_all(("cycle", "timeout", "heartbeat_timeout"))
+        for key, settings in (("grip", Grip), ("realtime", Realtime)):
+            given = table.take(key)
+            if given is False:
+                values[key] = None
+            elif given is not None and (made := take_settings(table.table(key, keys_of(settings)), settings)) is not None:
+                values[key] = made
+        return MasterEntry(**values)
 
     def _bus(self, table: TomlTable) -> BusEntry | None:
         name = table.path[-1]
-        locator = table.take("locator", text("a locator")) if table.has("locator") else name
+        locator = table.take("locator") if table.has("locator") else name
         if locator is None:
             return None
-        rate = table.take("bitrate", _BITRATE)
+        rate = table.take("bitrate")
         if locator == _DEMO:
             key = "locator" if table.has("locator") else ""
             table.error("'demo' is the simulated arm of the command line (-b demo), not a bus; try locator = 'virtual:demo'", key)
@@ -188,7 +168,7 @@ class _Reader:
         return BusEntry(name, locator, rate)
 
     def _node(self, table: TomlTable) -> NodeEntry | None:
-        bus = table.take("bus", text("the name of a bus"))
+        bus = table.take("bus")
         if bus is None and not table.has("bus"):
             if len(self._buses) == 1:
                 bus = self._buses[0]
@@ -198,19 +178,19 @@ class _Reader:
             table.error(f"there is no bus {bus!r}{did_you_mean(bus, self._buses)}", "bus")
         if not table.has("id"):
             table.error("it has no id (node-ID)")
-        device = device_of(table, _NODE_ID)
+        device = device_of(table)
         named = [("file", device.file), ("script", device.script), *(("overlay", name) for name in device.overlays)]
         self._check_files(table, named)
         boot = self._boot(table)
         return NodeEntry(table.path[-1], bus, device, boot) if bus in self._buses and device.node_ids else None
 
     def _boot(self, node: TomlTable) -> BootSettings | None:
-        if node.take("boot", _FALSE_OR_TABLE) in (None, False):
+        if node.take("boot") in (None, False):
             return None
-        keys = tuple(names_of(BootSettings))
+        keys = keys_of(BootSettings)
         fallback = node.fallback if "boot" in node.values else None
-        defaults = self._table(fallback, "boot", keys) if fallback is not None and fallback.take("boot", TABLE) else None
-        table = self._table(node, "boot", keys, defaults)
+        defaults = fallback.table("boot", keys) if fallback is not None and fallback.take("boot", TABLE) else None
+        table = node.table("boot", keys, defaults)
         settings = take_settings(table, BootSettings)
         if settings is not None:
             self._check_files(table, [("configuration", settings.configuration), ("program", settings.program)])
@@ -224,24 +204,24 @@ class _Reader:
 
     def _joint(self, table: TomlTable) -> JointEntry | None:
         name = table.path[-1]
-        node = table.take("node", text("the name of a node"))
+        node = table.take("node")
         if node is None and not table.has("node"):
             node = name
         if node is not None and node not in self._nodes:
             known = f"; [nodes.{name}] is missing, or node = ..." if not table.has("node") else did_you_mean(node, self._nodes)
             if f"nodes.{node}" not in self._reading.blamed:
                 table.error(f"there is no node {node!r}{known}", "node" if table.has("node") else "")
-        axis = table.take("axis", _AXIS) or 0
+        axis = table.take("axis") or 0
         settings = take_settings(table, AxisSettings)
-        per_turn = table.take(_PER_TURN, _POSITIVE)
+        per_turn = table.take(PER_TURN)
         if settings is not None and not table.has("unit") and settings.counts_per_unit is None:
             for key in (each for each in _IN_UNITS if getattr(settings, each) is not None):
                 table.error(f"in which unit? unit = {' or '.join(repr(str(each)) for each in Unit)}", key)
         if settings is not None and per_turn is not None:
             if settings.counts_per_unit is not None:
-                table.error("counts_per_unit says it already", _PER_TURN)
+                table.error("counts_per_unit says it already", PER_TURN)
             elif settings.unit is None or settings.unit is Unit.MILLIMETRE:
-                table.error(f"it needs unit = {' or '.join(repr(str(each)) for each in Unit if each != 'millimetre')}", _PER_TURN)
+                table.error(f"it needs unit = {' or '.join(repr(str(each)) for each in Unit if each != 'millimetre')}", PER_TURN)
             else:
                 settings = replace(settings, counts_per_unit=DriveUnits(per_turn=per_turn).counts_per(settings.unit))
         return JointEntry(name, node or "", settings or AxisSettings(), axis)
@@ -251,14 +231,14 @@ class _Reader:
     ) -> ChainEntry:
         if not table.has("joints"):
             table.error("it has no joints")
-        names = table.take("joints", _JOINTS) or ()
+        names = table.take("joints") or ()
         for position, name in enumerate(names):
             if name not in joints and f"joints.{name}" not in self._reading.blamed:
                 table.error(f"there is no joint {name!r}{did_you_mean(name, joints)}", "joints")
             if name in names[:position]:
                 table.error(f"{name!r} is in it twice", "joints")
         mode, own_pdos = chain_defaults(names, nodes, joints)
-        word = table.take("mode", one_of(MODES)) or mode
+        word = table.take("mode") or mode
         settings = take_settings(table, ChainSettings, cycle_time=master.cycle / SECOND, mode=MODES[word]) or ChainSettings()
         if not table.has("own_pdos"):
             settings = replace(settings, own_pdos=own_pdos)
@@ -308,24 +288,6 @@ def chain_defaults(names: tuple[str, ...], nodes: Mapping[str, NodeEntry], joint
     return "auto" if files and all(files) else "ip", any(files)
 
 
-def _is_bitrate(value: Any) -> bool:
-    try:
-        return isinstance(value, str) and parse_bitrate(value) > 0
-    except ValueError:
-        return False
-
-
-_BITRATE: Final = Kind('a bit rate such as "500k" or "1M"', _is_bitrate, parse_bitrate)
-_POSITIVE: Final = Kind("a number above 0", lambda value: type(value) in (int, float) and 0 < value < 1e300, float)
-_JOINTS: Final = texts("a list of joints")._replace(
-    fits=lambda value: isinstance(value, list) and bool(value) and all(isinstance(each, str) for each in value)
-)
-KEYS: Final[dict[str, tuple[str, ...]]] = {
-    "buses": ("locator", "bitrate"),
-    "nodes": ("bus", *DEVICE_KEYS, "boot"),
-    "joints": ("node", "axis", _PER_TURN, *names_of(AxisSettings)),
-    "chains": ("joints", *names_of(ChainSettings, "cycle_time")),
-}
 _IN_UNITS: Final = (
     "min_position", "max_position", "max_speed", "max_acceleration", "max_jerk", "following_error_limit",
     "homing_speed", "homing_zero_speed", "homing_acceleration", "home_position",
@@ -333,3 +295,51 @@ _IN_UNITS: Final = (
 """The keys of a joint whose values are in its unit."""
 _OF_ONE: Final = ("id", "node", "axis", "joints")
 """Keys that no default can have: they make an entry what it is."""
+
+
+# ---- writing ----
+
+
+def machine_text(machine: MachineFile) -> str:
+    """Return the text of a machine file. Raises ModuleNotFoundError without `tomli-w` (the extra `master` has it)."""
+    import tomli_w  # only for those that write
+
+    return _NUMBERS.sub(lambda found: f"{found[1]} = 0x{int(found[2]):08X}", tomli_w.dumps(machine_tables(machine)))
+
+
+_NUMBERS: Final = re.compile(r"^(device_type|vendor|product|revision|serial|software) = (\d+)$", re.MULTILINE)
+"""Numbers of a node's identity, which people know in hexadecimal."""
+
+
+def machine_tables(machine: MachineFile) -> dict[str, Any]:
+    """Return the tables of a machine file, as `tomllib` would give them."""
+    tables = {
+        "master": table_of(KEYS["master"], machine.master, MasterEntry()),
+        "network": settings_table(machine.network),
+        "simulation": {"state": machine.state} if machine.state else {},
+        "buses": {name: table_of(KEYS["buses"], each, BusEntry(name, name)) for name, each in machine.buses.items()},
+        "nodes": {name: _node(each) for name, each in machine.nodes.items()},
+        "joints": {
+            name: ({} if each.node == name else {"node": each.node})
+            | ({"axis": each.axis} if each.axis else {})
+            | settings_table(each.settings)
+            for name, each in machine.joints.items()
+        },
+        "chains": {name: _chain(each, machine) for name, each in machine.chains.items()},
+        LINKS: [link_table(each) for each in machine.links],
+    }
+    return {name: table for name, table in tables.items() if table}
+
+
+def _node(node: NodeEntry) -> dict[str, Any]:
+    boot = {} if node.boot is None else {"boot": settings_table(node.boot)}
+    return {"bus": node.bus} | device_table(node.device, KEYS["nodes"]) | boot
+
+
+def _chain(chain: ChainEntry, machine: MachineFile) -> dict[str, Any]:
+    settings, defaults = chain.settings, chain_defaults(chain.joints, machine.nodes, machine.joints)
+    table = settings_table(settings, "cycle_time", "mode", "own_pdos")
+    mode = next(word for word, each in MODES.items() if each == settings.mode)
+    given = {"mode": mode, "own_pdos": settings.own_pdos}
+    table |= {key: value for (key, value), default in zip(given.items(), defaults, strict=True) if value != default}
+    return {"joints": list(chain.joints), **table}
