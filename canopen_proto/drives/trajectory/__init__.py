@@ -8,7 +8,7 @@
     reserve.py         what a path leaves free of its limits, for braking
     speed_change.py    `SpeedChange`: a speed changes with limited acceleration and jerk
     steps.py           long checks in steps, for callers that must not stand still
-    polynomial.py      value, derivative and extremes of a polynomial
+    polynomial.py      value, derivatives and extremes of a polynomial; constant jerk
 
 Units: positions in the user's unit of each joint, times in seconds.
 """

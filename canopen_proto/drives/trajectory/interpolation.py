@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias
 
 from canopen_proto.drives.trajectory.path import TIME_TOLERANCE, Path, PathError, Segment
+from canopen_proto.drives.trajectory.polynomial import quintic_top
 
 Rows: TypeAlias = Sequence[Sequence[float]]
 
@@ -126,10 +127,7 @@ def _quintics(
         ahead = positions[number + 1] - p - h * (v + h * a / 2.0)
         faster = h * (velocities[number + 1] - v - h * a)
         rising = h * h * (accelerations[number + 1] - a) / 2.0
-        c3 = (10.0 * ahead - 4.0 * faster + rising) / h**3
-        c4 = (-15.0 * ahead + 7.0 * faster - 2.0 * rising) / h**4
-        c5 = (6.0 * ahead - 3.0 * faster + rising) / h**5
-        row.append(Segment(h, (p, v, a / 2.0, c3, c4, c5)))
+        row.append(Segment(h, (p, v, a / 2.0, *quintic_top(ahead, faster, rising, h))))
     return row
 
 

@@ -13,12 +13,12 @@ Units: the user's unit of each joint, seconds.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from canopen_proto.drives.trajectory.path import POSITION_TOLERANCE, Path, PathError
-from canopen_proto.drives.trajectory.polynomial import Extremes, extremes_of
+from canopen_proto.drives.trajectory.path import POSITION_TOLERANCE, Path, PathError, Piece
+from canopen_proto.drives.trajectory.polynomial import Extremes, derivatives_at, extremes_of
 from canopen_proto.drives.trajectory.steps import PART, finished
 
 EXACT: Final = 1 + 1e-6
@@ -50,6 +50,20 @@ class JointLimits:
         for name, limit in (("speed", self.speed), ("acceleration", self.acceleration), ("jerk", self.jerk)):
             if limit is not None and not limit > 0.0:
                 raise PathError(f"A limit of the {name} must be above 0, or None for no limit; it is {limit!r}.")
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The lowest and the highest position; without a limit infinity, with its sign."""
+        return -math.inf if self.lowest is None else self.lowest, math.inf if self.highest is None else self.highest
+
+    @property
+    def most(self) -> tuple[float, float, float]:
+        """The limits of speed, acceleration and jerk; infinity for none."""
+        return (
+            math.inf if self.speed is None else self.speed,
+            math.inf if self.acceleration is None else self.acceleration,
+            math.inf if self.jerk is None else self.jerk,
+        )
 
 
 class Violation(NamedTuple):
@@ -129,7 +143,7 @@ def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count:
     v1 = a1 = j1 = 0.0  # where the segment before ends
     if first:
         _, d, _, c1, c2, c3, c4, c5 = pieces[first - 1]
-        v1, a1, j1 = end_of(d, c1, c2, c3, c4, c5)
+        v1, a1, j1 = derivatives_at(d, c1, c2, c3, c4, c5)
     for number in range(first, len(pieces) if count is None else min(first + count, len(pieces))):
         begin, d, _, c1, c2, c3, c4, c5 = pieces[number]
         a, j = 2.0 * c2, 6.0 * c3
@@ -142,7 +156,7 @@ def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count:
                 _between(jump + a1, begin, jump + a, begin),
                 Extremes(0.0, begin, jerk, begin),
             )
-        v1, a1, j1 = end_of(d, c1, c2, c3, c4, c5)
+        v1, a1, j1 = derivatives_at(d, c1, c2, c3, c4, c5)
         end = begin + d
         if c4 == 0.0 == c5:  # of constant jerk, as nearly all are
             speed = _between(c1, begin, v1, end)
@@ -162,6 +176,20 @@ def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count:
             )
 
 
+def positions_beyond(pieces: Iterable[Piece], least: float, most: float) -> Iterator[tuple[float, float]]:
+    """Yield time and position of each extreme of these segments that is below `least` or above `most`; infinity: no limit."""
+    if math.isinf(least) and math.isinf(most):
+        return
+    for begin, d, c0, c1, c2, c3, c4, c5 in pieces:
+        reach = d * (abs(c1) + d * (abs(c2) + d * (abs(c3) + d * (abs(c4) + d * abs(c5)))))  # it goes no further than that
+        if c0 - reach < least or c0 + reach > most:
+            low, low_time, high, high_time = extremes_of((c0, c1, c2, c3, c4, c5), d, begin)
+            if low < least:
+                yield low_time, low
+            if high > most:
+                yield high_time, high
+
+
 def jumps(velocity: float, acceleration: float, next_velocity: float, next_acceleration: float) -> bool:
     """Return whether velocity or acceleration jump at a knot, by more than a rounding error."""
     if abs(next_velocity - velocity) > _SAME_SPEED * max(1.0, abs(next_velocity)):
@@ -171,18 +199,11 @@ def jumps(velocity: float, acceleration: float, next_velocity: float, next_accel
 
 def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float, first: int) -> Iterator[Violation]:
     """Yield the violations of PART segments, from this one on."""
-    if limits.lowest is not None or limits.highest is not None:
-        lowest = -math.inf if limits.lowest is None else limits.lowest - POSITION_TOLERANCE * max(1.0, abs(limits.lowest))
-        highest = math.inf if limits.highest is None else limits.highest + POSITION_TOLERANCE * max(1.0, abs(limits.highest))
-        for begin, d, c0, c1, c2, c3, c4, c5 in path.pieces[joint][first : first + PART]:
-            reach = d * (abs(c1) + d * (abs(c2) + d * (abs(c3) + d * (abs(c4) + d * abs(c5)))))  # it goes no further than that
-            if c0 - reach < lowest or c0 + reach > highest:
-                low, low_time, high, high_time = extremes_of((c0, c1, c2, c3, c4, c5), d, begin)
-                if limits.lowest is not None and low < lowest:
-                    yield Violation(joint, low_time, "position", low, limits.lowest)
-                if limits.highest is not None and high > highest:
-                    yield Violation(joint, high_time, "position", high, limits.highest)
-    own = [math.inf if limit is None else limit for limit in (limits.speed, limits.acceleration, limits.jerk)]
+    lowest, highest = limits.range
+    least, most = lowest - POSITION_TOLERANCE * max(1.0, abs(lowest)), highest + POSITION_TOLERANCE * max(1.0, abs(highest))
+    for time, position in positions_beyond(path.pieces[joint][first : first + PART], least, most):
+        yield Violation(joint, time, "position", position, lowest if position < least else highest)
+    own = limits.most
     for demand in demands_of(path, joint, cycle_time, first, PART):
         for order, peaks in enumerate((demand.speed, demand.acceleration, demand.jerk)):
             low, low_time, high, high_time = peaks
@@ -190,15 +211,6 @@ def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float, 
                 yield Violation(joint, low_time, _KINDS[order], low, own[order])
             if high > own[order] * EXACT:
                 yield Violation(joint, high_time, _KINDS[order], high, own[order])
-
-
-def end_of(d: float, c1: float, c2: float, c3: float, c4: float, c5: float) -> tuple[float, float, float]:
-    """Return velocity, acceleration and jerk at the end of a segment."""
-    return (
-        c1 + d * (2.0 * c2 + d * (3.0 * c3 + d * (4.0 * c4 + d * (5.0 * c5)))),
-        2.0 * c2 + d * (6.0 * c3 + d * (12.0 * c4 + d * (20.0 * c5))),
-        6.0 * c3 + d * (24.0 * c4 + d * (60.0 * c5)),
-    )
 
 
 def _between(one: float, one_time: float, other: float, other_time: float) -> Extremes:

@@ -20,6 +20,7 @@ from typing import Final, final
 
 from canopen_proto.drives.trajectory.limit_check import JointLimits
 from canopen_proto.drives.trajectory.path import TIME_TOLERANCE, Path, PathError, PathPoint
+from canopen_proto.drives.trajectory.polynomial import turning_point
 from canopen_proto.drives.trajectory.reserve import Reserve, reserve_in_steps, rest_time
 from canopen_proto.drives.trajectory.speed_change import SpeedChange
 from canopen_proto.drives.trajectory.steps import finished
@@ -200,13 +201,7 @@ class PathClock:
         """Begin to brake if the end would be missed otherwise. Return the part of the cycle that passed before."""
         if self._spare(cycle_time) >= 0.0:
             return 0.0
-        early, late = 0.0, cycle_time
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (early + late)
-            if self._spare(middle) >= 0.0:
-                early = middle
-            else:
-                late = middle
+        early, _ = turning_point(lambda after: not self._spare(after) >= 0.0, 0.0, cycle_time, _HALVINGS)
         self._elapsed += early
         self._aim_at(0.0)
         self._is_ending = True

@@ -1,10 +1,13 @@
-"""Polynomials of one variable, as rows of coefficients in ascending powers: value, derivative, extremes on an interval."""
+"""Polynomials of one variable, as rows of coefficients in ascending powers: value, derivatives, extremes on an interval.
+
+Also the search for the place at which a function comes to a value, by halving.
+"""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 _HALVINGS: Final = 100
@@ -36,6 +39,49 @@ def value_at(coefficients: Sequence[float], time: float) -> float:
 def derivative_of(coefficients: Sequence[float]) -> list[float]:
     """Return the coefficients of the derivative; of a constant, none."""
     return [number * coefficients[number] for number in range(1, len(coefficients))]
+
+
+def derivatives_at(t: float, c1: float, c2: float, c3: float, c4: float, c5: float) -> tuple[float, float, float]:
+    """Return the first, second and third derivative of a polynomial of degree 5 at `t`: velocity, acceleration and jerk."""
+    return (
+        c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5)))),
+        2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5))),
+        6.0 * c3 + t * (24.0 * c4 + t * (60.0 * c5)),
+    )
+
+
+def quintic_top(position: float, velocity: float, acceleration: float, duration: float) -> tuple[float, float, float]:
+    """Return the coefficients of the powers 3 to 5 that add this much at the end of a segment, and nothing at its begin.
+
+    Each in the unit of a position: velocity times duration, acceleration times duration² / 2.
+    """
+    return (
+        (10.0 * position - 4.0 * velocity + acceleration) / duration**3,
+        (-15.0 * position + 7.0 * velocity - 2.0 * acceleration) / duration**4,
+        (6.0 * position - 3.0 * velocity + acceleration) / duration**5,
+    )
+
+
+def with_constant_jerk(
+    time: float, position: float, velocity: float, acceleration: float, jerk: float
+) -> tuple[float, float, float]:
+    """Return position, velocity and acceleration after `time` s (it may be negative) of constant jerk."""
+    return (
+        position + time * (velocity + time * (acceleration / 2.0 + time * jerk / 6.0)),
+        velocity + time * (acceleration + time * jerk / 2.0),
+        acceleration + time * jerk,
+    )
+
+
+def turning_point(is_late: Callable[[float], bool], early: float, late: float, halvings: int) -> tuple[float, float]:
+    """Return the last time found at which `is_late` is false, and the first at which it is true, between these two."""
+    for _ in range(halvings):
+        middle = 0.5 * (early + late)
+        if is_late(middle):
+            late = middle
+        else:
+            early = middle
+    return early, late
 
 
 def extremes_of(coefficients: Sequence[float], duration: float, begin: float = 0.0) -> Extremes:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import Final, TypeAlias, final
 
+from canopen_proto.drives.trajectory.polynomial import turning_point, with_constant_jerk
 from canopen_proto.machine import LocalProtocolError
 
 _ROUNDING: Final = 1 + 1e-9
@@ -60,9 +61,7 @@ class SpeedChange:
         ):
             self.phases.append((time, distance, speed, acceleration, jerk))
             time += lasts
-            distance += lasts * (speed + lasts * (acceleration / 2.0 + lasts * jerk / 6.0))
-            speed += lasts * (acceleration + lasts * jerk / 2.0)
-            acceleration += lasts * jerk
+            distance, speed, acceleration = with_constant_jerk(lasts, distance, speed, acceleration, jerk)
         self.phases.append((time, distance, wanted, 0.0, 0.0))
         self.duration: Final = time
         """Seconds until the speed is the wanted one."""
@@ -75,12 +74,7 @@ class SpeedChange:
         while number and self.phases[number][0] > time:
             number -= 1
         begin, distance, speed, acceleration, jerk = self.phases[number]
-        t = time - begin
-        return (
-            distance + t * (speed + t * (acceleration / 2.0 + t * jerk / 6.0)),
-            speed + t * (acceleration + t * jerk / 2.0),
-            acceleration + t * jerk,
-        )
+        return with_constant_jerk(time - begin, distance, speed, acceleration, jerk)
 
     def time_at(self, distance: float) -> float:
         """Return the seconds after which it has gone this far, rounded up by 1e-6 of its duration at most; math.inf: never.
@@ -90,11 +84,4 @@ class SpeedChange:
         beyond = distance - self.distance
         if beyond > 0.0:
             return self.duration + beyond / self.wanted if self.wanted > 0.0 else math.inf
-        early, late = 0.0, self.duration
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (early + late)
-            if self.at(middle)[0] < distance:
-                early = middle
-            else:
-                late = middle
-        return late
+        return turning_point(lambda time: not self.at(time)[0] < distance, 0.0, self.duration, _HALVINGS)[1]

@@ -14,8 +14,9 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Final, TypeAlias
 
-from canopen_proto.drives.trajectory.limit_check import JointLimits, end_of, jumps
+from canopen_proto.drives.trajectory.limit_check import JointLimits, jumps
 from canopen_proto.drives.trajectory.path import Piece
+from canopen_proto.drives.trajectory.polynomial import derivatives_at, with_constant_jerk
 from canopen_proto.drives.trajectory.speed_change import SpeedChange
 
 _PARTS: Final = 3
@@ -40,7 +41,7 @@ def stretches_of(pieces: Sequence[Piece], first: int, count: int) -> list[Stretc
     for number in range(max(0, first - 1), min(first + count, len(pieces))):
         begin, duration, _, c1, c2, c3, c4, c5 = pieces[number]
         is_jump = number > 0 and jumps(velocity, acceleration, c1, 2.0 * c2)
-        velocity, acceleration, jerk = end_of(duration, c1, c2, c3, c4, c5)
+        velocity, acceleration, jerk = derivatives_at(duration, c1, c2, c3, c4, c5)
         if number >= first:
             fifth, fourth = 120.0 * abs(c5), max(abs(24.0 * c4), abs(24.0 * c4 + 120.0 * c5 * duration))
             third = max(abs(6.0 * c3), abs(jerk)) + duration * duration * fifth / 8.0
@@ -51,11 +52,8 @@ def stretches_of(pieces: Sequence[Piece], first: int, count: int) -> list[Stretc
 def motion_at(stretches: Sequence[Stretch], time: float) -> tuple[float, float]:
     """Return the velocity and the acceleration of a joint at this time of the path."""
     begin, end, c1, c2, c3, c4, c5, _, _, _, _ = stretches[max(0, bisect_right(stretches, time, key=_begin_of) - 1)]
-    t = min(time, end) - begin
-    return (
-        c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5)))),
-        2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5))),
-    )
+    velocity, acceleration, _ = derivatives_at(min(time, end) - begin, c1, c2, c3, c4, c5)
+    return velocity, acceleration
 
 
 def pieces_of(stop: SpeedChange, time: float) -> list[StopPiece]:
@@ -68,8 +66,8 @@ def pieces_of(stop: SpeedChange, time: float) -> list[StopPiece]:
             continue
         place = time + distance
         for _ in range(_PARTS):
-            further = place + lasts * (rate + lasts * (change / 2.0 + lasts * onset / 6.0))
-            last, slower = change + lasts * onset, max(0.0, rate + lasts * (change + lasts * onset / 2.0))
+            further, slower, last = with_constant_jerk(lasts, place, rate, change, onset)
+            slower = max(0.0, slower)
             highest = rate - change * change / (2.0 * onset) if last < 0.0 < change else max(rate, slower)
             lowest = min(rate, slower)
             if change <= 0.0 and last <= 0.0:
@@ -87,8 +85,8 @@ def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limi
 
     seen: seconds for which a drive still sees a knot. Where velocity or acceleration jump the answer is False.
     """
-    most = math.inf if limits.acceleration is None else limits.acceleration * _ROUNDING
-    most_jerk = math.inf if limits.jerk is None else limits.jerk * _ROUNDING
+    _, most, most_jerk = limits.most
+    most, most_jerk = most * _ROUNDING, most_jerk * _ROUNDING
     since = pieces[0][0]
     number = max(0, bisect_right(stretches, since, key=_begin_of) - 1)
     before = number
@@ -115,12 +113,8 @@ def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limi
                 j = k = 6.0 * c3
                 a, b = 2.0 * c2 + t * j, 2.0 * c2 + u * j
             else:
-                v = c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5))))
-                w = c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * (4.0 * c4 + u * (5.0 * c5))))
-                a = 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5)))
-                b = 2.0 * c2 + u * (6.0 * c3 + u * (12.0 * c4 + u * (20.0 * c5)))
-                j = 6.0 * c3 + t * (24.0 * c4 + t * (60.0 * c5))
-                k = 6.0 * c3 + u * (24.0 * c4 + u * (60.0 * c5))
+                v, a, j = derivatives_at(t, c1, c2, c3, c4, c5)
+                w, b, k = derivatives_at(u, c1, c2, c3, c4, c5)
             if is_first:
                 first_acceleration = a * rate * rate + v * change
                 is_first = False

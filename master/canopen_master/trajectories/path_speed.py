@@ -16,7 +16,11 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+from canopen_proto.drives.trajectory.polynomial import turning_point, with_constant_jerk
+
+_HALVINGS: Final = 60
 
 
 class Bend(NamedTuple):
@@ -84,7 +88,7 @@ class SmoothedMotion:
             lasts = 2.0 * (s_after - s) / (r + r_after)
             change = (r_after - r) / lasts
             self._pieces.append((area, s, r, change))
-            area += lasts * (s + lasts * (r / 2.0 + lasts * change / 6.0))
+            area, _, _ = with_constant_jerk(lasts, area, s, r, change)
             time += lasts
             self._times.append(time)
         self._pieces.append((area, self._end, 0.0, 0.0))
@@ -100,14 +104,7 @@ class SmoothedMotion:
 
     def time_at(self, place: float) -> float:
         """Return the time at which s is `place`."""
-        early, late = 0.0, self.duration
-        for _ in range(60):
-            middle = (early + late) / 2.0
-            if self.at(middle)[0] < place:
-                early = middle
-            else:
-                late = middle
-        return late
+        return turning_point(lambda time: not self.at(time)[0] < place, 0.0, self.duration, _HALVINGS)[1]
 
     def places_of(self, begin: float, end: float) -> tuple[float, float]:
         """Return the first and the last s that have a share in the motion between two times."""
@@ -119,5 +116,4 @@ class SmoothedMotion:
             return 0.0, 0.0, 0.0
         number = min(bisect_right(self._times, time), len(self._pieces)) - 1
         area, s, r, change = self._pieces[number]
-        t = time - self._times[number]
-        return area + t * (s + t * (r / 2.0 + t * change / 6.0)), s + t * (r + t * change / 2.0), r + t * change
+        return with_constant_jerk(time - self._times[number], area, s, r, change)

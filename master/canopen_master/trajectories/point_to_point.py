@@ -25,6 +25,7 @@ from canopen_master.trajectories.scaled_joints import (
     scaled_joints,
 )
 from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint, Segment
+from canopen_proto.drives.trajectory.polynomial import quintic_top, with_constant_jerk
 
 RESERVE: Final = 0.2
 """The part of acceleration and jerk that a plan leaves free, so that it can be slowed down and stopped on its own path."""
@@ -43,9 +44,7 @@ class _State(NamedTuple):
 
     def after(self, time: float, jerk: float) -> _State:
         """Return the state after a time of constant jerk; it may be negative."""
-        velocity = self.velocity + time * (self.acceleration + time * jerk / 2.0)
-        position = self.position + time * (self.velocity + time * (self.acceleration / 2.0 + time * jerk / 6.0))
-        return _State(position, velocity, self.acceleration + time * jerk)
+        return _State(*with_constant_jerk(time, *self, jerk))
 
 
 def plan(
@@ -84,18 +83,18 @@ def plan(
     request = _request(ruckig, joints, start, targets)
     if minimum_duration:
         request.minimum_duration = minimum_duration
-    segments = _calculated(ruckig, request, joints, start, targets)
-    if beyond := [number for number, each in enumerate(joints) if position_excess(segments[number], each) is not None]:
+    path = _calculated(ruckig, request, joints, start, targets)
+    if beyond := [number for number, each in enumerate(joints) if position_excess(path, number, each) is not None]:
         synchronization = ruckig.Synchronization
         request.per_dof_synchronization = [
             synchronization.No if number in beyond else synchronization.Time for number in range(len(joints))
         ]
-        segments = _calculated(ruckig, request, joints, start, targets)
+        path = _calculated(ruckig, request, joints, start, targets)
         for number in beyond:
-            if (excess := position_excess(segments[number], joints[number])) is not None:
+            if (excess := position_excess(path, number, joints[number])) is not None:
                 failed = f"joint {number} moves too fast to stop before its limit"
                 raise beyond_limit(number, *excess, failed, "stop on the path under way, then plan")
-    return Path(segments)
+    return path
 
 
 def _request(ruckig: Any, joints: Sequence[ScaledJoint], start: PathPoint, targets: Sequence[float]) -> Any:
@@ -111,22 +110,20 @@ def _request(ruckig: Any, joints: Sequence[ScaledJoint], start: PathPoint, targe
     return request
 
 
-def _calculated(
-    ruckig: Any, request: Any, joints: Sequence[ScaledJoint], start: PathPoint, targets: Sequence[float]
-) -> list[list[Segment]]:
-    """Let ruckig calculate, and return the segments of each joint."""
+def _calculated(ruckig: Any, request: Any, joints: Sequence[ScaledJoint], start: PathPoint, targets: Sequence[float]) -> Path:
+    """Let ruckig calculate, and return the path."""
     trajectory = ruckig.Trajectory(len(joints))
     try:
         ruckig.Ruckig(len(joints)).calculate(request, trajectory)
     except (ruckig.RuckigError, ValueError) as error:
         raise ruckig_refused(error, "path") from error
     if trajectory.duration < _SHORTEST:
-        return [[Segment(STANDSTILL, (target,))] for target in targets]
+        return Path([[Segment(STANDSTILL, (target,))] for target in targets])
     states = [_State(*each) for each in zip(*start, strict=True)]
-    return [
+    return Path([
         _segments(profile, state, target, joint.unit, trajectory.duration)
         for profile, state, target, joint in zip(trajectory.profiles[0], states, targets, joints, strict=True)
-    ]
+    ])  # fmt: skip
 
 
 def _segments(profile: Any, start: _State, target: float, unit: float, duration: float) -> list[Segment]:
@@ -163,9 +160,5 @@ def _segments(profile: Any, start: _State, target: float, unit: float, duration:
 
 def _added(cubic: float, error: _State, time: float) -> tuple[float, float, float]:
     """Return the upper coefficients of a segment that also takes up an error until its end, and nothing of it at its start."""
-    p, v, a = error.position, error.velocity * time, error.acceleration * time * time / 2.0
-    return (
-        cubic + (10.0 * p - 4.0 * v + a) / time**3,
-        (-15.0 * p + 7.0 * v - 2.0 * a) / time**4,
-        (6.0 * p - 3.0 * v + a) / time**5,
-    )
+    c3, c4, c5 = quintic_top(error.position, error.velocity * time, error.acceleration * time * time / 2.0, time)
+    return cubic + c3, c4, c5

@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 from canopen_master.errors import PlanRefused
 from canopen_master.trajectories.scaled_joints import ScaledJoint, check_values, load_ruckig, ruckig_refused, scaled_joints
 from canopen_proto.drives.trajectory import JointLimits, PathPoint
+from canopen_proto.drives.trajectory.polynomial import with_constant_jerk
 from canopen_proto.drives.trajectory.speed_change import SpeedChange
 
 _TOLERANCE: Final = 1e-9
@@ -300,6 +301,6 @@ def _reach(state: _State, joint: ScaledJoint, limits: tuple[float, float]) -> _R
     if velocity * acceleration < 0.0 and acceleration * acceleration > 2.0 * jerk * abs(velocity):
         # It brakes so hard that it turns back before its acceleration ends.
         time = (abs(acceleration) - math.sqrt(acceleration * acceleration - 2.0 * jerk * abs(velocity))) / jerk
-        way = time * (abs(velocity) + time * (-abs(acceleration) / 2.0 + time * jerk / 6.0))
+        way, _, _ = with_constant_jerk(time, 0.0, abs(velocity), -abs(acceleration), jerk)
         turn += math.copysign(way, velocity)
     return _Reach(min(position, end, turn), max(position, end, turn), speed)

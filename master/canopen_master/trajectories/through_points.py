@@ -63,8 +63,8 @@ def through_points(
         check_values(point, len(joints), f"position in point {number}")
     places = _places(points, joints)
     curve = cubic(places, points, natural=True)
-    for number, (row, joint) in enumerate(zip(curve.segments, joints, strict=True)):
-        if (excess := position_excess(row, joint)) is not None:
+    for number, joint in enumerate(joints):
+        if (excess := position_excess(curve, number, joint)) is not None:
             failed = f"joint {number} would leave its limits on the curve through the points"
             raise beyond_limit(number, *excess, failed, "points within the limits, and closer together near them")
     fine = _refined(places)
@@ -197,9 +197,8 @@ def _exact_stretch(path: Path, joints: Sequence[ScaledJoint]) -> float:
     """Return by which factor the path has to be stretched, from the extremes of its polynomials."""
     factor = 0.0
     for number, joint in enumerate(joints):
-        for _, *peaks in demands_of(path, number, path.duration):
-            speed, acceleration, jerk = (max(-peak.low, peak.high) for peak in peaks)
-            factor = max(factor, _factor(speed, acceleration, jerk, joint))
+        for _, speed, acceleration, jerk in demands_of(path, number, path.duration):
+            factor = max(factor, _factor(speed.magnitude, acceleration.magnitude, jerk.magnitude, joint))
     return factor
 
 
