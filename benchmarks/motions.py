@@ -25,7 +25,7 @@ from functools import partial
 
 import chain_cycle
 
-from canopen_master.trajectories.point_to_point import plan
+from canopen_master.trajectories.point_to_point import point_to_point
 from canopen_proto.drives.trajectory import JointLimits, PathClock, PathPoint
 
 COUNTS = (6, 12, 30)
@@ -60,7 +60,7 @@ def taken(work: Callable[[], object]) -> float:
 
 def replan(present: PathPoint, targets: list[float], limits: list[JointLimits]) -> None:
     """Take over from a motion."""
-    PathClock(plan(present, targets, limits), limits, PERIOD, moving=True)
+    PathClock(point_to_point(present, targets, limits), limits, PERIOD, moving=True)
 
 
 def once(joints: int, rounds: int) -> tuple[str, str, str]:
@@ -69,7 +69,7 @@ def once(joints: int, rounds: int) -> tuple[str, str, str]:
     limits = [LIMITS] * joints
     rest = [0.0] * joints
     replans, stops = [], [[] for _ in range(STOPS)]
-    path = plan(PathPoint(random_point(rng, joints), rest, rest), random_point(rng, joints), limits)
+    path = point_to_point(PathPoint(random_point(rng, joints), rest, rest), random_point(rng, joints), limits)
     for _ in range(rounds):
         for number in range(STOPS):
             clock = PathClock(path, limits, PERIOD)

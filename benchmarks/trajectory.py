@@ -25,7 +25,7 @@ from typing import Any
 import ruckig
 from measure import Case, Result, measure, table
 
-from canopen_master.trajectories.point_to_point import plan
+from canopen_master.trajectories.point_to_point import point_to_point
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathPoint
 
@@ -73,14 +73,14 @@ def planning(title: str, start: PathPoint, targets: list[float]) -> Case:
 
     def ours(times: int) -> None:
         for _ in range(times):
-            plan(start, targets, limits, reserve=0.0)
+            point_to_point(start, targets, limits, margin=0.0)
 
     def theirs(times: int) -> None:
         for _ in range(times):
             calculated(start, targets)
 
     def check() -> None:
-        path, trajectory = plan(start, targets, limits, reserve=0.0), calculated(start, targets)
+        path, trajectory = point_to_point(start, targets, limits, margin=0.0), calculated(start, targets)
         for part in range(11):
             same(path.at(part / 10.0 * path.duration).positions, trajectory.at_time(part / 10.0 * trajectory.duration)[0])
 
@@ -90,7 +90,7 @@ def planning(title: str, start: PathPoint, targets: list[float]) -> Case:
 def path_cycle(count: int) -> Case:
     """Return the case of one cycle of a path of 20 s. At its end both begin again, ours with another clock."""
     start, targets = at_rest(count), [2000.0 + joint for joint in range(count)]
-    path: Path = plan(start, targets, [LONG] * count, reserve=0.0)
+    path: Path = point_to_point(start, targets, [LONG] * count, margin=0.0)
     trajectory = calculated(start, targets)
     roomy = [JointLimits(speed=100.0, acceleration=800.0, jerk=8000.0)] * count  # the plan leaves nothing free of its own
     cycles = int(path.duration / CYCLE)
@@ -152,7 +152,7 @@ def cases() -> list[Case]:
         start, targets = at_rest(count), [60.0 - 2.0 * joint for joint in range(count)]
         others = [50.0 - joint for joint in range(count)]
         found.append(planning(f"plan, {count} joints", start, targets))
-        way = plan(start, targets, [LIMITS] * count, reserve=0.0)
+        way = point_to_point(start, targets, [LIMITS] * count, margin=0.0)
         found.append(planning(f"re-plan on the way, {count} joints", way.at(way.duration * 0.4), others))
     return [*found, *map(path_cycle, COUNTS), *map(stream_cycle, COUNTS)]
 

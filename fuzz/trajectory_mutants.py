@@ -19,7 +19,7 @@ LIMITS: Final = ("tests/drives/test_path_limits.py",)
 _CHECK: Final = "drives/trajectory/limit_check.py"
 _CLOCK: Final = "drives/trajectory/path_clock.py"
 _FITTING: Final = "drives/trajectory/fitting.py"
-_RESERVE: Final = "drives/trajectory/reserve.py"
+_MARGIN: Final = "drives/trajectory/margin.py"
 _SPEED: Final = "drives/trajectory/speed_change.py"
 _STOP: Final = "drives/trajectory/stop_check.py"
 
@@ -95,8 +95,8 @@ TRAJECTORY_MUTANTS: Final = tuple(
         (
             "blend_from_rest",
             _CLOCK,
-            "rate = override if reserve.rests_at_start else 1.0 if moving else 0.0",
-            "rate = override if reserve.rests_at_start else 0.0",
+            "rate = override if margin.rests_at_start else 1.0 if moving else 0.0",
+            "rate = override if margin.rests_at_start else 0.0",
             "a path that goes on from a motion under way begins with a standstill",
             CLOCK,
         ),
@@ -128,7 +128,7 @@ TRAJECTORY_MUTANTS: Final = tuple(
         # ---- what a path leaves free ----
         (
             "jerk_of_a_change",
-            _RESERVE,
+            _MARGIN,
             "change = 2.0 * left / root if root else 0.0",
             "change = 4.0 * left / root if root else 0.0",
             "a change of the rate costs jerk, and more than the path leaves free",

@@ -1,4 +1,4 @@
-"""The PDOs that a device exchanges in each SYNC cycle, as `Exchange`s (planning.py): by its file, by a motion plan, or by name.
+"""The PDOs that a device exchanges in each SYNC cycle, as `Exchange`s (bus_timing.py): by its file, by a motion plan, or by name.
 
 `canopen plan` and a chain count alike: RPDOs and synchronous TPDOs once in each cycle, event-driven TPDOs once per inhibit time,
 or event timer. The rest is left out, with a note: an event-driven TPDO without either, and a PDO with a 29-bit identifier.
@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from canopen_master.planning import Background, Exchange, fits, streams_of
+from canopen_master.bus_timing import Background, Exchange, fits, streams_of
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drives.axis.motion_plan import MotionPlan

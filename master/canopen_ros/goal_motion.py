@@ -134,7 +134,7 @@ class GoalMotion:
         chain = self._chain
         while True:
             motion = chain.motion
-            if motion is not None and isinstance(motion.course, PathClock) and motion.course.path is self._path:
+            if motion is not None and isinstance(motion.generator, PathClock) and motion.generator.path is self._path:
                 return motion
             await chain.begun.park()
 

@@ -11,7 +11,7 @@ import trio
 from canopen_master.errors import MotionReplaced
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.target_motion import Jog, Targets
-from canopen_master.trajectories.point_to_point import RESERVE
+from canopen_master.trajectories.point_to_point import MARGIN
 from canopen_proto.drives.trajectory import JointLimits
 from canopen_ros.reply import COMMAND_ERRORS
 
@@ -28,8 +28,8 @@ def braking_way(velocity: float, limits: JointLimits) -> float:
     speed = abs(velocity)
     if not speed:
         return 0.0
-    acceleration = (limits.acceleration or math.inf) * (1 - RESERVE)
-    jerk = (limits.jerk or math.inf) * (1 - RESERVE)
+    acceleration = (limits.acceleration or math.inf) * (1 - MARGIN)
+    jerk = (limits.jerk or math.inf) * (1 - MARGIN)
     if speed * jerk <= acceleration * acceleration:
         return math.copysign(speed * math.sqrt(speed / jerk), velocity)
     return math.copysign(0.5 * speed * (speed / acceleration + acceleration / jerk), velocity)
@@ -89,7 +89,7 @@ class Jogging(_TopicMotion):
         """Move at these velocities from now on. While the joints brake behind the watchdog, this does nothing."""
         self._velocities, self._given_at = velocities, trio.current_time()
         motion = self.chain.motion
-        if self._jog is not None and motion is not None and not motion.is_braking and not motion.course.is_finished:
+        if self._jog is not None and motion is not None and not motion.is_braking and not motion.generator.is_finished:
             try:
                 self._jog.velocity(velocities)
             except COMMAND_ERRORS as error:
@@ -153,7 +153,7 @@ class Streaming(_TopicMotion):
                 if self._velocities and trio.current_time() - self._given_at > SILENT:
                     self._velocities = {}
                     self._aim(targets)
-                if motion.course.is_at_rest and trio.current_time() - max(begun, self._given_at) > QUIET:
+                if motion.generator.is_at_rest and trio.current_time() - max(begun, self._given_at) > QUIET:
                     break
                 with trio.move_on_after(QUIET) as silence:
                     await motion.news.park()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
-from canopen_master.planning import Background, Exchange, bounds, plan, simulate, streams_of
+from canopen_master.bus_timing import Background, Exchange, bounds, bus_timing, simulate, streams_of
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports.wire import QueueOrder
@@ -217,7 +217,7 @@ def test_bad_input(run: Run, chains: str, arguments: tuple[str, ...], seen: str)
 def test_twelve_joints_by_hand() -> None:
     """1 Mbit/s, 4 ms, nothing besides: frames of 135 bits, and a SYNC of 55."""
     none = Background(heartbeat=0, sdo=0, emcy=0, reaction=0)
-    found = plan("can0", joints(12), 4 * MILLISECOND, MBIT, none)
+    found = bus_timing("can0", joints(12), 4 * MILLISECOND, MBIT, none)
     assert found.fits
     worst = {each.stream.name: each.worst // MICROSECOND for each in found.streams}
     assert worst["SYNC"] == 135 + 55  # behind a frame that has just begun
@@ -231,17 +231,17 @@ def test_twelve_joints_by_hand() -> None:
 
 def test_two_pdos_of_one_identifier_are_refused() -> None:
     with pytest.raises(LocalProtocolError, match="RPDO b and TPDO b both have the CAN-ID 0x201"):
-        plan("can0", [Exchange("b", 1, ((0x201, 8),), ((0x201, 8),))], MILLISECOND, MBIT)
+        bus_timing("can0", [Exchange("b", 1, ((0x201, 8),), ((0x201, 8),))], MILLISECOND, MBIT)
 
 
 def test_the_shortest_cycle_fits_and_the_next_shorter_one_does_not() -> None:
     """In tenths of a millisecond, as drives take it (0x60C2)."""
-    found = plan("can0", joints(6), 10 * MILLISECOND, MBIT)
+    found = bus_timing("can0", joints(6), 10 * MILLISECOND, MBIT)
     assert found.fits
     assert found.shortest_cycle == 2_800 * MICROSECOND
-    assert plan("can0", joints(6), 2_800 * MICROSECOND, MBIT).fits
-    assert not plan("can0", joints(6), 2_700 * MICROSECOND, MBIT).fits
-    assert plan("can0", joints(12), MILLISECOND, 5_000).shortest_cycle is None
+    assert bus_timing("can0", joints(6), 2_800 * MICROSECOND, MBIT).fits
+    assert not bus_timing("can0", joints(6), 2_700 * MICROSECOND, MBIT).fits
+    assert bus_timing("can0", joints(12), MILLISECOND, 5_000).shortest_cycle is None
 
 
 @examples(15)

@@ -33,13 +33,13 @@ def through(states: Sequence[State], durations: Sequence[float]) -> list[Segment
     return [quintic(a, b, t) for a, b, t in zip(states, states[1:], durations, strict=False)]
 
 
-def limits_with_reserve(path: Path, reserve: float, cycle_time: float = CYCLE) -> list[JointLimits]:
+def limits_with_margin(path: Path, margin: float, cycle_time: float = CYCLE) -> list[JointLimits]:
     """The limits of which the path leaves this part of acceleration and jerk free, 0 to 1. Joints that rest have limits too."""
     found = []
     for joint in range(path.joints):
         demands = [demand[1:] for demand in demands_of(path, joint, cycle_time)]
         speed, acceleration, jerk = (max(extremes[order].magnitude for extremes in demands) or 1.0 for order in range(3))
-        found.append(JointLimits(speed=speed, acceleration=acceleration / (1 - reserve), jerk=jerk / (1 - reserve)))
+        found.append(JointLimits(speed=speed, acceleration=acceleration / (1 - margin), jerk=jerk / (1 - margin)))
     return found
 
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, Segment, first_violation
-from canopen_proto.drives.trajectory.reserve import rest_time
-from tests.drives.paths import CYCLE, State, differences, limits_with_reserve, through
+from canopen_proto.drives.trajectory.margin import rest_time
+from tests.drives.paths import CYCLE, State, differences, limits_with_margin, through
 from tests.examples import examples
 
 ROUNDING = 1e-6
@@ -67,9 +67,9 @@ def act(clock: PathClock, action: str | float) -> None:
 @given(paths(), st.floats(0.1, 0.8), st.floats(0, 1), actions)
 @examples(40)
 def test_no_joint_exceeds_a_limit_whatever_happens(
-    path: Path, reserve: float, override: float, script: list[tuple[int, str | float]]
+    path: Path, margin: float, override: float, script: list[tuple[int, str | float]]
 ) -> None:
-    limits = limits_with_reserve(path, reserve)
+    limits = limits_with_margin(path, margin)
     assert first_violation(path, limits, CYCLE) is None
     clock = PathClock(path, limits, CYCLE, override=override, longest_stop=1e4)
     points, times = [path.start.positions] * 4, [0.0] * 4
@@ -91,8 +91,8 @@ def test_no_joint_exceeds_a_limit_whatever_happens(
 
 @given(paths(), st.floats(0.1, 0.8), st.integers(0, 600), st.sampled_from([0.0, 0.3, 1.0]))
 @examples(40)
-def test_a_stop_is_over_when_it_says(path: Path, reserve: float, cycles: int, then: float) -> None:
-    clock = PathClock(path, limits_with_reserve(path, reserve), CYCLE, longest_stop=1e4)
+def test_a_stop_is_over_when_it_says(path: Path, margin: float, cycles: int, then: float) -> None:
+    clock = PathClock(path, limits_with_margin(path, margin), CYCLE, longest_stop=1e4)
     for number in range(cycles):
         clock.advance(CYCLE)
         if number == cycles // 2:
@@ -194,9 +194,9 @@ def plans(draw: st.DrawFn) -> Path:
 )  # fmt: skip
 @examples(60)
 def test_a_stop_at_any_moment_keeps_the_limits(
-    path: Path, reserve: float, override: float, moving: bool, cycles: int, then: float, later: int, goes_on: bool
+    path: Path, margin: float, override: float, moving: bool, cycles: int, then: float, later: int, goes_on: bool
 ) -> None:
-    limits = limits_with_reserve(path, reserve)
+    limits = limits_with_margin(path, margin)
     moving = moving and not PathClock(path, limits, CYCLE, longest_stop=1e4).stop_time > path.duration
     clock = PathClock(path, limits, CYCLE, override=override, moving=moving, longest_stop=1e4)
     clock.advance(cycles * CYCLE)
@@ -220,7 +220,7 @@ def test_a_stop_at_any_moment_keeps_the_limits(
 
 def test_a_stop_takes_little_longer_than_the_ramp_of_the_joint() -> None:
     speed, limits = 90.0, [JointLimits(speed=90.0, acceleration=180.0, jerk=1800.0)]
-    jerk, acceleration = 0.8 * 1800.0, 0.8 * 180.0  # a plan with its reserve
+    jerk, acceleration = 0.8 * 1800.0, 0.8 * 180.0  # a plan with its margin
     even, jerked = speed / acceleration - acceleration / jerk, acceleration / jerk
     up, down = [(jerked, jerk), (even, 0.0), (jerked, -jerk)], [(jerked, -jerk), (even, 0.0), (jerked, jerk)]
     path = Path([stepwise([*up, (0.5, 0.0), *down], 3)])
@@ -244,13 +244,13 @@ def test_a_stop_while_joints_gather_speed_is_over_sooner_if_it_begins_behind_tha
         up = [(0.25, jerk), (0.125, 0.0), (0.25, -jerk)]
         rows.append(stepwise([*up, (1.5, 0.0), *((lasts, -each) for lasts, each in up)], 3))
     path = Path(rows)
-    limits = limits_with_reserve(path, 0.2)
+    limits = limits_with_margin(path, 0.2)
     sooner = 0
     for cycles in range(5, 400, 6):
         clock = PathClock(path, limits, CYCLE, override=override)
         points = [path.start.positions] * 4 + [clock.advance(CYCLE).positions for _ in range(cycles)]
-        reserve, here = clock._reserve, clock.time
-        at_once = reserve.braking_at(here, override, 0.0)
+        margin, here = clock._margin, clock.time
+        at_once = margin.braking_at(here, override, 0.0)
         lasts = rest_time(at_once, path.duration - here)
         named = clock.stop()
         assert named <= lasts
@@ -269,7 +269,7 @@ def test_a_stop_at_a_constant_speed_may_use_all_of_the_acceleration() -> None:
     rows, limits = HARD_TO_STOP_ON["speed 1 in 1 s, and back to rest"]
     clock = PathClock(Path(rows), limits, CYCLE)
     clock.advance(1.2)
-    assert clock.stop() < 1.0  # 1 / 1.25 s, and some for the onset; the reserve alone would need 4 s
+    assert clock.stop() < 1.0  # 1 / 1.25 s, and some for the onset; the margin alone would need 4 s
     assert clock.stop_time > 4.0
     clock = PathClock(Path(rows), limits, CYCLE)
     clock.advance(0.2)  # it gathers speed: braking takes that away first
@@ -277,7 +277,7 @@ def test_a_stop_at_a_constant_speed_may_use_all_of_the_acceleration() -> None:
 
 
 def test_joints_that_have_stopped_by_themselves_start_again_from_rest() -> None:
-    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE)
+    clock = PathClock(MOVING_ENDS, limits_with_margin(MOVING_ENDS, 0.4), CYCLE)
     while not clock.is_finished:  # also while it brakes for the end
         clock.advance(CYCLE)
         if 1.0 < clock.time < 1.01 or 2.49 < clock.time < 2.495:
@@ -288,7 +288,7 @@ def test_joints_that_have_stopped_by_themselves_start_again_from_rest() -> None:
             assert clock.time > here
     clock.after_gap()
     assert clock.is_finished
-    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE)
+    clock = PathClock(MOVING_ENDS, limits_with_margin(MOVING_ENDS, 0.4), CYCLE)
     clock.advance(1.0)
     clock.stop()
     clock.after_gap()
@@ -315,7 +315,7 @@ def test_a_stop_that_is_taken_back_is_over_first() -> None:
 
 @pytest.mark.parametrize("path", [REST_TO_REST, MOVING_ENDS])
 def test_velocities_and_accelerations_are_those_of_the_positions(path: Path) -> None:
-    clock = PathClock(path, limits_with_reserve(path, 0.4), CYCLE)
+    clock = PathClock(path, limits_with_margin(path, 0.4), CYCLE)
     dt = 1e-5
     for number in range(300):
         if number in (50, 180):
@@ -331,7 +331,7 @@ def test_velocities_and_accelerations_are_those_of_the_positions(path: Path) -> 
 
 
 def test_a_path_from_rest_to_rest_is_followed_as_planned() -> None:
-    clock = PathClock(REST_TO_REST, limits_with_reserve(REST_TO_REST, 0.2), CYCLE)
+    clock = PathClock(REST_TO_REST, limits_with_margin(REST_TO_REST, 0.2), CYCLE)
     for number in range(1, 625):
         assert clock.advance(CYCLE).positions == pytest.approx(REST_TO_REST.at(number * CYCLE).positions)
     assert not clock.is_finished
@@ -340,7 +340,7 @@ def test_a_path_from_rest_to_rest_is_followed_as_planned() -> None:
 
 
 def test_half_speed_from_the_start_takes_twice_the_time() -> None:
-    clock = PathClock(REST_TO_REST, limits_with_reserve(REST_TO_REST, 0.2), CYCLE, override=0.5)
+    clock = PathClock(REST_TO_REST, limits_with_margin(REST_TO_REST, 0.2), CYCLE, override=0.5)
     assert clock.advance(1.0) == (
         REST_TO_REST.at(0.5).positions,
         [0.5 * each for each in REST_TO_REST.at(0.5).velocities],
@@ -353,7 +353,7 @@ def test_half_speed_from_the_start_takes_twice_the_time() -> None:
 
 
 def test_a_path_that_starts_and_ends_in_motion_is_run_from_rest_to_rest() -> None:
-    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE)
+    clock = PathClock(MOVING_ENDS, limits_with_margin(MOVING_ENDS, 0.4), CYCLE)
     assert (clock.rate, clock.advance(0.0).velocities) == (0.0, [0.0])
     clock.advance(1.0)
     assert clock.rate == pytest.approx(1.0)
@@ -363,7 +363,7 @@ def test_a_path_that_starts_and_ends_in_motion_is_run_from_rest_to_rest() -> Non
 
 
 def test_a_blend_goes_on_from_the_motion_that_is_there() -> None:
-    clock = PathClock(MOVING_ENDS, limits_with_reserve(MOVING_ENDS, 0.4), CYCLE, moving=True)
+    clock = PathClock(MOVING_ENDS, limits_with_margin(MOVING_ENDS, 0.4), CYCLE, moving=True)
     assert (clock.rate, clock.advance(0.0)) == (1.0, MOVING_ENDS.start)
     clock.override = 0.5
     assert clock.rate == 1.0  # slows down, does not jump
@@ -385,7 +385,7 @@ def test_a_path_that_is_too_short_to_brake_on_starts_from_rest_or_not_at_all() -
 
 
 def test_an_override_of_0_is_a_pause_on_the_path() -> None:
-    clock = PathClock(REST_TO_REST, limits_with_reserve(REST_TO_REST, 0.4), CYCLE)
+    clock = PathClock(REST_TO_REST, limits_with_margin(REST_TO_REST, 0.4), CYCLE)
     clock.advance(0.5)
     clock.override = 0.0
     clock.advance(clock.stop_time)
@@ -430,7 +430,7 @@ def test_a_path_that_cannot_be_stopped_on_is_refused(limits: list[JointLimits], 
 
 
 def test_a_path_stretched_a_little_can_be_stopped_on() -> None:
-    limits = limits_with_reserve(REST_TO_REST, 0.0)
+    limits = limits_with_margin(REST_TO_REST, 0.0)
     with pytest.raises(PathError, match="Try: the path `stretched`"):
         PathClock(REST_TO_REST, limits, CYCLE)
     assert PathClock(REST_TO_REST.stretched(1.2), limits, CYCLE).stop_time < 3.2
@@ -451,7 +451,7 @@ def test_an_override_outside_0_to_1_changes_nothing(override: float) -> None:
 @given(st.integers(1, 600), st.sampled_from(["", "stop", "half"]))
 @examples(20)
 def test_behind_a_gap_the_path_goes_on_from_rest_where_it_is(cycles: int, before: str) -> None:
-    limits = limits_with_reserve(REST_TO_REST, 0.2)
+    limits = limits_with_margin(REST_TO_REST, 0.2)
     clock = PathClock(REST_TO_REST, limits, CYCLE)
     for _ in range(cycles):
         clock.advance(CYCLE)

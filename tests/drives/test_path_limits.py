@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.drives.trajectory import JointLimits, Path, PathError, Segment, cubic, first_violation, linear
-from canopen_proto.drives.trajectory.limit_check import Violation, reach_of
+from canopen_proto.drives.trajectory.limit_check import LimitViolation, reach_of
 from canopen_proto.drives.trajectory.polynomial import extremes_of, roots_of, value_at
-from tests.drives.paths import CYCLE, differences, limits_with_reserve, through
+from tests.drives.paths import CYCLE, differences, limits_with_margin, through
 from tests.examples import examples
 
 numbers = st.floats(-10, 10)
@@ -49,16 +49,16 @@ def test_roots_are_found_where_they_were_put(roots: list[float]) -> None:
     [
         ({}, None),
         ({"lowest": 0.0, "highest": 1.0, "speed": 0.9375, "acceleration": 2.5 / math.sqrt(3), "jerk": 7.5}, None),
-        ({"speed": 0.93}, Violation(1, 1.0, "speed", 0.9375, 0.93)),
-        ({"highest": 0.9}, Violation(1, 2.0, "position", 1.0, 0.9)),
-        ({"lowest": 0.1}, Violation(1, 0.0, "position", 0.0, 0.1)),
-        ({"acceleration": 1.4}, Violation(1, 1 - 1 / math.sqrt(3), "acceleration", 2.5 / math.sqrt(3), 1.4)),
-        ({"jerk": 7.0}, Violation(1, 0.0, "jerk", 7.5, 7.0)),
-        ({"speed": 0.5, "highest": 0.9}, Violation(1, 1.0, "speed", 0.9375, 0.5)),
+        ({"speed": 0.93}, LimitViolation(1, 1.0, "speed", 0.9375, 0.93)),
+        ({"highest": 0.9}, LimitViolation(1, 2.0, "position", 1.0, 0.9)),
+        ({"lowest": 0.1}, LimitViolation(1, 0.0, "position", 0.0, 0.1)),
+        ({"acceleration": 1.4}, LimitViolation(1, 1 - 1 / math.sqrt(3), "acceleration", 2.5 / math.sqrt(3), 1.4)),
+        ({"jerk": 7.0}, LimitViolation(1, 0.0, "jerk", 7.5, 7.0)),
+        ({"speed": 0.5, "highest": 0.9}, LimitViolation(1, 1.0, "speed", 0.9375, 0.5)),
         ({"speed": math.inf, "jerk": math.inf}, None),
     ],
 )
-def test_the_first_violation_names_joint_time_value_and_limit(limits: dict[str, float], expected: Violation | None) -> None:
+def test_the_first_violation_names_joint_time_value_and_limit(limits: dict[str, float], expected: LimitViolation | None) -> None:
     found = first_violation(PEAK, [JointLimits(speed=1.0), JointLimits(**limits)], CYCLE)
     assert (found is None) is (expected is None)
     if found is not None and expected is not None:
@@ -81,10 +81,10 @@ def test_a_jump_of_the_velocity_is_one_of_a_cycle() -> None:
     assert first_violation(path, [JointLimits(speed=2.0, acceleration=250.0)], CYCLE) is None
     found = first_violation(path, [JointLimits(acceleration=249.0)], CYCLE)
     assert found is not None
-    assert found == Violation(0, 1.0, "acceleration", pytest.approx(250.0), 249.0)  # type: ignore[arg-type]
+    assert found == LimitViolation(0, 1.0, "acceleration", pytest.approx(250.0), 249.0)  # type: ignore[arg-type]
     found = first_violation(path, [JointLimits(jerk=62_000.0)], CYCLE)
     assert found is not None
-    assert found == Violation(0, 1.0, "jerk", pytest.approx(62_500.0), 62_000.0)  # type: ignore[arg-type]
+    assert found == LimitViolation(0, 1.0, "jerk", pytest.approx(62_500.0), 62_000.0)  # type: ignore[arg-type]
     row = [path.at(number * CYCLE).positions[0] for number in range(501)]
     assert max(acceleration for _, acceleration, _ in differences(row)) == pytest.approx(250.0)  # as a drive sees it
     assert max(jerk for _, _, jerk in differences(row)) == pytest.approx(62_500.0)
@@ -116,7 +116,7 @@ def test_what_passes_the_check_is_within_the_limits_for_a_drive(
         if kind == "linear"
         else cubic(times, positions, velocities if kind == "hermite" else None, natural=True)
     )
-    (own,) = limits_with_reserve(path, 0.0, cycle_time)
+    (own,) = limits_with_margin(path, 0.0, cycle_time)
     assert first_violation(path, [own], cycle_time) is None
     assert own.jerk is not None
     tight = first_violation(path, [replace(own, jerk=own.jerk * 0.99)], cycle_time)

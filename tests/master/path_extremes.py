@@ -73,16 +73,16 @@ def extremes(path: Path, joint: int) -> Extremes:
     return Extremes(min(positions), max(positions), speed, acceleration, jerk, max(jumps[0]), max(jumps[1]))
 
 
-def assert_keeps(path: Path, limits: Sequence[JointLimits], reserve: float, exact: float = 1e-6) -> None:
-    """Assert that no joint exceeds its speed, nor what the reserve leaves of acceleration and jerk, nor jumps."""
+def assert_keeps(path: Path, limits: Sequence[JointLimits], margin: float, exact: float = 1e-6) -> None:
+    """Assert that no joint exceeds its speed, nor what the margin leaves of acceleration and jerk, nor jumps."""
     for joint, each in enumerate(limits):
         assert each.speed is not None
         assert each.acceleration is not None
         assert each.jerk is not None
         seen = extremes(path, joint)
         assert seen.speed <= each.speed * (1.0 + exact), joint
-        assert seen.acceleration <= each.acceleration * (1.0 - reserve) * (1.0 + exact), joint
-        assert seen.jerk <= each.jerk * (1.0 - reserve) * (1.0 + exact), joint
+        assert seen.acceleration <= each.acceleration * (1.0 - margin) * (1.0 + exact), joint
+        assert seen.jerk <= each.jerk * (1.0 - margin) * (1.0 + exact), joint
         assert seen.speed_jump <= each.speed * 1e-9, joint
         assert seen.acceleration_jump <= each.acceleration * 1e-9, joint
         tolerance = exact * each.speed

@@ -11,7 +11,7 @@ from itertools import pairwise
 import pytest
 
 from canopen_master.errors import PackageMissing, PlanRefused
-from canopen_master.trajectories.point_to_point import RESERVE, plan
+from canopen_master.trajectories.point_to_point import MARGIN, point_to_point
 from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint
 from tests.master.path_extremes import assert_keeps, extremes
 
@@ -41,14 +41,14 @@ def seven_phases(distance: float, speed: float, acceleration: float, jerk: float
     return 4.0 * (distance / (2.0 * jerk)) ** (1.0 / 3.0)
 
 
-def duration_by_ruckig(start: PathPoint, targets: list[float], limits: list[JointLimits], reserve: float) -> float:
+def duration_by_ruckig(start: PathPoint, targets: list[float], limits: list[JointLimits], margin: float) -> float:
     """What ruckig itself says of the same task, asked in the user's units."""
     request = ruckig.InputParameter(len(limits))
     request.current_position, request.current_velocity, request.current_acceleration = start
     request.target_position = targets
     request.max_velocity = [each.speed for each in limits]
-    request.max_acceleration = [each.acceleration * (1.0 - reserve) for each in limits]  # type: ignore[operator]
-    request.max_jerk = [each.jerk * (1.0 - reserve) for each in limits]  # type: ignore[operator]
+    request.max_acceleration = [each.acceleration * (1.0 - margin) for each in limits]  # type: ignore[operator]
+    request.max_jerk = [each.jerk * (1.0 - margin) for each in limits]  # type: ignore[operator]
     trajectory = ruckig.Trajectory(len(limits))
     ruckig.Ruckig(len(limits)).calculate(request, trajectory)
     duration: float = trajectory.duration
@@ -66,7 +66,7 @@ def assert_ends(path: Path, targets: list[float], limits: list[JointLimits]) -> 
 
 @pytest.mark.parametrize("distance", [0.001, 1.0, 7.9, 30.0, 179.0], ids=lambda each: f"{each:g} degrees")
 def test_one_joint_takes_the_least_time_there_is(distance: float) -> None:
-    path = plan(at_rest(-90.0), [distance - 90.0], [LIMITS], reserve=0.0)
+    path = point_to_point(at_rest(-90.0), [distance - 90.0], [LIMITS], margin=0.0)
     assert path.duration == pytest.approx(seven_phases(distance, 100.0, 400.0, 4000.0), rel=1e-6)
     assert_ends(path, [distance - 90.0], [LIMITS])
     assert_keeps(path, [LIMITS], 0.0)
@@ -88,15 +88,15 @@ def test_any_motion_keeps_its_limits_and_takes_no_longer_than_ruckig_says(seed: 
     distances = [rng.choice((-1, 0, 1)) * each.speed * 10.0 ** rng.uniform(-4, 1.5) for each in limits]  # type: ignore[operator]
     targets = [position + distance for position, distance in zip(start.positions, distances, strict=True)]
 
-    path = plan(start, targets, limits)
+    path = point_to_point(start, targets, limits)
 
-    assert_keeps(path, limits, RESERVE)
+    assert_keeps(path, limits, MARGIN)
     assert_ends(path, targets, limits)
     assert path.start.positions == start.positions
     assert path.start.velocities == pytest.approx(start.velocities)
     assert path.start.accelerations == pytest.approx(start.accelerations)
     if is_usual and (any(distances) or seed % 2):
-        assert path.duration == pytest.approx(duration_by_ruckig(start, targets, limits, RESERVE), rel=0.01)
+        assert path.duration == pytest.approx(duration_by_ruckig(start, targets, limits, MARGIN), rel=0.01)
 
 
 @pytest.mark.parametrize("joints", range(1, 13))
@@ -105,7 +105,7 @@ def test_from_rest_to_rest_the_slowest_joint_takes_its_least_time(joints: int) -
     rng = random.Random(joints)
     limits = [random_limits(rng, 0, 2.5) for _ in range(joints)]
     distances = [rng.choice((-1, 1)) * each.speed * 10.0 ** rng.uniform(-2, 1) for each in limits]  # type: ignore[operator]
-    path = plan(at_rest(*[0.0] * joints), distances, limits, reserve=0.0)
+    path = point_to_point(at_rest(*[0.0] * joints), distances, limits, margin=0.0)
     least = [
         seven_phases(abs(distance), each.speed, each.acceleration, each.jerk)  # type: ignore[arg-type]
         for distance, each in zip(distances, limits, strict=True)
@@ -117,7 +117,7 @@ def test_from_rest_to_rest_the_slowest_joint_takes_its_least_time(joints: int) -
 def test_the_samples_of_a_plan_show_the_same_limits() -> None:
     """Differences of positions know nothing of the polynomials."""
     limits = [LIMITS, JointLimits(speed=50.0, acceleration=100.0, jerk=800.0)]
-    path = plan(at_rest(-80.0, 0.0), [75.0, 20.0], limits, reserve=0.0)
+    path = point_to_point(at_rest(-80.0, 0.0), [75.0, 20.0], limits, margin=0.0)
     step = 1e-3
     samples = [path.at(number * step).positions for number in range(int(path.duration / step) + 2)]
     for joint, each in enumerate(limits):
@@ -132,7 +132,7 @@ def test_the_samples_of_a_plan_show_the_same_limits() -> None:
 @pytest.mark.parametrize(("velocity", "acceleration"), [(250.0, 0.0), (-180.0, -900.0), (99.0, 1000.0), (0.0, -2000.0)])
 def test_a_start_beyond_the_limits_is_brought_back_within_them(velocity: float, acceleration: float) -> None:
     limits = [JointLimits(speed=100.0, acceleration=400.0, jerk=4000.0)] * 2
-    path = plan(PathPoint([0.0, 0.0], [velocity, 0.0], [acceleration, 0.0]), [30.0, 10.0], limits)
+    path = point_to_point(PathPoint([0.0, 0.0], [velocity, 0.0], [acceleration, 0.0]), [30.0, 10.0], limits)
     assert path.start == ([0.0, 0.0], [velocity, 0.0], [acceleration, 0.0])
     assert_ends(path, [30.0, 10.0], limits)
     seen = extremes(path, 0)
@@ -144,17 +144,17 @@ def test_a_start_beyond_the_limits_is_brought_back_within_them(velocity: float, 
 
 
 def test_a_new_target_on_the_way_is_reached_without_a_stop() -> None:
-    first = plan(at_rest(0.0, 0.0), [80.0, 40.0], [LIMITS, LIMITS])
+    first = point_to_point(at_rest(0.0, 0.0), [80.0, 40.0], [LIMITS, LIMITS])
     present = first.at(0.5 * first.duration)
-    path = plan(present, [85.0, 60.0], [LIMITS, LIMITS])
+    path = point_to_point(present, [85.0, 60.0], [LIMITS, LIMITS])
     assert path.start == present
     speeds = [path.at(number * path.duration / 50).velocities[0] for number in range(45)]
     assert min(speeds) > 1.0
-    assert_keeps(path, [LIMITS, LIMITS], RESERVE)
+    assert_keeps(path, [LIMITS, LIMITS], MARGIN)
 
 
 def test_all_joints_arrive_together_and_start_together() -> None:
-    path = plan(at_rest(0.0, 0.0, 10.0), [80.0, 1.0, 10.0], [LIMITS] * 3)
+    path = point_to_point(at_rest(0.0, 0.0, 10.0), [80.0, 1.0, 10.0], [LIMITS] * 3)
     before = path.at(path.duration * 0.95)
     assert before.velocities[0] != 0.0
     assert before.velocities[1] != 0.0
@@ -162,15 +162,15 @@ def test_all_joints_arrive_together_and_start_together() -> None:
 
 
 def test_joints_that_are_there_already_make_a_path_that_rests() -> None:
-    path = plan(at_rest(5.0, 6.0), [5.0, 6.0], [LIMITS] * 2)
+    path = point_to_point(at_rest(5.0, 6.0), [5.0, 6.0], [LIMITS] * 2)
     assert 0.0 < path.duration < 0.01
     assert path.end == at_rest(5.0, 6.0)
 
 
 def test_a_least_duration_and_a_part_of_the_speed() -> None:
-    assert plan(at_rest(0.0), [10.0], [LIMITS], minimum_duration=5.0).duration == pytest.approx(5.0)
-    assert plan(at_rest(0.0), [0.0], [LIMITS], minimum_duration=5.0).duration == pytest.approx(5.0)
-    path = plan(at_rest(0.0), [80.0], [LIMITS], speed_factor=0.1)
+    assert point_to_point(at_rest(0.0), [10.0], [LIMITS], minimum_duration=5.0).duration == pytest.approx(5.0)
+    assert point_to_point(at_rest(0.0), [0.0], [LIMITS], minimum_duration=5.0).duration == pytest.approx(5.0)
+    path = point_to_point(at_rest(0.0), [80.0], [LIMITS], speed_factor=0.1)
     assert extremes(path, 0).speed == pytest.approx(10.0)
     assert path.duration == pytest.approx(seven_phases(80.0, 10.0, 320.0, 3200.0), rel=1e-6)
 
@@ -179,29 +179,29 @@ def test_a_joint_that_would_leave_its_limits_by_waiting_arrives_earlier() -> Non
     """Joint 2 can reach its target directly, but in the time that joint 1 needs only by a detour to 90.02."""
     start = PathPoint([-4.0, -22.0, 75.0, 4.0], [85.0, -36.0, 76.0, 26.0], [-93.0, 86.0, 83.0, 133.0])
     targets = [14.0, -83.0, 87.0, 52.0]
-    assert extremes(plan(start, targets, [replace(LIMITS, highest=100.0)] * 4), 2).highest > 90.0
-    path = plan(start, targets, [LIMITS] * 4)
-    assert_keeps(path, [LIMITS] * 4, RESERVE)
+    assert extremes(point_to_point(start, targets, [replace(LIMITS, highest=100.0)] * 4), 2).highest > 90.0
+    path = point_to_point(start, targets, [LIMITS] * 4)
+    assert_keeps(path, [LIMITS] * 4, MARGIN)
     assert_ends(path, targets, [LIMITS] * 4)
 
 
 @pytest.mark.parametrize(("target", "limit"), [(90.5, 90.0), (-1000.0, -90.0)])
 def test_a_target_beyond_a_limit_is_refused_with_joint_value_and_limit(target: float, limit: float) -> None:
     with pytest.raises(PlanRefused, match=f"joint 1 cannot go to {target:g}\n.*{limit:g}") as refused:
-        plan(at_rest(0.0, 0.0), [0.0, target], [LIMITS] * 2)
+        point_to_point(at_rest(0.0, 0.0), [0.0, target], [LIMITS] * 2)
     assert (refused.value.joint, refused.value.value, refused.value.limit) == (1, target, limit)
 
 
 def test_a_joint_beyond_its_limit_may_stay_or_come_back_but_not_go_further() -> None:
-    assert plan(at_rest(95.0), [95.0], [LIMITS]).end.positions == [95.0]
-    assert plan(at_rest(95.0), [20.0], [LIMITS]).end.positions == pytest.approx([20.0])
+    assert point_to_point(at_rest(95.0), [95.0], [LIMITS]).end.positions == [95.0]
+    assert point_to_point(at_rest(95.0), [20.0], [LIMITS]).end.positions == pytest.approx([20.0])
     with pytest.raises(PlanRefused, match="joint 0 cannot go to 95.1"):
-        plan(at_rest(95.0), [95.1], [LIMITS])
+        point_to_point(at_rest(95.0), [95.1], [LIMITS])
 
 
 def test_a_start_too_fast_to_stop_before_the_limit_is_refused() -> None:
     with pytest.raises(PlanRefused, match="joint 0 moves too fast to stop before its limit") as refused:
-        plan(PathPoint([85.0], [100.0], [0.0]), [80.0], [LIMITS])
+        point_to_point(PathPoint([85.0], [100.0], [0.0]), [80.0], [LIMITS])
     assert refused.value.joint == 0
     assert refused.value.limit == 90.0
     assert refused.value.value is not None
@@ -215,7 +215,7 @@ def test_no_blend_leaves_the_position_limits_unseen(seed: int) -> None:
     start = PathPoint(*[[rng.uniform(-most, most) for _ in limits] for most in (80.0, 100.0, 300.0)])
     targets = [rng.uniform(-90.0, 90.0) for _ in limits]
     try:
-        path = plan(start, targets, limits)
+        path = point_to_point(start, targets, limits)
     except PlanRefused as refused:  # only where the stop that is due at once is too long
         assert refused.joint is not None
         position, velocity = start.positions[refused.joint], start.velocities[refused.joint]
@@ -240,7 +240,7 @@ def test_no_blend_leaves_the_position_limits_unseen(seed: int) -> None:
         (at_rest(0.0, 0.0), [1.0, math.nan], {}, "the target of joint 1 is no finite number"),
         (at_rest(0.0, math.inf), [1.0, 1.0], {}, "the position at the start of joint 1 is no finite number"),
         (PathPoint([0.0] * 2, [0.0] * 2, [math.nan, 0.0]), [1.0, 1.0], {}, "acceleration at the start of joint 0"),
-        (at_rest(0.0, 0.0), [1.0, 1.0], {"reserve": 1.0}, "reserve must be from 0 to below 1"),
+        (at_rest(0.0, 0.0), [1.0, 1.0], {"margin": 1.0}, "margin must be from 0 to below 1"),
         (at_rest(0.0, 0.0), [1.0, 1.0], {"speed_factor": 0.0}, "speed_factor must be above 0 and at most 1"),
         (at_rest(0.0, 0.0), [1.0, 1.0], {"speed_factor": math.nan}, "speed_factor must be above 0 and at most 1"),
         (at_rest(0.0, 0.0), [1.0, 1.0], {"minimum_duration": -1.0}, "minimum_duration must be 0 s or more"),
@@ -249,7 +249,7 @@ def test_no_blend_leaves_the_position_limits_unseen(seed: int) -> None:
 )  # fmt: skip
 def test_what_makes_no_task_is_refused(start: PathPoint, targets: list[float], options: dict[str, float], text: str) -> None:
     with pytest.raises(PlanRefused, match=text):
-        plan(start, targets, [LIMITS] * 2, **options)
+        point_to_point(start, targets, [LIMITS] * 2, **options)
 
 
 @pytest.mark.parametrize(
@@ -262,24 +262,24 @@ def test_what_makes_no_task_is_refused(start: PathPoint, targets: list[float], o
 )
 def test_a_plan_needs_all_three_limits(limits: JointLimits, text: str) -> None:
     with pytest.raises(PlanRefused, match=f"joint 1 has {text}") as refused:
-        plan(at_rest(0.0, 0.0), [1.0, 1.0], [LIMITS, limits])
+        point_to_point(at_rest(0.0, 0.0), [1.0, 1.0], [LIMITS, limits])
     assert refused.value.joint == 1
 
 
 def test_what_ruckig_cannot_do_is_told_with_joint_and_cause() -> None:
     odd = JointLimits(speed=1.0, acceleration=1000.0, jerk=0.01)
     with pytest.raises(PlanRefused, match="(?s)ruckig found no path.*joint 1.*cause:.*try:") as refused:
-        plan(PathPoint([0.0, 0.0], [0.0, 5.0], [0.0, 2500.0]), [1.0, 1e-3], [LIMITS, odd])
+        point_to_point(PathPoint([0.0, 0.0], [0.0, 5.0], [0.0, 2500.0]), [1.0, 1e-3], [LIMITS, odd])
     assert refused.value.joint == 1
 
 
 def test_a_path_of_hours_is_refused_if_several_joints_have_to_wait_for_each_other() -> None:
     with pytest.raises(PlanRefused, match="(?s)longer than.*speed"):
-        plan(at_rest(0.0, 0.0), [8000.0, 1.0], [JointLimits(speed=1.0, acceleration=1.0, jerk=1.0)] * 2)
+        point_to_point(at_rest(0.0, 0.0), [8000.0, 1.0], [JointLimits(speed=1.0, acceleration=1.0, jerk=1.0)] * 2)
 
 
 def test_without_ruckig_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ruckig", None)
     with pytest.raises(PackageMissing, match="planning a motion needs the package ruckig") as missing:
-        plan(at_rest(0.0), [1.0], [LIMITS])
+        point_to_point(at_rest(0.0), [1.0], [LIMITS])
     assert missing.value.tries == ("pip install 'canopen-proto[motion]'",)

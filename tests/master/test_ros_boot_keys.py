@@ -9,7 +9,7 @@ from pathlib import Path
 from canopen_master.machine_file import BootSettings, LossReaction, NetworkSettings, StartOrder
 from canopen_master.machine_file.boot_entries import network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_master.ros_configurations import Outcome
+from canopen_master.ros_configurations import KeyOutcome
 from canopen_proto.machine import MILLISECOND, SECOND
 from tests.master.test_ros_configurations import Import, assert_every_key_is_told, imported, machine_of
 
@@ -62,7 +62,7 @@ def test_the_boot_up_of_dcfgen(imported: Import, tmp_path: Path) -> None:
     assert (network.entry.nodes[2].assignment.value, network.entry.nodes[3].assignment.value) == (0x6D, 0x0064_0391)
     assert network.entry.nodes[2].identity == (0xFFFFFF01, 0x401, 0x10000, 0x4D)
     assert network.entry.startup.value == 0x43
-    assert [each.key for each in made.report if each.outcome is Outcome.LEFT_OUT] == [
+    assert [each.key for each in made.report if each.outcome is KeyOutcome.LEFT_OUT] == [
         "left.error_behavior.1"
     ]  # io.eds has no 0x1029
 

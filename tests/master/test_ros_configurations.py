@@ -24,7 +24,7 @@ from canopen_master.machine_file import (
     read_machine,
 )
 from canopen_master.machine_file.dictionaries import Dictionaries
-from canopen_master.ros_configurations import Choices, Imported, Outcome, import_configuration
+from canopen_master.ros_configurations import Choices, Imported, KeyOutcome, import_configuration
 from canopen_master.ros_configurations.yaml_text import Value, read_yaml
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402.modes import Mode
@@ -120,7 +120,7 @@ def machine_of(tmp_path: Path) -> MachineFile:
     return machine
 
 
-def told(made: Imported, key: str) -> list[tuple[Outcome, str]]:
+def told(made: Imported, key: str) -> list[tuple[KeyOutcome, str]]:
     return [(each.outcome, each.text) for each in made.report if each.key == key]
 
 
@@ -159,8 +159,8 @@ def test_ros_canopen(imported: Import, tmp_path: Path) -> None:
         dictionary = load_description(tmp_path / f"{name}.dcf").dictionary
         assert dictionary.variable("6081").configured == value
     assert load_description(tmp_path / "shoulder.dcf").dictionary.variable("1017").configured == 100
-    assert told(made, "defaults.dcf_overlay.60C2sub1") == [(Outcome.NOT_NEEDED, "a chain sets 0x60C2 by its cycle")]
-    assert [each.key for each in made.report if each.outcome is Outcome.LEFT_OUT] == [
+    assert told(made, "defaults.dcf_overlay.60C2sub1") == [(KeyOutcome.NOT_NEEDED, "a chain sets 0x60C2 by its cycle")]
+    assert [each.key for each in made.report if each.outcome is KeyOutcome.LEFT_OUT] == [
         "nodes.node2.publish",
         "joint_limits.shoulder",
         "joint_limits.elbow",
@@ -256,8 +256,8 @@ def test_channels_are_axes_and_contradictions_give_no_scale(imported: Import, tm
     assert (machine.joints["left"].settings.counts_per_unit, machine.joints["left"].settings.offset) == (100, 10)
     assert machine.joints["right"].settings.counts_per_unit is None
     outcome, text = told(made, "nodes.device.channels[1].offset_pos_from_dev")[0]
-    assert (outcome, text) == (Outcome.LEFT_OUT, "the offsets 10 and 5 do not belong together")
-    assert told(made, "nodes.device.dcf")[0][0] is Outcome.LEFT_OUT
+    assert (outcome, text) == (KeyOutcome.LEFT_OUT, "the offsets 10 and 5 do not belong together")
+    assert told(made, "nodes.device.dcf")[0][0] is KeyOutcome.LEFT_OUT
 
 
 def test_a_slide(imported: Import) -> None:
@@ -304,7 +304,7 @@ def test_a_slide(imported: Import) -> None:
 )  # fmt: skip
 def test_what_is_left_out_has_its_reason(imported: Import, text: str, key: str, said: str) -> None:
     outcome, reason = told(made := imported(text), key)[0]
-    assert outcome is Outcome.LEFT_OUT
+    assert outcome is KeyOutcome.LEFT_OUT
     assert said in reason
     assert not made.is_complete
 
@@ -350,7 +350,7 @@ def test_what_cannot_be_used_is_named_and_ends_nothing(imported: Import, text: s
     with_other = text.replace("nodes: [", "nodes: [{name: other, id: 99}, ").replace("nodes: {", f"nodes: {{other: {other}, ")
     key = key.replace("nodes[0]", "nodes[1]")
     made = imported(with_other)
-    assert [reason for outcome, reason in told(made, key) if outcome is Outcome.LEFT_OUT and said in reason], made.report
+    assert [reason for outcome, reason in told(made, key) if outcome is KeyOutcome.LEFT_OUT and said in reason], made.report
     assert parse_machine(made.text).nodes["other"].node_id == 99
 
 
@@ -382,9 +382,9 @@ def test_a_pdo_is_taken_whole_or_not_at_all(imported: Import, tmp_path: Path) ->
 
 def test_a_brake_test_is_told_as_what_it_is(imported: Import) -> None:
     made = imported("nodes: {a: {id: 3, braketest_required: true}, b: {id: 4, braketest_required: false}}")
-    assert told(made, "nodes.a.braketest_required")[0][0] is Outcome.LEFT_OUT
+    assert told(made, "nodes.a.braketest_required")[0][0] is KeyOutcome.LEFT_OUT
     assert "Nothing here does; the test is still due" in told(made, "nodes.a.braketest_required")[0][1]
-    assert told(made, "nodes.b.braketest_required")[0][0] is Outcome.NOT_NEEDED
+    assert told(made, "nodes.b.braketest_required")[0][0] is KeyOutcome.NOT_NEEDED
 
 
 def test_a_name_is_made_one(imported: Import) -> None:
@@ -429,7 +429,7 @@ def test_the_page_has_the_figures(tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "ros-migration.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| .* \| (\d+) \| (\d+) \| (\d+) \| .* \|$", page, re.MULTILINE)
     made = [import_configuration([FOLDER / name for name in names], tmp_path) for names in SETS]
-    counts = [[sum(each.outcome is outcome for each in one.report) for outcome in Outcome] for one in made]
+    counts = [[sum(each.outcome is outcome for each in one.report) for outcome in KeyOutcome] for one in made]
     assert [list(map(int, row)) for row in rows] == counts
 
 
@@ -442,11 +442,11 @@ def test_with_the_devices_files_nearly_all_is_taken_over(tmp_path: Path) -> None
     for name in (*SETS[0], *SETS[3]):
         shutil.copy(FOLDER / name, tmp_path / name)
     arm = import_configuration([tmp_path / name for name in SETS[0]], tmp_path)
-    left_out = [each.key for each in arm.report if each.outcome is Outcome.LEFT_OUT]
+    left_out = [each.key for each in arm.report if each.outcome is KeyOutcome.LEFT_OUT]
     assert [key for key in left_out if not key.startswith("joint_limits.")] == ["defaults.vel_to_device"]
     assert sorted(arm.files) == [f"arm_{number}_joint.dcf" for number in range(1, 7)]
     system = import_configuration([tmp_path / name for name in SETS[3]], tmp_path)
-    left_out = [each.key for each in system.report if each.outcome is Outcome.LEFT_OUT]
+    left_out = [each.key for each in system.report if each.outcome is KeyOutcome.LEFT_OUT]
     assert all(key.startswith("joint_limits.") for key in left_out), left_out
 
 

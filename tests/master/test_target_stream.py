@@ -11,7 +11,7 @@ from itertools import pairwise
 import pytest
 
 from canopen_master.errors import PackageMissing, PlanRefused
-from canopen_master.trajectories.point_to_point import plan
+from canopen_master.trajectories.point_to_point import point_to_point
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.drives.trajectory import JointLimits, PathPoint
 
@@ -103,7 +103,7 @@ def test_a_target_is_reached_in_the_least_time_and_the_joint_rests_there() -> No
     stream = TargetStream(at_rest(0.0, 10.0), [LIMITS] * 2, CYCLE)
     stream.aim_at([60.0, 10.5])
     points = run_to_rest(stream)
-    least = plan(at_rest(0.0), [60.0], [LIMITS], reserve=0.0).duration
+    least = point_to_point(at_rest(0.0), [60.0], [LIMITS], margin=0.0).duration
     assert (len(points) - 2) * CYCLE <= least <= (len(points) - 1) * CYCLE
     assert stream.point.positions == pytest.approx([60.0, 10.5], abs=1e-9)
     assert stream.step().positions == pytest.approx([60.0, 10.5], abs=1e-9)

@@ -12,7 +12,7 @@ from itertools import pairwise
 import pytest
 
 from canopen_master.errors import PlanRefused
-from canopen_master.trajectories.point_to_point import RESERVE
+from canopen_master.trajectories.point_to_point import MARGIN
 from canopen_master.trajectories.through_points import through_points
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, first_violation
 from tests.master.path_extremes import assert_keeps, extremes
@@ -36,7 +36,7 @@ def with_stops(points: Sequence[Sequence[float]], limits: JointLimits) -> float:
     assert limits.speed is not None
     assert limits.acceleration is not None
     assert limits.jerk is not None
-    acceleration, jerk = limits.acceleration * (1.0 - RESERVE), limits.jerk * (1.0 - RESERVE)
+    acceleration, jerk = limits.acceleration * (1.0 - MARGIN), limits.jerk * (1.0 - MARGIN)
     ramp = limits.speed / acceleration + acceleration / jerk
     distances = [max(abs(q - p) for p, q in zip(before, after, strict=True)) for before, after in pairwise(points)]
     assert min(distances) >= limits.speed * ramp
@@ -54,13 +54,13 @@ def test_any_points_are_passed_within_the_limits(seed: int) -> None:
     points = [[rng.uniform(-1.0, 1.0) * each.speed for each in limits] for _ in range(rng.choice((2, 3, 6)))]  # type: ignore[operator]
     path = through_points(points, limits)
     assert_passes(path, points)
-    assert_keeps(path, limits, RESERVE)
+    assert_keeps(path, limits, MARGIN)
 
 
 def test_a_circle_is_faster_than_with_stops_and_can_be_stopped_on() -> None:
     path = through_points(CIRCLE, [LIMITS] * 2)
     assert_passes(path, CIRCLE)
-    assert_keeps(path, [LIMITS] * 2, RESERVE)
+    assert_keeps(path, [LIMITS] * 2, MARGIN)
     assert path.duration < 5.0
     speeds = [math.hypot(*path.at(part / 20.0 * path.duration).velocities) for part in range(2, 19)]
     assert min(speeds) > 50.0  # no stop, nor nearly

@@ -11,8 +11,8 @@ import pytest
 import trio
 
 from canopen_master import ChainSettings, open_master, standard_drives
+from canopen_master.bus_timing import Background, bus_timing
 from canopen_master.exchanges import exchange_of_plans
-from canopen_master.planning import Background, plan
 from canopen_proto.drives.trajectory import from_function
 from canopen_proto.frame_bits import least_bits, worst_bits
 from canopen_proto.machine import SECOND
@@ -94,7 +94,7 @@ def test_twelve_joints_follow_a_path_within_the_bound_and_the_bus_has_the_planne
 
             plans = [joint.plan for joint in arm.devices if joint.plan is not None]
             exchanges = [exchange_of_plans(f"node {each.node_id}", [each]).exchange for each in plans]
-            planned = plan("can0", exchanges, round(CYCLE * SECOND), BITRATE, BACKGROUND)
+            planned = bus_timing("can0", exchanges, round(CYCLE * SECOND), BITRATE, BACKGROUND)
             heartbeats = worst_bits(1) / (0.1 * BITRATE)
             without_stuff_bits = (least_bits(0) + JOINTS * (least_bits(6) + least_bits(7))) / (CYCLE * BITRATE)
             assert planned.fits

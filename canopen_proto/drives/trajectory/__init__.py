@@ -5,7 +5,7 @@
     fitting.py         the smoothest positions that samples with few decimals can have meant
     limit_check.py     `JointLimits`, and `first_violation`: the first place at which a path exceeds one
     path_clock.py      `PathClock`: runs a path, slows it down, stops on it, goes on
-    reserve.py         what a path leaves free of its limits, for braking
+    margin.py         what a path leaves free of its limits, for braking
     speed_change.py    `SpeedChange`: a speed changes with limited acceleration and jerk
     steps.py           long checks in steps, for callers that must not stand still
     polynomial.py      value, derivatives and extremes of a polynomial; constant jerk
@@ -18,7 +18,7 @@ from canopen_proto.drives.trajectory.interpolation import from_function as from_
 from canopen_proto.drives.trajectory.interpolation import linear as linear
 from canopen_proto.drives.trajectory.interpolation import quintic as quintic
 from canopen_proto.drives.trajectory.limit_check import JointLimits as JointLimits
-from canopen_proto.drives.trajectory.limit_check import Violation as Violation
+from canopen_proto.drives.trajectory.limit_check import LimitViolation as LimitViolation
 from canopen_proto.drives.trajectory.limit_check import first_violation as first_violation
 from canopen_proto.drives.trajectory.path import Path as Path
 from canopen_proto.drives.trajectory.path import PathError as PathError

@@ -66,7 +66,7 @@ class JointLimits:
         )
 
 
-class Violation(NamedTuple):
+class LimitViolation(NamedTuple):
     """A path exceeds a limit. joint: counted from 0. time: of the path, in s. kind: "position", "speed", "acceleration", "jerk".
 
     value: as the path has it, with its sign; limit: the magnitude that it exceeds, of a position the limit itself.
@@ -103,7 +103,7 @@ def check_cycle(cycle_time: float) -> None:
         raise PathError(f"A cycle takes {cycle_time!r} s. Try: the period of the SYNC in seconds, such as 0.004.")
 
 
-def first_violation(path: Path, limits: Sequence[JointLimits], cycle_time: float) -> Violation | None:
+def first_violation(path: Path, limits: Sequence[JointLimits], cycle_time: float) -> LimitViolation | None:
     """Return the earliest place at which the path exceeds a limit, None if it is within all of them.
 
     cycle_time: in s; see this module's text. Of each segment that exceeds a limit the place where it does so most is compared.
@@ -114,11 +114,11 @@ def first_violation(path: Path, limits: Sequence[JointLimits], cycle_time: float
 
 def first_violation_in_steps(
     path: Path, limits: Sequence[JointLimits], cycle_time: float
-) -> Generator[None, None, Violation | None]:
+) -> Generator[None, None, LimitViolation | None]:
     """Find what `first_violation` returns, in steps; see steps.py."""
     check_same_count(path, limits)
     check_cycle(cycle_time)
-    first: Violation | None = None
+    first: LimitViolation | None = None
     for joint, own in enumerate(limits):
         for number in range(0, len(path.pieces[joint]), PART):
             for found in _violations(path, joint, own, cycle_time, number):
@@ -197,20 +197,20 @@ def jumps(velocity: float, acceleration: float, next_velocity: float, next_accel
     return abs(next_acceleration - acceleration) > _SAME_ACCELERATION * max(1.0, abs(next_acceleration))
 
 
-def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float, first: int) -> Iterator[Violation]:
+def _violations(path: Path, joint: int, limits: JointLimits, cycle_time: float, first: int) -> Iterator[LimitViolation]:
     """Yield the violations of PART segments, from this one on."""
     lowest, highest = limits.range
     least, most = lowest - POSITION_TOLERANCE * max(1.0, abs(lowest)), highest + POSITION_TOLERANCE * max(1.0, abs(highest))
     for time, position in positions_beyond(path.pieces[joint][first : first + PART], least, most):
-        yield Violation(joint, time, "position", position, lowest if position < least else highest)
+        yield LimitViolation(joint, time, "position", position, lowest if position < least else highest)
     own = limits.most
     for demand in demands_of(path, joint, cycle_time, first, PART):
         for order, peaks in enumerate((demand.speed, demand.acceleration, demand.jerk)):
             low, low_time, high, high_time = peaks
             if -low > own[order] * EXACT:
-                yield Violation(joint, low_time, _KINDS[order], low, own[order])
+                yield LimitViolation(joint, low_time, _KINDS[order], low, own[order])
             if high > own[order] * EXACT:
-                yield Violation(joint, high_time, _KINDS[order], high, own[order])
+                yield LimitViolation(joint, high_time, _KINDS[order], high, own[order])
 
 
 def _between(one: float, one_time: float, other: float, other_time: float) -> Extremes:

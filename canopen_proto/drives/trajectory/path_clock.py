@@ -1,7 +1,7 @@
 """`PathClock`: how fast the time of a path runs. All joints share it, so they stay on the path whatever it does.
 
 The path's time s runs at the rate r = ds/dt, from 0 (a pause) to 1 (as planned), and never back. The rate changes with limits of
-its own, which come from what the path leaves free of the limits of its joints: see reserve.py. A plan that keeps a reserve can
+its own, which come from what the path leaves free of the limits of its joints: see margin.py. A plan that keeps a margin can
 stop soon. A path that uses up its limits cannot, and is refused if a stop might take longer than a named time.
 
 **Start and end.** A path that starts at rest (velocity and acceleration 0) starts at the rate of the override. Any other one
@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from typing import Final, final
 
 from canopen_proto.drives.trajectory.limit_check import JointLimits
+from canopen_proto.drives.trajectory.margin import Margin, margin_in_steps, rest_time
 from canopen_proto.drives.trajectory.path import TIME_TOLERANCE, Path, PathError, PathPoint
 from canopen_proto.drives.trajectory.polynomial import turning_point
-from canopen_proto.drives.trajectory.reserve import Reserve, reserve_in_steps, rest_time
 from canopen_proto.drives.trajectory.speed_change import SpeedChange
 from canopen_proto.drives.trajectory.steps import finished
 
@@ -35,14 +35,23 @@ class PathClock:
     """Runs a path once, from its start to its end.
 
     limits: one for each joint. cycle_time: in s; jumps at knots count as spread over it. override: 0 to 1, see `override`.
-    moving: the joints already have the velocities and accelerations of the path's start. longest_stop: in s. reserve: what
-    `reserve_in_steps` has found for the same path, limits and times; without it that is done here, at once.
+    moving: the joints already have the velocities and accelerations of the path's start. longest_stop: in s. margin: what
+    `margin_in_steps` has found for the same path, limits and times; without it that is done here, at once.
 
     Raises PathError if a stop along the path may take longer than that, with the joint and the place that are to blame.
     """
 
     __slots__ = (
-        "_change", "_elapsed", "_is_ending", "_is_stopping", "_origin", "_override", "_reserve", "_resumes", "_time", "path",
+        "_change",
+        "_elapsed",
+        "_is_ending",
+        "_is_stopping",
+        "_margin",
+        "_origin",
+        "_override",
+        "_resumes",
+        "_time",
+        "path",
         "stop_time",
     )  # fmt: skip
 
@@ -55,18 +64,18 @@ class PathClock:
         override: float = 1.0,
         moving: bool = False,
         longest_stop: float = LONGEST_STOP,
-        reserve: Reserve | None = None,
+        margin: Margin | None = None,
     ) -> None:
         check_override(override)
         self.path: Final = path
-        if reserve is None:
-            reserve = finished(reserve_in_steps(path, limits, cycle_time, longest_stop))
-        self._reserve: Final = reserve
-        self.stop_time: Final = reserve.stop_time
+        if margin is None:
+            margin = finished(margin_in_steps(path, limits, cycle_time, longest_stop))
+        self._margin: Final = margin
+        self.stop_time: Final = margin.stop_time
         """Seconds that a stop takes at most, whenever it begins. Most are shorter: `stop` says how long."""
-        rate = override if reserve.rests_at_start else 1.0 if moving else 0.0
-        if not reserve.rests_at_end and reserve.braking(rate, 0.0).distance > path.duration:
-            if moving and not reserve.rests_at_start:
+        rate = override if margin.rests_at_start else 1.0 if moving else 0.0
+        if not margin.rests_at_end and margin.braking(rate, 0.0).distance > path.duration:
+            if moving and not margin.rests_at_start:
                 raise PathError(
                     f"The path takes {path.duration:g} s and ends in motion: the joints cannot brake along it before its end. "
                     "Try: a path that ends at rest."
@@ -79,7 +88,7 @@ class PathClock:
         self._time = 0.0
         self._origin = 0.0  # of the path's time, where the change under way began
         self._elapsed = 0.0  # since then
-        self._change = SpeedChange(rate, 0.0, override, reserve.max_change, reserve.max_onset)
+        self._change = SpeedChange(rate, 0.0, override, margin.max_change, margin.max_onset)
 
     @property
     def time(self) -> float:
@@ -130,7 +139,7 @@ class PathClock:
         self._resumes = False
         if not self._is_stopping and not self.is_at_rest:
             distance, rate, change = self._change.at(self._elapsed)
-            self._begin(self._reserve.stop_at(self._time, rate, change), distance)
+            self._begin(self._margin.stop_at(self._time, rate, change), distance)
         self._is_stopping = True
         return 0.0 if self.is_at_rest else rest_time(self._change, self.path.duration - self._origin) - self._elapsed
 
@@ -147,7 +156,7 @@ class PathClock:
         if from_rest and not self.is_finished:
             self._origin = self._time
             wanted = 0.0 if self._is_stopping else self._override
-            self._begin(SpeedChange(0.0, 0.0, wanted, self._reserve.max_change, self._reserve.max_onset), 0.0)
+            self._begin(SpeedChange(0.0, 0.0, wanted, self._margin.max_change, self._margin.max_onset), 0.0)
 
     def advance(self, cycle_time: float) -> PathPoint:
         """Let one cycle pass, and return where the joints have to be at its end, in real time.
@@ -160,7 +169,7 @@ class PathClock:
             self._resumes = self._is_stopping = False
             self._aim_at(self._override)
         duration = self.path.duration
-        ends_itself = self._reserve.rests_at_end or self._is_ending or self._is_stopping
+        ends_itself = self._margin.rests_at_end or self._is_ending or self._is_stopping
         if not ends_itself and duration - self._time <= self.stop_time + cycle_time:
             cycle_time -= self._brake_for_end(cycle_time)
         self._elapsed += cycle_time
@@ -183,7 +192,7 @@ class PathClock:
         if self.is_finished or (rate == self._change.wanted and not self._is_ending):
             return
         distance, now, change = self._change.at(self._elapsed)
-        self._begin(SpeedChange(now, change, rate, self._reserve.max_change, self._reserve.max_onset), distance)
+        self._begin(SpeedChange(now, change, rate, self._margin.max_change, self._margin.max_onset), distance)
 
     def _begin(self, change: SpeedChange, distance: float) -> None:
         """Begin this change of the rate, `distance` after the one before began."""
@@ -195,7 +204,7 @@ class PathClock:
     def _spare(self, after: float) -> float:
         """Return the path's time that is left if the clock begins to brake `after` s from now."""
         distance, rate, change = self._change.at(self._elapsed + after)
-        return self.path.duration - self._origin - distance - self._reserve.braking(rate, change).distance
+        return self.path.duration - self._origin - distance - self._margin.braking(rate, change).distance
 
     def _brake_for_end(self, cycle_time: float) -> float:
         """Begin to brake if the end would be missed otherwise. Return the part of the cycle that passed before."""

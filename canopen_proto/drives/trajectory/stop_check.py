@@ -1,6 +1,6 @@
 """Whether a stop along a path keeps the limits of the joints, piece by piece.
 
-While the clock brakes, its rate r falls, and with it the acceleration of the path by r², the jerk by r³; see reserve.py. So a
+While the clock brakes, its rate r falls, and with it the acceleration of the path by r², the jerk by r³; see margin.py. So a
 stop may be much stronger than the largest values on its way allow, each with the worst sign. Here a stop is cut in time. In each
 piece the rate and its changes lie in small intervals, and so do the derivatives of each joint's position: by their values at both
 ends, and by how far a function can leave the line between them (the largest second derivative times width² / 8). The jerk follows

@@ -95,9 +95,9 @@ def _check_slides(made: Imported, linear: tuple[str, ...]) -> None:
 
 
 def _show(settings: Settings, screen: Screen, made: Imported, output: str | None) -> None:
-    from canopen_master.ros_configurations import Outcome
+    from canopen_master.ros_configurations import KeyOutcome
 
-    left_out = [each for each in made.report if each.outcome is Outcome.LEFT_OUT]
+    left_out = [each for each in made.report if each.outcome is KeyOutcome.LEFT_OUT]
     if settings.json:
         report = [
             {"key": each.key, "file": each.source, "line": each.line, "outcome": each.outcome.value, "text": each.text}
@@ -111,11 +111,11 @@ def _show(settings: Settings, screen: Screen, made: Imported, output: str | None
         for each in left_out:
             screen.say(f"left out: {escape(_place(each))}{escape(each.key)}: {escape(each.text)}")
         return
-    for outcome in Outcome:
+    for outcome in KeyOutcome:
         rows = [(escape(each.key), str(each.line or ""), escape(each.text)) for each in made.report if each.outcome is outcome]
         if rows:
             screen.data(f"[bold]{outcome}[/]")
-            screen.table(("key", "line", "as" if outcome is Outcome.TAKEN else "because"), rows, right=("line",))
+            screen.table(("key", "line", "as" if outcome is KeyOutcome.TAKEN else "because"), rows, right=("line",))
     beside = f", with {', '.join(map(escape, made.files))}" if made.files else ""
     screen.say(f"{escape(output)}: a machine file of {made.kind}'s{beside}; {counted(len(left_out), 'key')} left out")
     screen.say(f"next: canopen machine check {escape(output)}, canopen move {escape(output)} -b demo --to ...    (simulated)")

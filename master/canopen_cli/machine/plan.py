@@ -13,6 +13,7 @@ from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
+from canopen_master.bus_timing import Background, BusTiming, Exchange, StreamTiming, bus_timing, milliseconds
 from canopen_master.exchanges import (
     Counted,
     exchange_of_file,
@@ -26,8 +27,6 @@ from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.links import linked_buses, plan_bus
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import read_chains
-from canopen_master.planning import Background, Exchange, NetworkPlan, StreamPlan, milliseconds
-from canopen_master.planning import plan as plan_network
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.motion_plan import NoMotionPlan, plan_motion
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
@@ -118,7 +117,7 @@ def plan(
         if known is None:
             tries = ("--bitrate 500k", *([] if machine is None else [f'bitrate = "500k" in [buses.{bus}]']))
             raise usage("CO001", f"which bit rate has {bus}?", tries=tries)
-        plans.append(plan_network(bus, exchanges, cycle, known, background))
+        plans.append(bus_timing(bus, exchanges, cycle, known, background))
     if settings.json:
         screen.json([_as_json(each) for each in plans])
     else:
@@ -234,7 +233,7 @@ def _told(found: Counted, screen: Screen) -> Exchange:
     return found.exchange
 
 
-def _show(screen: Screen, network: NetworkPlan) -> None:
+def _show(screen: Screen, network: BusTiming) -> None:
     joints = len({each.stream.node_id for each in network.streams} - {0})
     screen.data(
         f"[bold]{escape(network.bus)}[/]: {counted(joints, 'joint')}, {bitrate_text(network.bitrate)}bit/s,"
@@ -269,7 +268,7 @@ def _show(screen: Screen, network: NetworkPlan) -> None:
     screen.fact("shortest cycle", milliseconds(shortest) if shortest is not None else "none fits: fewer joints, or a faster bus")
 
 
-def _rows(streams: Sequence[StreamPlan]) -> list[list[StreamPlan]]:
+def _rows(streams: Sequence[StreamTiming]) -> list[list[StreamTiming]]:
     """Return the streams of each line. If there are several, the first is the worst."""
     rows = [[each] for each in sorted(streams, key=lambda each: each.stream.can_id) if each.stream.kind not in GROUPED]
     for kind in GROUPED:
@@ -279,7 +278,7 @@ def _rows(streams: Sequence[StreamPlan]) -> list[list[StreamPlan]]:
     return rows
 
 
-def _as_json(network: NetworkPlan) -> dict[str, Any]:
+def _as_json(network: BusTiming) -> dict[str, Any]:
     return {
         "bus": network.bus,
         "bitrate": network.bitrate,

@@ -15,7 +15,7 @@ from canopen_cli.motion.move_plan import Legs, check_before_power, legs_of, smoo
 from canopen_cli.motion.move_rehearsal import rehearse_move
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.motion.view import DemoView, JointView, Step
-from canopen_cli.plot.courses import courses_of_record
+from canopen_cli.plot.curves import curves_of_record
 from canopen_cli.plot.cycles import check_plot
 from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.failures import problem_of
@@ -250,5 +250,5 @@ def _draw(screen: Screen, picture: FilePath, file: FilePath, recorder: Recorder 
         recorder.wait()
     record = read_record(file)
     if len(record):
-        write_motion_plot(picture, courses_of_record(record))
+        write_motion_plot(picture, curves_of_record(record))
         screen.say(f"Drawn: [bold]{escape(str(picture))}[/]")

@@ -134,11 +134,11 @@ async def legs_of(arm: Group, targets: dict[str, float] | None, path: PathFile |
 
 def planned(arm: Group, here: Sequence[float], there: Sequence[float]) -> Path:
     """Return the fastest way from rest to rest."""
-    from canopen_master.trajectories.point_to_point import plan
+    from canopen_master.trajectories.point_to_point import point_to_point
 
     rest = [0.0] * len(here)
     try:
-        return plan(PathPoint(list(here), rest, rest), there, arm.moving.path_limits)
+        return point_to_point(PathPoint(list(here), rest, rest), there, arm.moving.path_limits)
     except PlanRefused as error:
         error.name_joint([device.name for device in arm.devices])
         raise

@@ -25,7 +25,7 @@ from canopen_master.machine_file import MachineFile
 from canopen_master.simulation.fleet import SERIAL, drive_maker, with_serial
 from canopen_master.simulation.hooks import Script
 from canopen_master.simulation.host import DeviceMaker, DeviceModel
-from canopen_master.simulation.plant import DeviceEntry, Plant, parse_plant
+from canopen_master.simulation.plant import DeviceEntry, PlantFile, parse_plant
 from canopen_proto import indices
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
@@ -55,7 +55,7 @@ class SimulatedIds(NodeIds):
         return (super().convert(others, param, ctx) if others else ()) + (UNCONFIGURED,) * len(without)
 
 
-def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> Plant:
+def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> PlantFile:
     """Return the devices that the arguments name: "5=drive.eds", "drive.eds" with --id, "plant.toml".
 
     common: the options for all of them. Raises Problem, DictionaryError.
@@ -80,7 +80,7 @@ def wanted(files: Sequence[str], node_ids: tuple[int, ...] | None, common: Devic
         if len(entries) > 1 or entries[0].node_ids:
             raise usage("CO127", "--id is for one file", tries=("canopen sim 5=a.eds 6=b.eds     node-IDs of several",))
         entries = [replace(entries[0], node_ids=node_ids)]
-    return Plant(tuple(entries))
+    return PlantFile(tuple(entries))
 
 
 def machine_of(files: Sequence[str], settings: Settings) -> MachineFile | None:

@@ -77,7 +77,7 @@ def network_of(
         names[node.node_id] = node.name
         if node.boot.program:
             programs[node.node_id] = _program_of(machine, node.name, node.boot)
-        made = _Entry(machine, node, node.boot, dictionaries.description_of(node), notes)
+        made = _EntryOfNode(machine, node, node.boot, dictionaries.description_of(node), notes)
         nodes[node.node_id] = made.entry((links or {}).get(node.name, ()))
     told = machine.network
     startup = Startup(
@@ -104,7 +104,7 @@ def stamp_of(writes: Sequence[Write]) -> tuple[int, int]:
     return 1 + days % _DAYS, 1 + milliseconds % (_MILLISECONDS_A_DAY - 1)
 
 
-class _Entry:
+class _EntryOfNode:
     """Makes the entry of one node. description: of its own file, or None."""
 
     def __init__(

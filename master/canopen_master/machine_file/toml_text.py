@@ -81,12 +81,12 @@ def machine_of_tables(content: dict[str, Any], source: str, folder: Path | None 
 
 
 def _machine_of(content: dict[str, Any], reading: TomlReading, folder: Path | None) -> MachineFile:
-    machine = _Reader(reading, content, folder).machine()
+    machine = _MachineReader(reading, content, folder).machine()
     reading.raise_errors()
     return replace(machine, source=reading.source, folder=folder)
 
 
-class _Reader:
+class _MachineReader:
     """Reads the tables of one file."""
 
     def __init__(self, reading: TomlReading, content: dict[str, Any], folder: Path | None) -> None:

@@ -17,6 +17,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from typing import Final, TypeAlias
 
+from canopen_master.bus_timing import Exchange, milliseconds, shortest_cycle
 from canopen_master.errors import CHAIN_NOT_READY, ChainError
 from canopen_master.exchanges import BESIDE, Room, exchange_of_named, exchange_of_plans, room_for
 from canopen_master.motion.chain_settings import ChainSettings
@@ -24,7 +25,6 @@ from canopen_master.motion.chain_view import ChainView
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import named_pdos, plan_joint
 from canopen_master.participant.bus import Bus
-from canopen_master.planning import Exchange, milliseconds, shortest_cycle
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.locator import bitrate_text
 

@@ -28,11 +28,11 @@ from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionRe
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_check import check_now, check_path, check_start, in_steps
-from canopen_master.motion.path_motion import LONGEST_STOP, Course, Follower, Motion, Torques
-from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamCourse, Targets
+from canopen_master.motion.path_motion import LONGEST_STOP, FollowingChain, Motion, Torques, TrajectoryGenerator
+from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
+from canopen_proto.drives.trajectory.margin import Margin, margin_in_steps
 from canopen_proto.drives.trajectory.path_clock import check_override
-from canopen_proto.drives.trajectory.reserve import Reserve, reserve_in_steps
 from canopen_proto.machine import LocalProtocolError
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ PathMaker = Callable[[PathPoint], Path]
 ROUNDING: Final = 1e-9  # in cycles: 0.2 s are 20 cycles of 0.01 s, though 0.2 / 0.01 may be a little more
 
 
-class Member(Follower, Protocol):
+class Member(FollowingChain, Protocol):
     """A chain, as one of those that move together."""
 
     name: str
@@ -141,11 +141,11 @@ class Moving:
         self._require_free("follow a path")
         limits = self.path_limits
         await check_path(self._devices, path, self._present(), limits, self._period)
-        reserve = await self._reserve(path, limits)
+        margin = await self._margin(path, limits)
         self._require_free("follow a path")  # other tasks ran meanwhile
         start = self._present()
         check_start(self._devices, path, start, limits, self._period)
-        await self._run(self._clock(path, limits, reserve, is_moving=False), start, torques)
+        await self._run(self._clock(path, limits, margin, is_moving=False), start, torques)
 
     async def move(self, targets: Sequence[float], *, speed: float = 1.0, torques: Torques | None = None) -> None:
         """Move all joints to their targets, as fast as their limits allow, and to arrive together; return when they are there.
@@ -154,11 +154,11 @@ class Moving:
         the other call then raises MotionReplaced. speed: the share of each speed limit that is used, above 0, at most 1. Needs
         the extra `motion` (ruckig). torques, and the errors: as for `follow`; and PlanRefused, for a target beyond a limit.
         """
-        from canopen_master.trajectories.point_to_point import plan
+        from canopen_master.trajectories.point_to_point import point_to_point
 
         def planned(start: PathPoint) -> Path:
             with self._names_joints():
-                return plan(start, targets, self.path_limits, speed_factor=speed)
+                return point_to_point(start, targets, self.path_limits, speed_factor=speed)
 
         await self._take_over("move", planned, torques, is_checked=True)
 
@@ -194,17 +194,17 @@ class Moving:
     async def _streaming(
         self, what: str, speed: float, renew_within: float | None
     ) -> AsyncIterator[tuple[TargetStream, Callable[[], None]]]:
-        from canopen_master.trajectories.point_to_point import RESERVE
+        from canopen_master.trajectories.point_to_point import MARGIN
         from canopen_master.trajectories.target_stream import TargetStream
 
         await self._begin_following(what)
         self._require_movable(what)
         renew_cycles = None if renew_within is None else max(1, math.ceil(renew_within / self._period - ROUNDING))
         start = self._present()
-        limits = [_less(each, RESERVE) for each in self.path_limits]
+        limits = [_less(each, MARGIN) for each in self.path_limits]
         with self._names_joints():
             stream = TargetStream(start, limits, self._period, speed_factor=speed, renew_cycles=renew_cycles)
-        motion = self._begin(StreamCourse(stream), start, None)
+        motion = self._begin(StreamGenerator(stream), start, None)
         try:
             with self._names_joints():
                 yield stream, lambda: self._check_goes_on(motion, what)
@@ -291,8 +291,8 @@ class Moving:
 
     def _set_rate(self, rate: float) -> None:
         motion = self.present_motion
-        if motion is not None and isinstance(motion.course, PathClock):
-            motion.course.override = rate
+        if motion is not None and isinstance(motion.generator, PathClock):
+            motion.generator.override = rate
 
     async def _begin_following(self, what: str) -> None:
         """Let those chains follow set-points that follow none yet."""
@@ -328,7 +328,7 @@ class Moving:
         await self._begin_following(what)
         while True:
             self._require_movable(what)
-            limits, reserve = self.path_limits, None
+            limits, margin = self.path_limits, None
             start, present = self._present(), self.present_motion
             path = make(start)
             is_moving = any(start.velocities) or any(start.accelerations)
@@ -338,10 +338,10 @@ class Moving:
                 await check_path(self._devices, path, start, limits, self._period)
             try:
                 if not is_moving:
-                    reserve = await self._reserve(path, limits)
+                    margin = await self._margin(path, limits)
                     if self._present() != start:
                         continue  # other tasks ran meanwhile
-                clock = self._clock(path, limits, reserve, is_moving=is_moving)
+                clock = self._clock(path, limits, margin, is_moving=is_moving)
                 self._require_movable(what)
                 break
             except PathRefused:
@@ -350,15 +350,15 @@ class Moving:
                 await present.news.park()  # it changes its rate with all that its limits leave free: soon it will not
         await self._run(clock, start, torques)
 
-    async def _reserve(self, path: Path, limits: Sequence[JointLimits]) -> Reserve:
+    async def _margin(self, path: Path, limits: Sequence[JointLimits]) -> Margin:
         """Find what the path leaves free, while other tasks go on. Raises PathRefused."""
         try:
-            return await in_steps(reserve_in_steps(path, limits, self._period, LONGEST_STOP))
+            return await in_steps(margin_in_steps(path, limits, self._period, LONGEST_STOP))
         except PathError as error:
             raise self._cannot_be_followed(error) from error
 
-    def _clock(self, path: Path, limits: Sequence[JointLimits], reserve: Reserve | None, *, is_moving: bool) -> PathClock:
-        """Return the clock of a path. reserve: of `_reserve`; None: it is found in this turn."""
+    def _clock(self, path: Path, limits: Sequence[JointLimits], margin: Margin | None, *, is_moving: bool) -> PathClock:
+        """Return the clock of a path. margin: of `_margin`; None: it is found in this turn."""
         try:
             return PathClock(
                 path,
@@ -367,23 +367,23 @@ class Moving:
                 override=self._override,
                 moving=is_moving,
                 longest_stop=LONGEST_STOP,
-                reserve=reserve,
+                margin=margin,
             )
         except PathError as error:
             raise self._cannot_be_followed(error) from error
 
     @enable_ki_protection
-    async def _run(self, course: Course, start: PathPoint, torques: Torques | None) -> None:
-        motion = self._begin(course, start, torques)
+    async def _run(self, generator: TrajectoryGenerator, start: PathPoint, torques: Torques | None) -> None:
+        motion = self._begin(generator, start, torques)
         await motion.wait()
         await self._check_end(motion)
 
     @enable_ki_protection
-    def _begin(self, course: Course, start: PathPoint, torques: Torques | None) -> Motion:
+    def _begin(self, generator: TrajectoryGenerator, start: PathPoint, torques: Torques | None) -> Motion:
         if torques is not None and (without := [device for member in self._members for device in member.without_torque]):
             name, tries = without[0].name, ("an RPDO with 0x60B2 in its mapping, in the joint's dictionary", "no torques")
             raise PathRefused(f"{name} takes no torque beside its set-points", name, seen="no RPDO of it has 0x60B2", tries=tries)
-        motion = Motion(course, self._members, self._period, start, torques)
+        motion = Motion(generator, self._members, self._period, start, torques)
         present = self.present_motion
         if present is None:
             motion.begin()
@@ -392,7 +392,7 @@ class Moving:
         return motion
 
     async def _check_end(self, motion: Motion) -> None:
-        """Raise if the end of a motion was not its course's own: an error, another motion, a halt, a fault."""
+        """Raise if the end of a motion was not its generator's own: an error, another motion, a halt, a fault."""
         self._raise_own_end(motion)
         errors = [error for member in self._members if (error := await member.why_stopped()) is not None]
         if errors:
@@ -442,13 +442,13 @@ class Progresses:
             await self._moving.next_news()
 
     def _of(self, motion: Motion) -> Progress:
-        members, course = self._moving.members, motion.course
+        members, generator = self._moving.members, motion.generator
         return Progress(
             motion.time,
             [position for member in members for position in member.desired],
             [position for member in members for position in member.positions],
             [device.following_error for member in members for device in member.devices],
-            course.rate if isinstance(course, PathClock) else 1.0,
+            generator.rate if isinstance(generator, PathClock) else 1.0,
         )
 
 
@@ -485,10 +485,10 @@ class Together(Moving):
             raise errors[0]
 
 
-def _less(limits: JointLimits, reserve: float) -> JointLimits:
-    """Return limits with a reserve, so that a `move` can take over at any time, and stop on its path."""
-    acceleration = None if limits.acceleration is None else limits.acceleration * (1.0 - reserve)
-    jerk = None if limits.jerk is None else limits.jerk * (1.0 - reserve)
+def _less(limits: JointLimits, margin: float) -> JointLimits:
+    """Return limits with a margin, so that a `move` can take over at any time, and stop on its path."""
+    acceleration = None if limits.acceleration is None else limits.acceleration * (1.0 - margin)
+    jerk = None if limits.jerk is None else limits.jerk * (1.0 - margin)
     return JointLimits(limits.lowest, limits.highest, limits.speed, acceleration, jerk)
 
 

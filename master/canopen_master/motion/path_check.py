@@ -14,7 +14,7 @@ import trio
 
 from canopen_master.errors import PathRefused
 from canopen_master.motion.device import Device
-from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint, Violation, first_violation
+from canopen_proto.drives.trajectory import JointLimits, LimitViolation, Path, PathPoint, first_violation
 from canopen_proto.drives.trajectory.limit_check import first_violation_in_steps
 
 START_COUNTS: Final = 2
@@ -103,7 +103,7 @@ def _check_velocities(
             )
 
 
-def beyond_limit(device: Device, violation: Violation) -> PathRefused:
+def beyond_limit(device: Device, violation: LimitViolation) -> PathRefused:
     """Return the error for a path beyond a limit of this joint."""
     kind, unit = violation.kind, _UNITS[violation.kind]
     source = _source_of(device, kind, violation.limit)

@@ -1,16 +1,16 @@
-"""`Motion`: one motion of the joints of one or several chains: one course, one clock, one stop.
+"""`Motion`: one motion of the joints of one or several chains: one generator, one clock, one stop.
 
-A *course* (`Course`) gives the points of the motion, a period after a period: a path with its clock
+A *generator* (`TrajectoryGenerator`) gives the points of the motion, a period after a period: a path with its clock
 (`canopen_proto.drives.trajectory.PathClock`), or a stream of targets. A motion asks it behind each SYNC, in the pump's turn. Each
 chain takes its joints' part of the point (`Lane`). SYNC is one for all buses, so all chains are at the same point.
 
-**Late cycles.** A period without a SYNC is a period in which the course stands still. Drives brake by themselves then, so behind
-it the course goes on from rest, where it is; joints that have left it come back to it (late_sync.py). A stream of targets goes on
-from where the joints are.
+**Late cycles.** A period without a SYNC is a period in which the generator stands still. Drives brake by themselves then, so
+behind it the generator goes on from rest, where it is; joints that have left it come back to it (late_sync.py). A stream of
+targets goes on from where the joints are.
 
-**The end of a motion** comes when its course is finished, or is at rest after `brake`, and the joints had the time to get there.
-The joints then stand at the last set-points, and their chains go on to follow these. A course that is not at rest LONGEST_STOP
-after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp. So does one that
+**The end of a motion** comes when its generator is finished, or is at rest after `brake`, and the joints had the time to get
+there. The joints then stand at the last set-points, and their chains go on to follow these. A generator that is not at rest
+LONGEST_STOP after `brake` ends its motion all the same, and the chains are halted, each joint by its own ramp. So does one that
 gets no SYNC for WITHOUT_SYNC while it brakes, or because SYNC was stopped; a process that is late still sends it.
 """
 
@@ -26,7 +26,7 @@ from trio.lowlevel import enable_ki_protection
 from canopen_master.errors import PathRefused
 from canopen_master.motion.cycles import Source, SourcePoint
 from canopen_master.motion.device import Device
-from canopen_master.motion.target_motion import StreamCourse
+from canopen_master.motion.target_motion import StreamGenerator
 from canopen_proto.drives.axis.following import LAG
 from canopen_proto.drives.trajectory import PathPoint
 
@@ -51,7 +51,7 @@ Torques = Callable[[PathPoint], Sequence[float]]
 """Gives the torques to feed forward at a point of a path, one for each joint, as shares of the rated torques."""
 
 
-class Course(Protocol):
+class TrajectoryGenerator(Protocol):
     """The points of a motion, one after another. The joints are at rest before the first and after the last one."""
 
     def advance(self, dt: float) -> PathPoint:
@@ -72,7 +72,7 @@ class Course(Protocol):
         """Whether the joints stand, as at the end, or after `stop`."""
 
 
-class Follower(Protocol):
+class FollowingChain(Protocol):
     """A chain, as far as a motion needs it."""
 
     @property
@@ -102,7 +102,7 @@ class Lane:
 
     __slots__ = ("_begin", "_end", "_motion", "cycles", "follower")
 
-    def __init__(self, motion: Motion, follower: Follower, begin: int) -> None:
+    def __init__(self, motion: Motion, follower: FollowingChain, begin: int) -> None:
         """begin: the place of its first joint among those of the motion."""
         self._motion = motion
         self.follower = follower
@@ -137,10 +137,15 @@ class Motion:
     """
 
     def __init__(
-        self, course: Course, followers: Sequence[Follower], period: float, point: PathPoint, torques: Torques | None = None
+        self,
+        generator: TrajectoryGenerator,
+        followers: Sequence[FollowingChain],
+        period: float,
+        point: PathPoint,
+        torques: Torques | None = None,
     ) -> None:
         """period: of SYNC, in seconds. torques: what is fed forward; None for no torques."""
-        self.course = course
+        self.generator = generator
         self.followers = tuple(followers)
         self.lanes: list[Lane] = []
         begin = 0
@@ -156,7 +161,7 @@ class Motion:
         self.is_over = False
         self.was_replaced = False
         self.error: Exception | None = None
-        self._at_rest = 0  # cycles since the course is at its end, or at rest
+        self._at_rest = 0  # cycles since the generator is at its end, or at rest
         self._braked = 0  # cycles
         self.news = trio.lowlevel.ParkingLot()
 
@@ -174,7 +179,7 @@ class Motion:
         """Brake along the path; the motion is over once the joints stand. Does nothing if it brakes already."""
         if not self.is_braking:
             self.is_braking = True
-            self.course.stop()
+            self.generator.stop()
             self.news.unpark_all()
 
     def halt(self, why: str) -> None:
@@ -219,18 +224,18 @@ class Motion:
                 self.end()
             self.news.unpark_all()
             return
-        course = self.course
+        generator = self.generator
         try:
             if skipped:
-                course.after_gap(skipped, from_rest=skipped > SHORT_GAP)
-            self.point = course.advance(self._period)
+                generator.after_gap(skipped, from_rest=skipped > SHORT_GAP)
+            self.point = generator.advance(self._period)
             if self._torques is not None:
                 self.torques = self._checked(self._torques(self.point))
-        except Exception as error:  # noqa: BLE001 - of a course or a torque function that is the user's
+        except Exception as error:  # noqa: BLE001 - of a generator or a torque function that is the user's
             self.fail(error)
             return
         self._braked += self.is_braking
-        if course.is_finished or (self.is_braking and course.is_at_rest):
+        if generator.is_finished or (self.is_braking and generator.is_at_rest):
             self._at_rest = 1
         elif self._braked * self._period > LONGEST_STOP:
             self.end(TOO_LONG)
@@ -241,9 +246,9 @@ class Motion:
 
         Return whether it does.
         """
-        if not isinstance(self.course, StreamCourse):
+        if not isinstance(self.generator, StreamGenerator):
             return False
-        self.point = self.course.stand_at(first, positions)
+        self.point = self.generator.stand_at(first, positions)
         return True
 
     @enable_ki_protection

@@ -126,7 +126,7 @@ class Recorder:
         self._missed_before = set_points.missed_cycles
         skipped = sync.skipped if self._cycle else 0
         motion = self._motion()
-        rate = motion.course.rate if motion is not None and isinstance(motion.course, PathClock) else None
+        rate = motion.generator.rate if motion is not None and isinstance(motion.generator, PathClock) else None
         self._now = self._cycle, (now - self._begun) / SECOND, skipped, int(missed > 0), rate
         sent: Sequence[float | None] = set_points.on_wire or [None] * len(self._devices)
         self._sent = [(point, int(device.axis.controlword)) for point, device in zip(sent, self._devices, strict=True)]

@@ -30,8 +30,8 @@ DEAD_MAN: Final = 0.2
 """Seconds within which a jog has to be renewed: a program that reads a joystick or a key does so every 20 to 50 ms."""
 
 
-class StreamCourse:
-    """A `Course` of targets or velocities; see path_motion.py."""
+class StreamGenerator:
+    """A `TrajectoryGenerator` of targets or velocities; see path_motion.py."""
 
     __slots__ = ("_stream",)
 
@@ -39,15 +39,15 @@ class StreamCourse:
         self._stream = stream
 
     def advance(self, dt: float) -> PathPoint:
-        """See Course. dt: the cycle_time of the stream."""
+        """See TrajectoryGenerator. dt: the cycle_time of the stream."""
         return self._stream.step()
 
     def stop(self) -> None:
-        """See Course."""
+        """See TrajectoryGenerator."""
         self._stream.stop()
 
     def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
-        """See Course. Lost cycles count for the dead man's switch."""
+        """See TrajectoryGenerator. Lost cycles count for the dead man's switch."""
         self._stream.after_gap(lost_cycles, from_rest=from_rest)
 
     def stand_at(self, first: int, positions: Sequence[float]) -> PathPoint:

@@ -17,13 +17,13 @@ from canopen_data.findings import DictionaryError
 from canopen_master.machine_file import parse_machine
 from canopen_master.ros_configurations.device_settings import configured_file
 from canopen_master.ros_configurations.draft import BUS, Choices, Draft
-from canopen_master.ros_configurations.report import Outcome, Report, Section, Told, section_of
+from canopen_master.ros_configurations.report import ImportReport, KeyOutcome, Told, YamlSection, section_of
 from canopen_master.ros_configurations.ros2_canopen import is_ros2_canopen, take_ros2_canopen
 from canopen_master.ros_configurations.ros_canopen import is_ros_canopen, take_ros_canopen
 from canopen_master.ros_configurations.unusable import MAX_UNUSABLE, Unusable, unusable_part, without
 from canopen_master.ros_configurations.yaml_text import UnusableValue, Value, read_yaml
 
-__all__ = ["Choices", "Imported", "Outcome", "Told", "import_configuration"]
+__all__ = ["Choices", "Imported", "KeyOutcome", "Told", "import_configuration"]
 
 _NO_FILE: Final = "without the device's file no DCF can hold it; by hand: `canopen write NODE OBJECT VALUE`"
 
@@ -43,7 +43,7 @@ class Imported:
     @property
     def is_complete(self) -> bool:
         """Whether nothing was left out."""
-        return all(each.outcome is not Outcome.LEFT_OUT for each in self.report)
+        return all(each.outcome is not KeyOutcome.LEFT_OUT for each in self.report)
 
 
 def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Choices | None = None) -> Imported:
@@ -74,12 +74,12 @@ def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Cho
 
 def _imported(top: Mapping[str, Value], unusable: Sequence[Unusable], folder: Path, choices: Choices) -> Imported:
     """Return the machine of the values that can be used. Raises UnusableValue for the next one that cannot."""
-    report = Report()
+    report = ImportReport()
     for each in unusable:
         each.tell(report)
     places = (place for each in unusable for place in (each.error.value.place, each.part.place))
     draft = Draft(choices, report, lost=frozenset(places))
-    section = Section(top, report)
+    section = YamlSection(top, report)
     if is_ros2_canopen(top) and not is_ros_canopen(top):
         kind = "ros2_canopen"
         take_ros2_canopen(section, top, draft)
@@ -125,7 +125,7 @@ def _device_files(draft: Draft, folder: Path) -> dict[str, bytes]:
     return files
 
 
-def _tell_unused(value: Value, told: AbstractSet[str], report: Report) -> None:
+def _tell_unused(value: Value, told: AbstractSet[str], report: ImportReport) -> None:
     """Tell of each scalar of which, and of whose maps and lists, nothing was told yet: a default that no node takes."""
     if value.place in told:
         return

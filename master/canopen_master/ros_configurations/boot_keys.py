@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from canopen_data.durations import duration_text
 from canopen_master.ros_configurations.draft import Draft, Setting
-from canopen_master.ros_configurations.report import Report, Section
+from canopen_master.ros_configurations.report import ImportReport, YamlSection
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto import indices
 from canopen_proto.machine import MICROSECOND, MILLISECOND
@@ -20,12 +20,12 @@ from canopen_proto.multiplexer import mux
 DEFAULT_MULTIPLIER: Final = 3
 _NMT_INHIBIT_UNIT: Final = 100 * MICROSECOND
 _FLAGS: Final = (("mandatory", "mandatory", False), ("boot", "start", False), ("reset_communication", "keep_alive", True))
-"""Keys of a node that are flags: ours, and whether it means the opposite."""
+"""JointKeys of a node that are flags: ours, and whether it means the opposite."""
 _NUMBERS: Final = {
     "revision_number": ("revision", 0xFFFF_FFFF), "serial_number": ("serial", 0xFFFF_FFFF),
     "software_version": ("software", 0xFFFF_FFFF), "restore_configuration": ("restore", 127),
 }  # fmt: skip
-"""Keys of a node that are numbers: ours, and the highest value."""
+"""JointKeys of a node that are numbers: ours, and the highest value."""
 
 
 class Watch(NamedTuple):
@@ -35,7 +35,7 @@ class Watch(NamedTuple):
     consumes: bool
 
 
-def take_network(master: Section, draft: Draft) -> None:
+def take_network(master: YamlSection, draft: Draft) -> None:
     """Take over how the master starts its network."""
     report, network = draft.report, draft.network
     if (value := master.take("start_nodes")) is not None:
@@ -59,7 +59,7 @@ def take_network(master: Section, draft: Draft) -> None:
             report.taken(value, f'{ours} = "{network[ours]}" in [network]')
 
 
-def take_boot(node: Section, draft: Draft, watch: Watch) -> dict[str, Any]:
+def take_boot(node: YamlSection, draft: Draft, watch: Watch) -> dict[str, Any]:
     """Return `boot` of a node."""
     report = draft.report
     boot: dict[str, Any] = {}
@@ -78,7 +78,7 @@ def take_boot(node: Section, draft: Draft, watch: Watch) -> dict[str, Any]:
     return boot
 
 
-def settings_of_boot(node: Section, report: Report) -> Iterator[Setting]:
+def settings_of_boot(node: YamlSection, report: ImportReport) -> Iterator[Setting]:
     """Return the objects that keys of a node are, and that a DCF can hold."""
     if (value := node.take("time_cob_id")) is not None:
         yield Setting(mux(indices.COB_ID_TIME_STAMP), value.string(), value, value)
@@ -92,7 +92,7 @@ def settings_of_boot(node: Section, report: Report) -> Iterator[Setting]:
         yield Setting(mux(indices.ERROR_BEHAVIOR, int(text)), value.string(), value, value)
 
 
-def _take_program(node: Section, boot: dict[str, Any], draft: Draft) -> None:
+def _take_program(node: YamlSection, boot: dict[str, Any], draft: Draft) -> None:
     value = node.take("software_file")
     if value is None:
         return
@@ -106,7 +106,7 @@ def _take_program(node: Section, boot: dict[str, Any], draft: Draft) -> None:
     draft.report.taken(value, "program in boot of the node")
 
 
-def _take_heartbeat(node: Section, boot: dict[str, Any], report: Report, watch: Watch) -> None:
+def _take_heartbeat(node: YamlSection, boot: dict[str, Any], report: ImportReport, watch: Watch) -> None:
     producer = node.take("heartbeat_producer")
     if producer is None:
         return
@@ -126,7 +126,7 @@ def _take_heartbeat(node: Section, boot: dict[str, Any], report: Report, watch: 
             )
 
 
-def _take_guarding(node: Section, boot: dict[str, Any], report: Report) -> None:
+def _take_guarding(node: YamlSection, boot: dict[str, Any], report: ImportReport) -> None:
     guard, factor, retries = node.take("guard_time"), node.take("life_time_factor"), node.take("retry_factor")
     given = [each for each in (guard, factor, retries) if each is not None]
     milliseconds = 0 if guard is None else guard.integer(0, 0xFFFF)

@@ -14,13 +14,13 @@ from canopen_data.description import Commissioning, DeviceDescription, FileKind
 from canopen_data.eds.numbers import read_value
 from canopen_data.eds.writer import encode_eds, write_eds
 from canopen_master.ros_configurations.draft import Setting
-from canopen_master.ros_configurations.report import Report
+from canopen_master.ros_configurations.report import ImportReport
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.multiplexer import Mux, index_of, mapping_entry, mux_text, split_mux, subindex_of
 
 
-def configured_file(description: DeviceDescription, node_id: int, settings: list[Setting], report: Report) -> bytes | None:
+def configured_file(description: DeviceDescription, node_id: int, settings: list[Setting], report: ImportReport) -> bytes | None:
     """Return the DCF of a node with these settings; None if there are none, or none of them can be made.
 
     description: the device's own file.

@@ -15,7 +15,7 @@ from canopen_data import DataError
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_data.durations import duration_text
-from canopen_master.ros_configurations.report import Report, Section
+from canopen_master.ros_configurations.report import ImportReport, YamlSection
 from canopen_master.ros_configurations.scale import Contradiction, number_in_toml
 from canopen_master.ros_configurations.unit_expression import Exact
 from canopen_master.ros_configurations.yaml_text import Value
@@ -82,7 +82,7 @@ class Draft:
     """
 
     choices: Choices
-    report: Report
+    report: ImportReport
     master: dict[str, Any] = field(default_factory=dict)
     network: dict[str, Any] = field(default_factory=dict)
     bus: dict[str, Any] = field(default_factory=dict)
@@ -129,7 +129,7 @@ class Draft:
             raise value.failure(f"there are two joints {name!r}")
         self.joints[name] = entry
 
-    def take_switching_state(self, section: Section, joint: dict[str, Any]) -> None:
+    def take_switching_state(self, section: YamlSection, joint: dict[str, Any]) -> None:
         """Take over the state in which a drive changes its mode."""
         value = section.take("switching_state")
         if value is None:
@@ -144,7 +144,7 @@ class Draft:
                 value, f"{number} is the state {state!r}, in which no drive changes its mode; 5 is operation enabled"
             )
 
-    def take_homing_timeout(self, section: Section, joint: dict[str, Any]) -> None:
+    def take_homing_timeout(self, section: YamlSection, joint: dict[str, Any]) -> None:
         """Take over the time for a whole homing."""
         if (timeout := section.take("homing_timeout_seconds")) is not None:
             joint["homing_timeout"] = duration_text(timeout.integer(1, 3600) * SECOND)
@@ -157,14 +157,14 @@ class Draft:
         elif value is not None:
             self.report.left_out(value, "the master sends SYNC without a counter (0x1019)")
 
-    def take_limits(self, limits: Section) -> None:
+    def take_limits(self, limits: YamlSection) -> None:
         """Take over `joint_limits`, as MoveIt and ros_control have it: in rad or m, rad/s or m/s."""
         for name, joint in self.joints.items():
             value = limits.take(name)
             if value is None:
                 continue
             value.check("map")
-            own = Section(value.entries, self.report)
+            own = YamlSection(value.entries, self.report)
             for has, keys in _LIMITS.items():
                 flag = own.take(has)
                 is_set = flag is not None and flag.truth()

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from canopen_master.ros_configurations.yaml_text import Value
 
 
-class Outcome(StrEnum):
+class KeyOutcome(StrEnum):
     """The fate of a key."""
 
     TAKEN = "taken"
@@ -25,7 +25,7 @@ class Outcome(StrEnum):
 class Told(NamedTuple):
     """One line of the report. source, line: where the key stands; line 0: it does not, and the predecessor's default counts."""
 
-    outcome: Outcome
+    outcome: KeyOutcome
     key: str
     text: str
     source: str
@@ -33,39 +33,39 @@ class Told(NamedTuple):
 
 
 @dataclass(slots=True)
-class Report:
+class ImportReport:
     """Collects the lines; one that was told before, for another node with the same default, is not told again."""
 
     lines: dict[Told, None] = field(default_factory=dict)
 
     def taken(self, value: Value, text: str) -> None:
         """The key became this."""
-        self._tell(Outcome.TAKEN, value, text)
+        self._tell(KeyOutcome.TAKEN, value, text)
 
     def not_needed(self, value: Value, text: str) -> None:
         """The key needs no counterpart, for this reason."""
-        self._tell(Outcome.NOT_NEEDED, value, text)
+        self._tell(KeyOutcome.NOT_NEEDED, value, text)
 
     def left_out(self, value: Value, text: str) -> None:
         """The effect of the key is lost, for this reason."""
-        self._tell(Outcome.LEFT_OUT, value, text)
+        self._tell(KeyOutcome.LEFT_OUT, value, text)
 
     def assumed(self, key: str, text: str) -> None:
         """A key that is missing has this effect."""
-        self.lines[Told(Outcome.TAKEN, key, text, "", 0)] = None
+        self.lines[Told(KeyOutcome.TAKEN, key, text, "", 0)] = None
 
     def missing(self, key: str, text: str) -> None:
         """A key that is missing has this effect in the predecessor, which is lost."""
-        self.lines[Told(Outcome.LEFT_OUT, key, text, "", 0)] = None
+        self.lines[Told(KeyOutcome.LEFT_OUT, key, text, "", 0)] = None
 
-    def _tell(self, outcome: Outcome, value: Value, text: str) -> None:
+    def _tell(self, outcome: KeyOutcome, value: Value, text: str) -> None:
         self.lines[Told(outcome, value.place, text, value.source, value.line)] = None
 
 
-class Section:
+class YamlSection:
     """One map of a file while it is read. defaults: has the values of keys that it lacks."""
 
-    def __init__(self, entries: Mapping[str, Value], report: Report, defaults: Section | None = None) -> None:
+    def __init__(self, entries: Mapping[str, Value], report: ImportReport, defaults: YamlSection | None = None) -> None:
         self._entries = entries
         self._report = report
         self._defaults = defaults
@@ -103,12 +103,12 @@ class Section:
                 self._report.left_out(value, "this key is not known")
 
 
-def section_of(value: Value | None, report: Report, defaults: Section | None = None) -> Section:
+def section_of(value: Value | None, report: ImportReport, defaults: YamlSection | None = None) -> YamlSection:
     """Return a section of a map; an empty one if there is none. Raises DictionaryError for another value."""
     if value is None or value.kind == "null":
-        return Section(_NOTHING, report, defaults)
+        return YamlSection(_NOTHING, report, defaults)
     value.check("map")
-    return Section(value.entries, report, defaults)
+    return YamlSection(value.entries, report, defaults)
 
 
 _NOTHING: Final[Mapping[str, Value]] = MappingProxyType({})

@@ -15,7 +15,7 @@ from canopen_data.durations import duration_text
 from canopen_master.machine_file.keys import MODES
 from canopen_master.ros_configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
 from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
-from canopen_master.ros_configurations.report import Report, Section, section_of
+from canopen_master.ros_configurations.report import ImportReport, YamlSection, section_of
 from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
 from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line, rounding_of
 from canopen_master.ros_configurations.yaml_text import Value
@@ -37,7 +37,7 @@ _ROS: Final = "of ROS, not of the machine"
 _PDO_BASES: Final = {"tpdo": (0x180, indices.TPDO_COMMUNICATION, indices.TPDO_MAPPINGS),
                      "rpdo": (0x200, indices.RPDO_COMMUNICATION, indices.RPDO_MAPPINGS)}  # fmt: skip
 _PDO_KEYS: Final = {"transmission": 2, "inhibit_time": 3, "event_timer": 5, "event_deadline": 5, "sync_start": 6}
-"""Keys of a PDO by their subindex in its communication record."""
+"""JointKeys of a PDO by their subindex in its communication record."""
 
 
 def is_ros2_canopen(top: Mapping[str, Value]) -> bool:
@@ -47,7 +47,7 @@ def is_ros2_canopen(top: Mapping[str, Value]) -> bool:
     return "master" in top or "options" in top or any("node_id" in each.entries for each in (*named, *top.values()))
 
 
-def take_ros2_canopen(top: Section, keys: Mapping[str, Value], draft: Draft) -> None:
+def take_ros2_canopen(top: YamlSection, keys: Mapping[str, Value], draft: Draft) -> None:
     """Take over a whole bus.yml. keys: those of the top. Raises DictionaryError."""
     report = draft.report
     if draft.choices.locator:
@@ -77,7 +77,7 @@ def take_ros2_canopen(top: Section, keys: Mapping[str, Value], draft: Draft) -> 
     defaults.close()
 
 
-def _folder(value: Value | None, report: Report) -> tuple[Path, ...]:
+def _folder(value: Value | None, report: ImportReport) -> tuple[Path, ...]:
     """Return the folder that `dcf_path` names; the one of the file itself is looked into anyway."""
     if value is None:
         return ()
@@ -86,7 +86,7 @@ def _folder(value: Value | None, report: Report) -> tuple[Path, ...]:
     return () if text.startswith("@") or not Path(text).is_dir() else (Path(text),)
 
 
-def _nodes(top: Section, keys: Mapping[str, Value]) -> Iterator[tuple[str, Value]]:
+def _nodes(top: YamlSection, keys: Mapping[str, Value]) -> Iterator[tuple[str, Value]]:
     nodes = top.take("nodes")
     if nodes is not None and nodes.kind != "null":
         nodes.check("map", "list")
@@ -103,7 +103,7 @@ def _nodes(top: Section, keys: Mapping[str, Value]) -> Iterator[tuple[str, Value
             yield name, value
 
 
-def _take_master(master: Section, draft: Draft) -> None:
+def _take_master(master: YamlSection, draft: Draft) -> None:
     report = draft.report
     grip: dict[str, Any] = {}
     if (node_id := master.take("node_id")) is not None:
@@ -150,7 +150,7 @@ def _take_master(master: Section, draft: Draft) -> None:
     )
 
 
-def _take_node(name: str, value: Value, node: Section, draft: Draft, folder: tuple[Path, ...], watch: Watch) -> None:
+def _take_node(name: str, value: Value, node: YamlSection, draft: Draft, folder: tuple[Path, ...], watch: Watch) -> None:
     report = draft.report
     ours = draft.name(value, name)
     dcf, own_path = node.take("dcf"), node.take("dcf_path")
@@ -197,7 +197,7 @@ def _take_revision(value: Value, boot: dict[str, Any], file: Path | None, draft:
         draft.report.assumed(f"{value.place}.revision_number", f"revision = 0x{revision:08X}, as the file says")
 
 
-def _sdo(node: Section, report: Report) -> Iterator[Setting]:
+def _sdo(node: YamlSection, report: ImportReport) -> Iterator[Setting]:
     """Return the values of `sdo`, which the master writes when the node boots."""
     requests = node.take("sdo")
     if requests is None or requests.kind == "null":
@@ -205,7 +205,7 @@ def _sdo(node: Section, report: Report) -> Iterator[Setting]:
     requests.check("list")
     for request in requests.items:
         request.check("map")
-        own = Section(request.entries, report)
+        own = YamlSection(request.entries, report)
         index, subindex, value = own.take("index"), own.take("sub_index"), own.take("value")
         own.close()
         if index is None or value is None:
@@ -217,7 +217,7 @@ def _sdo(node: Section, report: Report) -> Iterator[Setting]:
             yield Setting(where, value.string(), request, request)
 
 
-def _pdos(node: Section, report: Report, node_id: int) -> Iterator[Setting]:
+def _pdos(node: YamlSection, report: ImportReport, node_id: int) -> Iterator[Setting]:
     """Return the objects that the PDOs of `tpdo` and `rpdo` are."""
     for key, (base, communication, mapping) in _PDO_BASES.items():
         pdos = node.take(key)
@@ -250,12 +250,12 @@ def _pdos(node: Section, report: Report, node_id: int) -> Iterator[Setting]:
                 yield from _mapped(mapped, pdo, entries, report)
 
 
-def _mapped(mapped: Value, pdo: Value, record: int, report: Report) -> Iterator[Setting]:
+def _mapped(mapped: Value, pdo: Value, record: int, report: ImportReport) -> Iterator[Setting]:
     """Return the mapping record of a PDO. The lengths of the objects come from the device's file: see `device_settings`."""
     yield Setting(mux(record), str(len(mapped.items)), mapped, pdo)
     for number, item in enumerate(mapped.items[:64], start=1):
         item.check("map")
-        own = Section(item.entries, report)
+        own = YamlSection(item.entries, report)
         index, subindex = own.take("index"), own.take("sub_index")
         own.close()
         if index is None:
@@ -264,7 +264,7 @@ def _mapped(mapped: Value, pdo: Value, record: int, report: Report) -> Iterator[
         yield Setting(mux(record, number), "", item, pdo, where)
 
 
-def _take_heartbeat(node: Section, producer: Value, multiplier: Value | None, draft: Draft, settings: list[Setting]) -> None:
+def _take_heartbeat(node: YamlSection, producer: Value, multiplier: Value | None, draft: Draft, settings: list[Setting]) -> None:
     """Take over that a node sends a heartbeat, and how long the master waits for it."""
     own = node.take("heartbeat_multiplier")
     times = own or multiplier
@@ -286,7 +286,7 @@ def _take_heartbeat(node: Section, producer: Value, multiplier: Value | None, dr
         draft.report.left_out(producer, f"heartbeat_timeout of [master] is one time for all nodes: {other}, not {text}")
 
 
-def _take_joints(name: str, value: Value, node: Section, draft: Draft) -> None:
+def _take_joints(name: str, value: Value, node: YamlSection, draft: Draft) -> None:
     """Take over the axes of a drive: one joint of the node's name, or several with names of their own."""
     report = draft.report
     count_given, names, channels = node.take("num_channels"), node.take("channel_names"), node.take("channels")
@@ -336,7 +336,7 @@ def _take_joints(name: str, value: Value, node: Section, draft: Draft) -> None:
     )
 
 
-def _take_mode(node: Section, draft: Draft) -> None:
+def _take_mode(node: YamlSection, draft: Draft) -> None:
     value = node.take("position_mode")
     if value is None:
         return

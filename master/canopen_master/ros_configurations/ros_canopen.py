@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from canopen_data.durations import duration_text
 from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
-from canopen_master.ros_configurations.report import Section, section_of
+from canopen_master.ros_configurations.report import YamlSection, section_of
 from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
 from canopen_master.ros_configurations.unit_expression import Line, NotLinear, read_expression
 from canopen_master.ros_configurations.yaml_text import Value
@@ -54,7 +54,7 @@ def is_ros_canopen(top: Mapping[str, Value]) -> bool:
     return bool(top.keys() & {"bus", "sync", "heartbeat"}) or any("id" in each.entries for each in named)
 
 
-def take_ros_canopen(top: Section, draft: Draft) -> None:
+def take_ros_canopen(top: YamlSection, draft: Draft) -> None:
     """Take over a whole configuration. Raises DictionaryError."""
     report = draft.report
     _take_bus(section_of(top.take("bus"), report), draft)
@@ -87,7 +87,7 @@ def _named_nodes(nodes: Value | None) -> Iterator[tuple[str, Value]]:
         yield value.entries["name"].string(), value
 
 
-def _take_bus(bus: Section, draft: Draft) -> None:
+def _take_bus(bus: YamlSection, draft: Draft) -> None:
     report = draft.report
     device = bus.take("device")
     if draft.choices.locator:
@@ -116,7 +116,7 @@ def _take_bus(bus: Section, draft: Draft) -> None:
     bus.close()
 
 
-def _take_sync(sync: Section, draft: Draft) -> None:
+def _take_sync(sync: YamlSection, draft: Draft) -> None:
     report = draft.report
     if (interval := sync.take("interval_ms")) is not None:
         if interval.number() == 0:
@@ -130,7 +130,7 @@ def _take_sync(sync: Section, draft: Draft) -> None:
     sync.close()
 
 
-def _take_heartbeat(heartbeat: Section, draft: Draft) -> None:
+def _take_heartbeat(heartbeat: YamlSection, draft: Draft) -> None:
     """Take over the master's own heartbeat, by which drives notice that it is gone."""
     report = draft.report
     rate, message = heartbeat.take("rate"), heartbeat.take("msg")
@@ -157,7 +157,7 @@ def _take_heartbeat(heartbeat: Section, draft: Draft) -> None:
     heartbeat.close()
 
 
-def _take_node(key: str, value: Value, node: Section, draft: Draft) -> None:
+def _take_node(key: str, value: Value, node: YamlSection, draft: Draft) -> None:
     report = draft.report
     number = node.take("id")
     if number is None:
@@ -198,7 +198,7 @@ def _is_drive(draft: Draft, file: Path) -> bool:
     return draft.description_of(file).dictionary.get(*split_mux(CONTROLWORD)) is not None
 
 
-def _take_joint(name: str, value: Value, node: Section, draft: Draft, *, is_drive: bool) -> None:
+def _take_joint(name: str, value: Value, node: YamlSection, draft: Draft, *, is_drive: bool) -> None:
     """Take over what makes a node a joint. A device that is no drive is none."""
     if not is_drive:
         node.not_needed(
@@ -220,7 +220,7 @@ def _take_joint(name: str, value: Value, node: Section, draft: Draft, *, is_driv
     node.not_needed(dict.fromkeys(_EFFORTS, TORQUE))
 
 
-def _overlay(node: Section, draft: Draft) -> list[Setting]:
+def _overlay(node: YamlSection, draft: Draft) -> list[Setting]:
     """Return the values of `dcf_overlay`: those of the node go before those of the defaults."""
     found: dict[int, Setting] = {}
     for overlay in reversed(node.take_both("dcf_overlay")):
@@ -239,7 +239,7 @@ def _overlay(node: Section, draft: Draft) -> list[Setting]:
     return list(found.values())
 
 
-def _take_scale(node_value: Value, node: Section, joint: dict[str, Any], draft: Draft, *, is_linear: bool) -> None:
+def _take_scale(node_value: Value, node: YamlSection, joint: dict[str, Any], draft: Draft, *, is_linear: bool) -> None:
     """Take over the conversions of position and velocity."""
     report = draft.report
     values = {key: node.take(key) for key in DEFAULTS}

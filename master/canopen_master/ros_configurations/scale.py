@@ -22,7 +22,7 @@ AGREES: Final = 1e-6
 _THOUSAND: Final = Exact(Fraction(1000))
 
 
-class Keys(NamedTuple):
+class JointKeys(NamedTuple):
     """keys: of a joint. notes: what is not exactly as it was."""
 
     keys: Mapping[str, Any]
@@ -37,7 +37,7 @@ class Contradiction(ValueError):
     """The scale to the drive and the scale from it contradict each other. The text is the reason."""
 
 
-def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> Keys:
+def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> JointKeys:
     """Return the keys of the position. is_linear: it is in metres, and the joint's unit will be the millimetre.
 
     Raises Contradiction.
@@ -53,7 +53,7 @@ def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> Key
         keys["direction"] = -1
     if offset := _offset(to_device, from_device):
         keys["offset"] = offset
-    return Keys(keys, tuple(notes))
+    return JointKeys(keys, tuple(notes))
 
 
 def _agreed(to_device: Line, from_device: Line, notes: list[str]) -> Exact:
@@ -122,7 +122,7 @@ def _same_power(to_device: Line, from_device: Line) -> bool:
     return not product.fraction or not from_device.offset.fraction or product.power == from_device.offset.power
 
 
-def velocity_keys(scale: Exact, to_device: Line, from_device: Line) -> Keys:
+def velocity_keys(scale: Exact, to_device: Line, from_device: Line) -> JointKeys:
     """Return the velocity unit: counts per second in one unit of 0x60FF and 0x606C. scale: counts per rad or m.
 
     Raises Contradiction.
@@ -139,7 +139,7 @@ def velocity_keys(scale: Exact, to_device: Line, from_device: Line) -> Keys:
     unit = scale / factor
     if unit.fraction < 0:
         raise Contradiction("position and velocity have opposite signs")
-    return Keys({"velocity_unit": number_in_toml(unit, notes)}, tuple(notes))
+    return JointKeys({"velocity_unit": number_in_toml(unit, notes)}, tuple(notes))
 
 
 def _shown(number: Exact) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from canopen_master.ros_configurations.report import Report
+from canopen_master.ros_configurations.report import ImportReport
 from canopen_master.ros_configurations.yaml_text import UnusableValue, Value
 
 MAX_UNUSABLE: Final = 100
@@ -24,7 +24,7 @@ class Unusable(NamedTuple):
     error: UnusableValue
     part: Value
 
-    def tell(self, report: Report) -> None:
+    def tell(self, report: ImportReport) -> None:
         """Tell of the value, and of the part that goes with it."""
         value = self.error.value
         report.left_out(value, self.error.message)

@@ -139,7 +139,7 @@ def read_yaml(content: bytes, source: str) -> Value:
         raise _failure(source, f"this is no YAML: {str(error).splitlines()[0]}") from None
     if document is None:
         raise _failure(source, "the file is empty")
-    value = _Reader(source).value(document, "", 0)
+    value = _YamlReader(source).value(document, "", 0)
     value.check("map")
     return value
 
@@ -159,7 +159,7 @@ _AROUND: Final = 2
 """Levels of events that are the stream and the document."""
 
 
-class _Reader:
+class _YamlReader:
     """Makes our values of the nodes of a document. An alias is its value once more: both count."""
 
     def __init__(self, source: str) -> None:

@@ -58,7 +58,7 @@ class DeviceEntry:
 
 
 @dataclass(frozen=True)
-class Plant:
+class PlantFile:
     """A plant file. bus, state: empty if it names none."""
 
     devices: tuple[DeviceEntry, ...]
@@ -66,7 +66,7 @@ class Plant:
     state: str = ""
 
 
-def parse_plant(content: str, source: str = "plant.toml") -> Plant:
+def parse_plant(content: str, source: str = "plant.toml") -> PlantFile:
     """Return the plant that a text describes. Raises DictionaryError with every error in it."""
     reading = toml.TomlReading(source, "plant")
     plant = toml.TomlTable(reading, "", toml.parse_toml(content, source), _PLANT_KEYS, owner="plant")
@@ -82,7 +82,7 @@ def parse_plant(content: str, source: str = "plant.toml") -> Plant:
             table.error("it has no file")
         devices.append(device_of(table))
     reading.raise_errors()
-    return Plant(tuple(devices), bus or "", state or "")
+    return PlantFile(tuple(devices), bus or "", state or "")
 
 
 def device_of(table: toml.TomlTable) -> DeviceEntry:

@@ -1,6 +1,6 @@
 """Plan motions of several joints.
 
-    point_to_point.py   `plan`: from any state of motion to a target, as fast as the limits allow
+    point_to_point.py   `point_to_point`: from any state of motion to a target, as fast as the limits allow
     through_points.py   `through_points`: along a smooth curve through waypoints without times
     target_stream.py    `TargetStream`: targets or velocities that come at any time, filtered to the limits cycle by cycle
 

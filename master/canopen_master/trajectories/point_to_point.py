@@ -1,4 +1,4 @@
-"""`plan`: a time-optimal motion of all joints to their targets, from any state of motion, as an exact `Path`.
+"""`point_to_point`: a time-optimal motion of all joints to their targets, from any state of motion, as an exact `Path`.
 
 ruckig finds for each joint the profile of seven phases of constant jerk, after one or two phases that bring a state beyond the
 limits back within them. Each phase becomes one segment, with the numbers of ruckig: nothing is sampled. All joints arrive at the
@@ -27,7 +27,7 @@ from canopen_master.trajectories.scaled_joints import (
 from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint, Segment
 from canopen_proto.drives.trajectory.polynomial import quintic_top, with_constant_jerk
 
-RESERVE: Final = 0.2
+MARGIN: Final = 0.2
 """The part of acceleration and jerk that a plan leaves free, so that it can be slowed down and stopped on its own path."""
 STANDSTILL: Final = 1e-3
 """Seconds that a plan takes whose joints are all at their targets already: a path must take some time."""
@@ -35,24 +35,24 @@ _SHORTEST: Final = 1e-12
 """Phases that are shorter, in seconds, are rounding errors and are left out."""
 
 
-class _State(NamedTuple):
+class _JointState(NamedTuple):
     """How one joint moves at one moment."""
 
     position: float
     velocity: float
     acceleration: float
 
-    def after(self, time: float, jerk: float) -> _State:
+    def after(self, time: float, jerk: float) -> _JointState:
         """Return the state after a time of constant jerk; it may be negative."""
-        return _State(*with_constant_jerk(time, *self, jerk))
+        return _JointState(*with_constant_jerk(time, *self, jerk))
 
 
-def plan(
+def point_to_point(
     start: PathPoint,
     targets: Sequence[float],
     limits: Sequence[JointLimits],
     *,
-    reserve: float = RESERVE,
+    margin: float = MARGIN,
     speed_factor: float = 1.0,
     minimum_duration: float = 0.0,
 ) -> Path:
@@ -62,7 +62,7 @@ def plan(
     stop. It may be beyond the limits of speed and acceleration: they are then kept as soon as the jerk allows. targets: one
     position for each joint. limits: each joint needs speed, acceleration and jerk; positions are optional.
 
-    reserve: the part of acceleration and jerk that stays free (0 to below 1). speed_factor: the part of each speed limit that is
+    margin: the part of acceleration and jerk that stays free (0 to below 1). speed_factor: the part of each speed limit that is
     used (above 0, at most 1). minimum_duration: in seconds; the path takes at least so long.
 
     A joint that starts beyond a position limit may stay there or come back, but not go further. A joint that would leave its
@@ -71,7 +71,7 @@ def plan(
     Raises PlanRefused (with joint, value and limit) for a target beyond a position limit, for a start that is too fast to stop
     before one, for values that are not finite or not one for each joint, and if ruckig fails; PackageMissing without ruckig.
     """
-    joints = scaled_joints(start, limits, reserve=reserve, speed_factor=speed_factor)
+    joints = scaled_joints(start, limits, margin=margin, speed_factor=speed_factor)
     check_values(targets, len(joints), "target")
     for number, (target, joint) in enumerate(zip(targets, joints, strict=True)):
         limit = limit_exceeded(target, joint)
@@ -119,14 +119,14 @@ def _calculated(ruckig: Any, request: Any, joints: Sequence[ScaledJoint], start:
         raise ruckig_refused(error, "path") from error
     if trajectory.duration < _SHORTEST:
         return Path([[Segment(STANDSTILL, (target,))] for target in targets])
-    states = [_State(*each) for each in zip(*start, strict=True)]
+    states = [_JointState(*each) for each in zip(*start, strict=True)]
     return Path([
         _segments(profile, state, target, joint.unit, trajectory.duration)
         for profile, state, target, joint in zip(trajectory.profiles[0], states, targets, joints, strict=True)
     ])  # fmt: skip
 
 
-def _segments(profile: Any, start: _State, target: float, unit: float, duration: float) -> list[Segment]:
+def _segments(profile: Any, start: _JointState, target: float, unit: float, duration: float) -> list[Segment]:
     """Return the phases of one joint's profile as segments, in the user's unit. The last one ends exactly at the target."""
     phases = [
         (time, jerk * unit)
@@ -143,14 +143,16 @@ def _segments(profile: Any, start: _State, target: float, unit: float, duration:
         end = start
         for time, jerk in phases:
             end = end.after(time, jerk)
-        error = _State(target - end.position, -end.velocity, -end.acceleration).after(-math.fsum(durations[longest + 1 :]), 0.0)
+        error = _JointState(target - end.position, -end.velocity, -end.acceleration).after(
+            -math.fsum(durations[longest + 1 :]), 0.0
+        )
         state = start
         for number, (time, jerk) in enumerate(phases):
             coefficients: tuple[float, ...] = (state.position, state.velocity, state.acceleration / 2.0, jerk / 6.0)
             state = state.after(time, jerk)
             if number == longest:
                 coefficients = (coefficients[0], coefficients[1], coefficients[2], *_added(coefficients[3], error, time))
-                state = _State(*(one + other for one, other in zip(state, error, strict=True)))
+                state = _JointState(*(one + other for one, other in zip(state, error, strict=True)))
             segments.append(Segment(time, coefficients))
     rest = duration - math.fsum(durations)
     if rest > _SHORTEST or not segments:
@@ -158,7 +160,7 @@ def _segments(profile: Any, start: _State, target: float, unit: float, duration:
     return segments
 
 
-def _added(cubic: float, error: _State, time: float) -> tuple[float, float, float]:
+def _added(cubic: float, error: _JointState, time: float) -> tuple[float, float, float]:
     """Return the upper coefficients of a segment that also takes up an error until its end, and nothing of it at its start."""
     c3, c4, c5 = quintic_top(error.position, error.velocity * time, error.acceleration * time * time / 2.0, time)
     return cubic + c3, c4, c5

@@ -54,17 +54,17 @@ def load_ruckig(task: str) -> Any:
 
 
 def scaled_joints(
-    start: PathPoint, limits: Sequence[JointLimits], *, reserve: float = 0.0, speed_factor: float = 1.0
+    start: PathPoint, limits: Sequence[JointLimits], *, margin: float = 0.0, speed_factor: float = 1.0
 ) -> list[ScaledJoint]:
     """Check the state at the start and the limits, and return the joints in their own units.
 
-    reserve: this part of acceleration and jerk is not used (0 to below 1). speed_factor: this part of the speed is used (above 0,
+    margin: this part of acceleration and jerk is not used (0 to below 1). speed_factor: this part of the speed is used (above 0,
     at most 1). A joint that starts beyond a position limit may stay there and come back, but not go further: its limit is then
     where it starts, as it is for set-points. Raises PlanRefused.
     """
     if not limits:
         raise PlanRefused("a motion needs at least one joint", seen="no limits were given")
-    _check_part("reserve", reserve, 0.0 <= reserve < 1.0, "from 0 to below 1")
+    _check_part("margin", margin, 0.0 <= margin < 1.0, "from 0 to below 1")
     _check_part("speed_factor", speed_factor, 0.0 < speed_factor <= 1.0, "above 0 and at most 1")
     for values, kind in zip(start, ("position", "velocity", "acceleration"), strict=True):
         check_values(values, len(limits), f"{kind} at the start")
@@ -75,7 +75,7 @@ def scaled_joints(
         jerk = _bound(joint, "jerk", each.jerk)
         unit = speed * speed_factor
         lowest, highest = each.range
-        kept = (1.0 - reserve) / unit
+        kept = (1.0 - margin) / unit
         limits_of_way = min(lowest, position), max(highest, position)
         joints.append(ScaledJoint(position, unit, acceleration * kept, jerk * kept, *limits_of_way))
     return joints

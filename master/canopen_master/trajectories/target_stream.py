@@ -28,7 +28,7 @@ _REST: Final = 1e-9
 """A speed below is standstill, as a part of the full speed."""
 
 
-class _Goal(Enum):
+class _StreamGoal(Enum):
     POSITIONS = auto()
     VELOCITIES = auto()
     STANDSTILL = auto()
@@ -50,7 +50,7 @@ class TargetStream:
     """Filter targets or velocities of several joints to their limits, one cycle after the other.
 
     start: where the joints are and how they move, at rest or not. limits: each joint needs speed, acceleration and jerk;
-    positions are optional. They are used in full: a stream stops each joint by itself, so it needs no reserve. cycle_time: in
+    positions are optional. They are used in full: a stream stops each joint by itself, so it needs no margin. cycle_time: in
     seconds; each `step` is one cycle, late or not. speed_factor: this part of the speed limits is used (above 0, at most 1).
 
     renew_cycles: the dead man's switch. So many steps may follow a call of `aim_at`, `move_at` or `renew`; the next one stops the
@@ -76,7 +76,7 @@ class TargetStream:
         self._ruckig: Any = load_ruckig("a stream of targets")
         self._renew_cycles = renew_cycles
         self._unrenewed = 0
-        self._goal = _Goal.STANDSTILL
+        self._goal = _StreamGoal.STANDSTILL
         self._wanted = [0.0] * len(self._joints)
         self._is_stopping = False
         self._point = start
@@ -120,7 +120,7 @@ class TargetStream:
         ended.
         """
         self._check("target", targets)
-        self._goal, self._is_given = _Goal.POSITIONS, False
+        self._goal, self._is_given = _StreamGoal.POSITIONS, False
         self._wanted = [
             (min(max(target, joint.lowest), joint.highest) - joint.origin) / joint.unit
             for target, joint in zip(targets, self._joints, strict=True)
@@ -133,7 +133,7 @@ class TargetStream:
         A joint that comes to a position limit rests there. Raises as `aim_at` does.
         """
         self._check("velocity", velocities)
-        self._goal, self._is_given = _Goal.VELOCITIES, False
+        self._goal, self._is_given = _StreamGoal.VELOCITIES, False
         self._wanted = [
             min(max(velocity / joint.unit, -1.0), 1.0) for velocity, joint in zip(velocities, self._joints, strict=True)
         ]
@@ -146,7 +146,7 @@ class TargetStream:
     def stop(self) -> None:
         """Brake each joint to rest as fast as its limits allow. This ends the stream."""
         self._is_stopping = True
-        self._goal, self._is_given = _Goal.STANDSTILL, False
+        self._goal, self._is_given = _StreamGoal.STANDSTILL, False
         self._wanted = [0.0] * len(self._joints)
 
     def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
@@ -186,7 +186,7 @@ class TargetStream:
             self._unrenewed += 1
             if self._unrenewed > self._renew_cycles:
                 self.stop()
-        if self._goal is _Goal.STANDSTILL and self.is_at_rest:
+        if self._goal is _StreamGoal.STANDSTILL and self.is_at_rest:
             return self._point
         try:
             states = self._moved()
@@ -223,8 +223,8 @@ class TargetStream:
         to_limits: set[int] = set()
         states = self._stepped(stopped, to_limits)
         reaches = self._reaches_of(states)
-        while self._goal is not _Goal.STANDSTILL and (unsafe := self._unsafe(reaches) - stopped):
-            if self._goal is _Goal.VELOCITIES and not to_limits:
+        while self._goal is not _StreamGoal.STANDSTILL and (unsafe := self._unsafe(reaches) - stopped):
+            if self._goal is _StreamGoal.VELOCITIES and not to_limits:
                 to_limits = {number for number in unsafe if self._wanted[number] and self._can_stop_in_time(number)}
                 stopped = unsafe - to_limits
             else:
@@ -258,7 +258,7 @@ class TargetStream:
                 position = limits[1] if wanted > 0.0 else limits[0]
                 speed = max(abs(wanted), self._reaches[number].speed)
                 interface = interfaces.Position
-            elif self._goal is _Goal.POSITIONS:
+            elif self._goal is _StreamGoal.POSITIONS:
                 position, interface = wanted, interfaces.Position
             else:
                 velocity = wanted

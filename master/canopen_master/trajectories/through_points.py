@@ -6,8 +6,8 @@ accelerations of the motion, at many knots; all waypoints are knots. Where such 
 lowered there, some times over; in the end the whole path is stretched by what is left, and checked.
 
 It is no optimum, but near: in a comparison along the same curves it took 3 to 7 % longer than the optimum that knows no limit of
-the jerk (toppra 0.6.10, six joints, 3 to 30 points). A path of two points is a straight line; `plan` is faster, as it lets each
-joint take its own way.
+the jerk (toppra 0.6.10, six joints, 3 to 30 points). A path of two points is a straight line; `point_to_point` is faster, as it
+lets each joint take its own way.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Final
 
 from canopen_master.errors import PlanRefused
 from canopen_master.trajectories.path_speed import Bend, SmoothedMotion, fastest_profile
-from canopen_master.trajectories.point_to_point import RESERVE
+from canopen_master.trajectories.point_to_point import MARGIN
 from canopen_master.trajectories.scaled_joints import ScaledJoint, beyond_limit, check_values, position_excess, scaled_joints
 from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint
 from canopen_proto.drives.trajectory.interpolation import cubic, quintic
@@ -44,21 +44,21 @@ def through_points(
     points: Sequence[Sequence[float]],
     limits: Sequence[JointLimits],
     *,
-    reserve: float = RESERVE,
+    margin: float = MARGIN,
     speed_factor: float = 1.0,
 ) -> Path:
     """Return a path from rest at the first point through all others to rest at the last one, within all limits.
 
-    points: two or more; each one position for each joint, and no two equal ones in a row. limits, reserve, speed_factor: as of
-    `plan`. The path goes exactly through the points, along a cubic spline; between them it may swing beyond them, and so beyond a
-    position limit, which is refused: points that are closer together keep it nearer.
+    points: two or more; each one position for each joint, and no two equal ones in a row. limits, margin, speed_factor: as
+    of `point_to_point`. The path goes exactly through the points, along a cubic spline; between them it may swing beyond them,
+    and so beyond a position limit, which is refused: points that are closer together keep it nearer.
 
     Raises PlanRefused with the joint, and value and limit where there are such; the first point may be beyond a position limit.
     """
     if len(points) < 2:
         raise PlanRefused("a path needs at least two points", seen=f"{len(points)}")
     start = PathPoint(list(points[0]), [0.0] * len(points[0]), [0.0] * len(points[0]))
-    joints = scaled_joints(start, limits, reserve=reserve, speed_factor=speed_factor)
+    joints = scaled_joints(start, limits, margin=margin, speed_factor=speed_factor)
     for number, point in enumerate(points):
         check_values(point, len(joints), f"position in point {number}")
     places = _places(points, joints)

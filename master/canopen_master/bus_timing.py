@@ -11,9 +11,9 @@ is a `Stream` with its identifier, size and period:
   highest node-ID; the deadline of each is SDO_DEADLINE.
 - EMCY: a device may send one per EMCY_INTERVAL, at worst all devices at once. The deadline is the period, as for heartbeats.
 
-`plan` bounds each stream's latency (canopen_transports.wire.response_time) with the most stuff bits possible. It also runs the
-bus machine for some cycles, with random phases of the streams that are not cyclic. Its latencies are never above the bound, and
-show usual values. With `Background.errors` the bound has room for errors on the bus, each with an error frame and a repeated
+`bus_timing` bounds each stream's latency (canopen_transports.wire.response_time) with the most stuff bits possible. It also runs
+the bus machine for some cycles, with random phases of the streams that are not cyclic. Its latencies are never above the bound,
+and show usual values. With `Background.errors` the bound has room for errors on the bus, each with an error frame and a repeated
 frame; the machine has no errors. A latency lasts from queueing the frame (for a TPDO, the SYNC) to the end of the intermission.
 
 Left out: NMT and TIME (rare), LSS, guarding, frames to devices that are not joints.
@@ -80,7 +80,7 @@ class Stream:
 
 
 @dataclass(frozen=True, slots=True)
-class StreamPlan:
+class StreamTiming:
     """The latencies of a stream, ns. worst: the bound, or NEVER. simulated: the longest in the machine; None if none was sent."""
 
     stream: Stream
@@ -99,8 +99,8 @@ class StreamPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkPlan:
-    """The plan of one bus. load: the greatest share of the bus in use; simulated_load: the share in the machine.
+class BusTiming:
+    """The timing of one bus. load: the greatest share of the bus in use; simulated_load: the share in the machine.
 
     shortest_cycle: the shortest of CYCLES that fits; None if none does.
     """
@@ -108,7 +108,7 @@ class NetworkPlan:
     bus: str
     bitrate: int
     cycle: Time
-    streams: tuple[StreamPlan, ...]
+    streams: tuple[StreamTiming, ...]
     load: float
     simulated_load: float
     shortest_cycle: Time | None
@@ -194,13 +194,15 @@ def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
     return Message(stream.name, stream.can_id, time, stream.period, deadline=stream.deadline, queue=queue)
 
 
-def plan(bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = Background()) -> NetworkPlan:
-    """Plan a bus with these joints: whether all streams fit, and their latencies. cycle: ns. bitrate: bit/s."""
+def bus_timing(
+    bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = Background()
+) -> BusTiming:
+    """Analyse a bus with these joints: whether all streams fit, and their latencies. cycle: ns. bitrate: bit/s."""
     streams = streams_of(joints, cycle, background)
     found = bounds(streams, bitrate, background.order, background.errors)
     worst, load = simulate(streams, bitrate, background.order)
-    plans = tuple(StreamPlan(stream, each.worst, worst.get(stream.can_id)) for stream, each in zip(streams, found, strict=True))
-    return NetworkPlan(
+    plans = tuple(StreamTiming(stream, each.worst, worst.get(stream.can_id)) for stream, each in zip(streams, found, strict=True))
+    return BusTiming(
         bus,
         bitrate,
         cycle,

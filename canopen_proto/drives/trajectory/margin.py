@@ -1,4 +1,4 @@
-"""`Reserve`: what a path leaves free for changes of its rate, over all of it, or just ahead.
+"""`Margin`: what a path leaves free for changes of its rate, over all of it, or just ahead.
 
 With q the path of a joint and ' for d/ds, at the rate r = ds/dt the joint moves at
 
@@ -60,8 +60,8 @@ joint gathers speed, all along."""
 
 
 @final
-class Reserve:
-    """The speed, acceleration and jerk that a path leaves free; made by `reserve_in_steps`.
+class Margin:
+    """The speed, acceleration and jerk that a path leaves free; made by `margin_in_steps`.
 
     max_change, max_onset: A and J for the whole path. stop_time: seconds that a stop takes with them at most, whenever it begins.
     rests_at_start, rests_at_end: whether no joint has a velocity or an acceleration there.
@@ -194,9 +194,9 @@ class Reserve:
         return SpeedChange(speed * rate, now, 0.0, limits.acceleration, limits.jerk).duration
 
 
-def reserve_in_steps(
+def margin_in_steps(
     path: Path, limits: Sequence[JointLimits], cycle_time: float, longest_stop: float
-) -> Generator[None, None, Reserve]:
+) -> Generator[None, None, Margin]:
     """Find what a path leaves free, in steps; see steps.py.
 
     Raises PathError for arguments that do not fit the path; and if its stop_time is above `longest_stop`, with the joint and the
@@ -227,7 +227,7 @@ def reserve_in_steps(
         rests_at_start = rests_at_start and _rests(start, joint, REST * most_speed, REST * most_acceleration)
         rests_at_end = rests_at_end and _rests(end, joint, REST * most_speed, REST * most_acceleration)
     rests = rests_at_start, rests_at_end
-    return Reserve(path.duration, limits, cycle_time, all_needs, all_stretches, room.best(longest_stop), rests)
+    return Margin(path.duration, limits, cycle_time, all_needs, all_stretches, room.best(longest_stop), rests)
 
 
 def rest_time(stop: SpeedChange, left: float) -> float:
@@ -307,7 +307,7 @@ class _Room:
             if shortest < math.inf:
                 free = f"so little free that a stop along it may take {shortest:.3g} s, and {longest_stop:g} s are allowed"
             raise PathError(
-                f"The path leaves {free}. {self.causes[chosen] or ''} Try: the path `stretched`, a plan with a larger reserve, "
+                f"The path leaves {free}. {self.causes[chosen] or ''} Try: the path `stretched`, a plan with a larger margin, "
                 "or higher limits."
             )
         change = self.changes[chosen]
