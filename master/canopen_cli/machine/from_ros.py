@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,7 +85,7 @@ def _package(text: str) -> tuple[str, Path]:
 
 def _check_slides(made: Imported, linear: tuple[str, ...]) -> None:
     """Raise a Problem if --linear names no joint: a slide would be in radians."""
-    joints = tomllib.loads(made.text).get("joints", {})
+    joints = made.machine.joints
     for name in linear:
         if name not in joints:
             raise usage(

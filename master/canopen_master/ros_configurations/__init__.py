@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from canopen_data import DataError, content_of
 from canopen_data.findings import DictionaryError
-from canopen_master.machine_file import parse_machine
+from canopen_master.machine_file import MachineFile, parse_machine
 from canopen_master.ros_configurations.device_settings import configured_file
 from canopen_master.ros_configurations.draft import BUS, Choices, Draft
 from canopen_master.ros_configurations.report import ImportReport, KeyOutcome, Told, YamlSection, section_of
@@ -30,12 +30,13 @@ _NO_FILE: Final = "without the device's file no DCF can hold it; by hand: `canop
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A configuration as a machine file. kind: of the configuration. text: of the machine file.
+    """A configuration as a machine file. kind: of the configuration. machine, text: what the machine file says, and its text.
 
     files: what stands beside it, by name: a DCF for each node in which values are to be set.
     """
 
     kind: str
+    machine: MachineFile
     text: str
     files: Mapping[str, bytes]
     report: tuple[Told, ...]
@@ -96,8 +97,8 @@ def _imported(top: Mapping[str, Value], unusable: Sequence[Unusable], folder: Pa
     for value in top.values():
         _tell_unused(value, {each.key for each in report.lines if each.line}, report)
     text = _text(draft)
-    parse_machine(text, "the machine file")  # what the reader refuses is told here, not with the first command
-    return Imported(kind, text, files, tuple(report.lines))
+    machine = parse_machine(text, "the machine file")  # what the reader refuses is told here, not with the first command
+    return Imported(kind, machine, text, files, tuple(report.lines))
 
 
 def _device_files(draft: Draft, folder: Path) -> dict[str, bytes]:

@@ -7,6 +7,7 @@ Each node of a bus.yml is in the network list.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from canopen_data.durations import duration_text
@@ -14,10 +15,11 @@ from canopen_master.ros_configurations.draft import Draft, Setting
 from canopen_master.ros_configurations.report import ImportReport, YamlSection
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto import indices
-from canopen_proto.machine import MICROSECOND, MILLISECOND
+from canopen_proto.machine import MICROSECOND, MILLISECOND, Time
 from canopen_proto.multiplexer import mux
 
 DEFAULT_MULTIPLIER: Final = 3
+_IN_BOOT: Final = " in boot of the node"
 _NMT_INHIBIT_UNIT: Final = 100 * MICROSECOND
 _FLAGS: Final = (("mandatory", "mandatory", False), ("boot", "start", False), ("reset_communication", "keep_alive", True))
 """JointKeys of a node that are flags: ours, and whether it means the opposite."""
@@ -54,9 +56,8 @@ def take_network(master: YamlSection, draft: Draft) -> None:
                 network["mandatory_lost"] = word
             report.taken(value, f'mandatory_lost = "{network.get("mandatory_lost", "node")}" in [network]')
     for key, ours, unit in (("boot_time", "boot_time", MILLISECOND), ("nmt_inhibit_time", "nmt_pause", _NMT_INHIBIT_UNIT)):
-        if (value := master.take(key)) is not None:
-            network[ours] = duration_text(value.integer(0, 0xFFFF_FFFF if unit == MILLISECOND else 0xFFFF) * unit)
-            report.taken(value, f'{ours} = "{network[ours]}" in [network]')
+        most = 0xFFFF_FFFF if unit == MILLISECOND else 0xFFFF
+        master.into(network, key, partial(_time, most=most, unit=unit), ours, " in [network]")
 
 
 def take_boot(node: YamlSection, draft: Draft, watch: Watch) -> dict[str, Any]:
@@ -64,14 +65,9 @@ def take_boot(node: YamlSection, draft: Draft, watch: Watch) -> dict[str, Any]:
     report = draft.report
     boot: dict[str, Any] = {}
     for key, ours, is_opposite in _FLAGS:
-        if (value := node.take(key)) is not None:
-            boot[ours] = _is_set(value) is not is_opposite
-            report.taken(value, f"{ours} = {str(boot[ours]).lower()} in boot of the node")
+        node.into(boot, key, partial(_is_set, is_opposite=is_opposite), ours, _IN_BOOT)
     for key, (ours, most) in _NUMBERS.items():
-        if (value := node.take(key)) is not None:
-            number = value.integer(0, most)
-            boot[ours] = number
-            report.taken(value, f"{ours} = {number} in boot of the node")
+        node.into(boot, key, partial(Value.integer, least=0, most=most), ours, _IN_BOOT)
     _take_program(node, boot, draft)
     _take_heartbeat(node, boot, report, watch)
     _take_guarding(node, boot, report)
@@ -145,6 +141,10 @@ def _take_guarding(node: YamlSection, boot: dict[str, Any], report: ImportReport
             report.taken(each, f'guard_time = "{milliseconds}ms", life_time_factor = {lives} in boot of the node')
 
 
-def _is_set(value: Value) -> bool:
-    """Return a flag; dcfgen takes numbers, too."""
-    return value.truth() if value.kind == "bool" else bool(value.integer(0, 1))
+def _time(value: Value, most: int, unit: Time) -> str:
+    return duration_text(value.integer(0, most) * unit)
+
+
+def _is_set(value: Value, *, is_opposite: bool = False) -> bool:
+    """Return a flag; dcfgen takes numbers, too. is_opposite: ours says the opposite."""
+    return (value.truth() if value.kind == "bool" else bool(value.integer(0, 1))) is not is_opposite

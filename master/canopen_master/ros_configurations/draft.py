@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,13 +15,13 @@ from canopen_data import DataError
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_data.durations import duration_text
-from canopen_master.ros_configurations.report import ImportReport, YamlSection
-from canopen_master.ros_configurations.scale import Contradiction, number_in_toml
+from canopen_master.ros_configurations.report import ImportReport, YamlSection, key_text
+from canopen_master.ros_configurations.scale import Contradiction, JointKeys, number_in_toml
 from canopen_master.ros_configurations.unit_expression import Exact
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.drives.cia402.axes import AXIS_STEP, MAX_AXES
 from canopen_proto.drives.cia402.objects import INTERPOLATION_TIME_UNITS
-from canopen_proto.machine import SECOND
+from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.multiplexer import Mux, index_of
 
 BUS: Final = "can0"
@@ -146,9 +146,47 @@ class Draft:
 
     def take_homing_timeout(self, section: YamlSection, joint: dict[str, Any]) -> None:
         """Take over the time for a whole homing."""
-        if (timeout := section.take("homing_timeout_seconds")) is not None:
-            joint["homing_timeout"] = duration_text(timeout.integer(1, 3600) * SECOND)
-            self.report.taken(timeout, f'homing_timeout = "{joint["homing_timeout"]}"')
+        section.into(
+            joint, "homing_timeout_seconds", lambda value: duration_text(value.integer(1, 3600) * SECOND), "homing_timeout"
+        )
+
+    def take_cycle(self, value: Value, time: Time) -> None:
+        """Take over the time between two SYNCs, ns; 0: none is sent, which a chain cannot do."""
+        if time:
+            self.master["cycle"] = duration_text(time)
+            self.report.taken(value, f"{key_text('cycle', self.master['cycle'])} in [master]")
+        else:
+            self.report.left_out(value, "a chain needs SYNC: the cycle is that of [master], 10 ms by default")
+
+    def take_grip_node(self, value: Value, node_id: int) -> None:
+        """Take over the node-ID of the master's heartbeat, by which drives notice that it is gone."""
+        self.master.setdefault("grip", {})["node_id"] = node_id
+        self.report.taken(value, f"grip.node_id = {node_id} in [master]")
+
+    def take_grip_period(self, value: Value, milliseconds: int) -> None:
+        """Take over the time between two heartbeats of the master."""
+        grip = self.master.setdefault("grip", {})
+        grip["period"] = duration_text(milliseconds * MILLISECOND)
+        grip["timeout"] = duration_text(max(500, 5 * milliseconds) * MILLISECOND)
+        self.report.taken(value, f'grip.period = "{grip["period"]}", grip.timeout = "{grip["timeout"]}" in [master]')
+
+    def take_scale(
+        self, joint: dict[str, Any], values: Sequence[Value], make: Callable[[], JointKeys], note: str = ""
+    ) -> JointKeys | None:
+        """Take over the keys of a scale; if its values contradict each other, leave them out, and return None.
+
+        values: those that say the scale. note: behind the contradiction, for people.
+        """
+        try:
+            made = make()
+        except Contradiction as error:
+            for value in values:
+                self.report.left_out(value, f"{error}{note}")
+            return None
+        joint.update(made.keys)
+        for value in values:
+            self.report.taken(value, str(made))
+        return made
 
     def take_overflow(self, value: Value | None) -> None:
         """Tell of the counter of SYNC, which is sent without one."""

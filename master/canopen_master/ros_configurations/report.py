@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from canopen_master.ros_configurations.yaml_text import Value
 
@@ -84,6 +84,16 @@ class YamlSection:
         self._taken.add(key)
         return self._entries.get(key), None if self._defaults is None else self._defaults.take(key)
 
+    def into(self, table: dict[str, Any], key: str, made: Callable[[Value], Any], ours: str = "", where: str = "") -> None:
+        """Put the value of a key, if it is there, into a table of the machine file, and tell so.
+
+        made: our value of it. ours: our key; by default the same. where: the table, for people.
+        """
+        if (value := self.take(key)) is not None:
+            ours = ours or key
+            table[ours] = made(value)
+            self._report.taken(value, f"{key_text(ours, table[ours])}{where}")
+
     def not_needed(self, reasons: Mapping[str, str]) -> None:
         """Tell of these keys, by name, why they need no counterpart."""
         for key, reason in reasons.items():
@@ -101,6 +111,11 @@ class YamlSection:
         for key, value in self._entries.items():
             if key not in self._taken:
                 self._report.left_out(value, "this key is not known")
+
+
+def key_text(key: str, value: object) -> str:
+    """Return a key of the machine file with its value, nearly as TOML has it: for people."""
+    return f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}".replace("'", '"')
 
 
 def section_of(value: Value | None, report: ImportReport, defaults: YamlSection | None = None) -> YamlSection:

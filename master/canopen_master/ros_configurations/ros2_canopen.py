@@ -16,12 +16,12 @@ from canopen_master.machine_file.keys import MODES
 from canopen_master.ros_configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
 from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_master.ros_configurations.report import ImportReport, YamlSection, section_of
-from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_master.ros_configurations.scale import position_keys, velocity_keys
 from canopen_master.ros_configurations.unit_expression import ZERO, Exact, Line, rounding_of
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto import indices
 from canopen_proto.drives.cia402.axes import MAX_AXES
-from canopen_proto.machine import MILLISECOND
+from canopen_proto.machine import MICROSECOND, MILLISECOND
 from canopen_proto.multiplexer import index_of, mux
 
 SCALES: Final = {
@@ -105,33 +105,21 @@ def _nodes(top: YamlSection, keys: Mapping[str, Value]) -> Iterator[tuple[str, V
 
 def _take_master(master: YamlSection, draft: Draft) -> None:
     report = draft.report
-    grip: dict[str, Any] = {}
     if (node_id := master.take("node_id")) is not None:
         number = node_id.integer(1, 255)
         if number <= 127:
-            grip["node_id"] = number
-            report.taken(node_id, f"grip.node_id = {number} in [master]")
+            draft.take_grip_node(node_id, number)
         else:
             report.left_out(node_id, f"{number} is no node-ID: 1..127")
     if (period := master.take("heartbeat_producer")) is not None:
         ms = period.integer(0, 30_000)
         if ms:
-            grip |= {"period": duration_text(ms * MILLISECOND), "timeout": duration_text(max(500, 5 * ms) * MILLISECOND)}
-            report.taken(period, f'grip.period = "{grip["period"]}", grip.timeout = "{grip["timeout"]}" in [master]')
+            draft.take_grip_period(period, ms)
         else:
             report.left_out(period, "drives are always held by a heartbeat of the master; grip = false in [master] ends that")
-    if grip:
-        draft.master["grip"] = grip
     if (sync := master.take("sync_period")) is not None:
-        microseconds = sync.integer(0, 60_000_000)
-        if microseconds:
-            draft.master["cycle"] = duration_text(microseconds * MILLISECOND // 1000)
-            report.taken(sync, f'cycle = "{draft.master["cycle"]}" in [master]')
-        else:
-            report.left_out(sync, "a chain needs SYNC: the cycle is that of [master], 10 ms by default")
-    if (rate := master.take("baudrate")) is not None:
-        draft.bus["bitrate"] = f"{rate.integer(1, 1000)}k"
-        report.taken(rate, f'bitrate = "{draft.bus["bitrate"]}" of the bus')
+        draft.take_cycle(sync, sync.integer(0, 60_000_000) * MICROSECOND)
+    master.into(draft.bus, "baudrate", lambda value: f"{value.integer(1, 1000)}k", "bitrate", " of the bus")
     draft.take_overflow(master.take("sync_overflow"))
     master.not_needed(
         {
@@ -296,9 +284,7 @@ def _take_joints(name: str, value: Value, node: YamlSection, draft: Draft) -> No
     common: dict[str, Any] = {}
     draft.take_switching_state(node, common)
     draft.take_homing_timeout(node, common)
-    if (method := node.take("homing_method")) is not None:
-        common["homing_method"] = method.integer(-128, 127)
-        report.taken(method, f"homing_method = {common['homing_method']}")
+    node.into(common, "homing_method", lambda value: value.integer(-128, 127))
     _take_mode(node, draft)
     of_node = {key: node.take(key) for key in SCALES}
     for axis in range(count):
@@ -353,7 +339,6 @@ def _take_mode(node: YamlSection, draft: Draft) -> None:
 
 def _take_scale(given: Mapping[str, Value | None], joint: dict[str, Any], draft: Draft, *, is_linear: bool) -> None:
     """Take over the factors and offsets of position and velocity."""
-    report = draft.report
     exact = {
         key: Exact(Value("float", default, key, "", 0).number() if (value := given[key]) is None else value.number())
         for key, default in SCALES.items()
@@ -366,28 +351,12 @@ def _take_scale(given: Mapping[str, Value | None], joint: dict[str, Any], draft:
     to_device = line("scale_pos_to_dev", "offset_pos_to_dev")
     from_device = line("scale_pos_from_dev", "offset_pos_from_dev")
     values = [value for key in SCALES if "pos" in key and (value := given[key]) is not None]
-    try:
-        made = position_keys(to_device, from_device, is_linear=is_linear)
-    except Contradiction as error:
-        for value in values:
-            report.left_out(value, str(error))
-        if not values:
-            report.missing("scale_pos_to_dev", str(error))
+    made = draft.take_scale(joint, values, lambda: position_keys(to_device, from_device, is_linear=is_linear))
+    if made is None:
         return
-    joint.update(made.keys)
-    for value in values:
-        report.taken(value, str(made))
     if not values:
-        report.assumed("scale_pos_to_dev, scale_pos_from_dev", f"{made}: ros2_canopen's default, 1000 counts in a rad or m")
+        draft.report.assumed("scale_pos_to_dev, scale_pos_from_dev", f"{made}: ros2_canopen's default, 1000 counts in a rad or m")
     values = [value for key in SCALES if "vel" in key and (value := given[key]) is not None]
-    if not values:
-        return
-    try:
-        velocity = velocity_keys(to_device.factor, line("scale_vel_to_dev"), line("scale_vel_from_dev"))
-    except Contradiction as error:
-        for value in values:
-            report.left_out(value, str(error))
-        return
-    joint.update(velocity.keys)
-    for value in values:
-        report.taken(value, str(velocity))
+    if values:
+        there, back = line("scale_vel_to_dev"), line("scale_vel_from_dev")
+        draft.take_scale(joint, values, lambda: velocity_keys(to_device.factor, there, back))

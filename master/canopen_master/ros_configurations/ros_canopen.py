@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from canopen_data.durations import duration_text
 from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_master.ros_configurations.report import YamlSection, section_of
-from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_master.ros_configurations.scale import Contradiction, JointKeys, position_keys, velocity_keys
 from canopen_master.ros_configurations.unit_expression import Line, NotLinear, read_expression
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.drives.cia402.objects import CONTROLWORD, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
@@ -117,13 +117,8 @@ def _take_bus(bus: YamlSection, draft: Draft) -> None:
 
 
 def _take_sync(sync: YamlSection, draft: Draft) -> None:
-    report = draft.report
     if (interval := sync.take("interval_ms")) is not None:
-        if interval.number() == 0:
-            report.left_out(interval, "a chain needs SYNC: the cycle is that of [master], 10 ms by default")
-        else:
-            draft.master["cycle"] = duration_text(interval.integer(*MILLISECONDS) * MILLISECOND)
-            report.taken(interval, f'cycle = "{draft.master["cycle"]}" in [master]')
+        draft.take_cycle(interval, interval.integer(*MILLISECONDS) * MILLISECOND if interval.number() else 0)
     draft.take_overflow(sync.take("overflow"))
     sync.not_needed({"update_ms": "drives are looked at with each SYNC and each of their PDOs"})
     sync.left_out({"silence_us": "the master's PDOs go out right after SYNC"})
@@ -134,26 +129,20 @@ def _take_heartbeat(heartbeat: YamlSection, draft: Draft) -> None:
     """Take over the master's own heartbeat, by which drives notice that it is gone."""
     report = draft.report
     rate, message = heartbeat.take("rate"), heartbeat.take("msg")
-    grip: dict[str, Any] = {}
     if message is not None:
         found = _CANSEND.fullmatch(message.string().strip())
         node_id = int(found[1], 16) if found is not None else 0
         if 1 <= node_id <= 127:
-            grip["node_id"] = node_id
-            report.taken(message, f"grip.node_id = {node_id} in [master]")
+            draft.take_grip_node(message, node_id)
         else:
             report.left_out(message, "this is not the heartbeat of an operational node (7xx#05)")
     if rate is not None:
         hertz = rate.number()
         period = 1000 / hertz if hertz > 0 else None
         if period is not None and period.denominator == 1 and 1 <= period <= 30_000:
-            grip["period"] = duration_text(int(period) * MILLISECOND)
-            grip["timeout"] = duration_text(max(500, 5 * int(period)) * MILLISECOND)
-            report.taken(rate, f'grip.period = "{grip["period"]}", grip.timeout = "{grip["timeout"]}" in [master]')
+            draft.take_grip_period(rate, int(period))
         else:
             report.left_out(rate, f"a heartbeat comes each whole number of ms, and {rate} in a second do not")
-    if grip:
-        draft.master["grip"] = grip
     heartbeat.close()
 
 
@@ -264,23 +253,21 @@ def _take_scale(node_value: Value, node: YamlSection, joint: dict[str, Any], dra
                 if key in lines and (value := values[key]) is not None:
                     report.left_out(value, "its counterpart is left out")
             continue
-        there, back = (lines[key] for key in keys)
-        try:
-            if quantity == "pos":
-                made = position_keys(there, back, is_linear=is_linear)
-            elif "pos_to_device" in lines and "unit" in joint:
-                made = velocity_keys(lines["pos_to_device"].factor, there, back)
-            else:
-                raise Contradiction("the position has no scale")
-        except Contradiction as error:
-            for value in given:
-                report.left_out(value, str(error) if len(given) == 2 else f"{error} (the other one has ros_canopen's default)")
-            continue
-        joint.update(made.keys)
-        for value in given:
-            report.taken(value, str(made))
-        if not given:
+        note = "" if len(given) == 2 else " (the other one has ros_canopen's default)"
+        make = partial(_keys, quantity, lines, joint, is_linear=is_linear)
+        made = draft.take_scale(joint, given, make, note)
+        if made is not None and not given:
             report.assumed("pos_to_device, pos_from_device", f"{made}: ros_canopen's default, millidegrees")
+
+
+def _keys(quantity: str, lines: Mapping[str, Line], joint: Mapping[str, Any], *, is_linear: bool) -> JointKeys:
+    """Return the keys of a position ("pos") or velocity ("vel"). Raises Contradiction."""
+    there, back = lines[f"{quantity}_to_device"], lines[f"{quantity}_from_device"]
+    if quantity == "pos":
+        return position_keys(there, back, is_linear=is_linear)
+    if "pos_to_device" not in lines or "unit" not in joint:
+        raise Contradiction("the position has no scale")
+    return velocity_keys(lines["pos_to_device"].factor, there, back)
 
 
 def _line(key: str, text: str) -> Line:

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any, Final, NamedTuple
 
+from canopen_master.ros_configurations.report import key_text
 from canopen_master.ros_configurations.unit_expression import ONE, ZERO, Exact, Line
 
 AGREES: Final = 1e-6
@@ -29,7 +30,7 @@ class JointKeys(NamedTuple):
     notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        shown = ", ".join(f"{key} = {value!r}".replace("'", '"') for key, value in self.keys.items())
+        shown = ", ".join(key_text(key, value) for key, value in self.keys.items())
         return "; ".join([shown, *self.notes])
 
 
