@@ -20,14 +20,11 @@ from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import RPDO1, RPDO2, RPDO3, RPDO4, SDO_CLIENT_TO_SERVER, Frame, RoutingKey
 from canopen_proto.machine import Machine, Outbox, Time
-from canopen_proto.multiplexer import Mux, mux, split_mux
+from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.sdo.codec import REQUESTS, SIZE_BIT, SdoFrame, expedited_data, mux_in
 
-_SPECIFIER: Final = 0xE0
-_INITIATE_DOWNLOAD: Final = 0x20
-_EXPEDITED: Final = 0x02
-_SIZE_SHOWN: Final = 0x01
 _NONE: Final[dict[RoutingKey, PdoMapping]] = {}
 
 
@@ -99,17 +96,18 @@ class Overhearing(Machine):
         data = frame.data
         if frame.key != self._sdo_key:
             self._pdos[frame.key] = now, data
-        elif len(data) == 8 and data[0] & _SPECIFIER == _INITIATE_DOWNLOAD:
-            which = mux(data[1] | data[2] << 8, data[3])
+        elif len(data) == 8 and REQUESTS[data[0]] is SdoFrame.DOWNLOAD:
+            which = mux_in(data)
             if which in self._wanted:
                 self._written[which] = Overheard(now, frame.key, self._value(which, data))
 
-    def _value(self, which: Mux, data: bytes) -> Value | None:
-        variable = self._dictionary.get(*split_mux(which))
-        if variable is None or not data[0] & _EXPEDITED:
+    def _value(self, which: Mux, request: bytes) -> Value | None:
+        variable, data = self._dictionary.get(*split_mux(which)), expedited_data(request)
+        if variable is None or data is None:
             return None
-        unused = data[0] >> 2 & 3 if data[0] & _SIZE_SHOWN else 4 - (variable.bit_length or 32) // 8
+        if not request[0] & SIZE_BIT:
+            data = data[: (variable.bit_length or 32) // 8]
         try:
-            return variable.decode(data[4 : 8 - unused])
+            return variable.decode(data)
         except ValueRangeError:
             return None

@@ -395,7 +395,7 @@ class Observer:
     def _request(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         self._nodes.sdo(channel.node_id, now, found, is_answer=False)
         follower = self._follower(channel)
-        meaning = follower.client(frame, now, found)
+        meaning = follower.take(frame, now, found, is_client=True)
         self._sequences.sdo(channel.node_id, None, follower.aborted, now)
         return meaning
 
@@ -403,7 +403,7 @@ class Observer:
         self._lives(channel.node_id)
         self._nodes.sdo(channel.node_id, now, found, is_answer=True)
         follower = self._follower(channel)
-        meaning = follower.server(frame, now, found)
+        meaning = follower.take(frame, now, found, is_client=False)
         self._sequences.sdo(channel.node_id, follower.settled, follower.aborted, now)
         if follower.settled is not None:
             self._settled = follower.settled
