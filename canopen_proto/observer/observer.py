@@ -52,7 +52,7 @@ from canopen_proto.observer.gaps import Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
 from canopen_proto.observer.parameters import Parameters
-from canopen_proto.observer.pdo import PROFILE, STATUSWORDS, OverheardPdo, OverheardPdos
+from canopen_proto.observer.pdo import PROFILE, STATUSWORDS, ObservedPdo, ObservedPdos
 from canopen_proto.observer.pdo_rules import PdoRules
 from canopen_proto.observer.sdo import SdoFollower, Settled
 from canopen_proto.observer.sequences import Sequences, Summary
@@ -137,7 +137,7 @@ class Observer:
     ) -> None:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
         self._parameters = Parameters(self._dictionaries)
-        self._pdos = OverheardPdos(self._parameters)
+        self._pdos = ObservedPdos(self._parameters)
         self._cob_ids: dict[int, tuple[tuple[RoutingKey, Service, int], ...]] = {}  # by node-ID
         self._channels: dict[int, tuple[Channel, ...]] = {}  # by node-ID
         self._followers: dict[Channel, SdoFollower] = {}  # those that were heard
@@ -154,7 +154,7 @@ class Observer:
         self._now: Time = -NEVER
         self._load = _Load(bitrate, load_limit) if bitrate else None
         self._settled: Settled | None = None  # by this frame
-        self._lengths: dict[OverheardPdo, int] = {}  # those that came: the wrong length of the last one, or 0
+        self._lengths: dict[ObservedPdo, int] = {}  # those that came: the wrong length of the last one, or 0
         self._statuswords: tuple[tuple[int, int], ...] = ()  # by this frame
         for node_id in drives:
             self._pdos.identified(node_id, DEVICE_TYPE, PROFILE)
@@ -362,7 +362,7 @@ class Observer:
         found += self._services.emergency(node_id, now)
         return Meaning("EMCY", node_id, words.of_emergency, frame)
 
-    def _one_of(self, pdos: tuple[OverheardPdo, ...], frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _one_of(self, pdos: tuple[ObservedPdo, ...], frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         """Take a PDO that PDOs.csv describes: the first one with its length. A frame of another length is none of these."""
         for pdo in pdos:
             if pdo.byte_length == len(frame.data):
@@ -370,7 +370,7 @@ class Observer:
                 return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
         return Meaning(_pdo_name(frame.can_id & _FUNCTION), frame.can_id & MAX_NODE_ID, words.of_bytes, frame)
 
-    def _pdo(self, pdo: OverheardPdo, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _pdo(self, pdo: ObservedPdo, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
         if len(frame.data) != pdo.byte_length:
             self._odd_length(pdo, len(frame.data), now, found)
         else:
@@ -382,7 +382,7 @@ class Observer:
         self._timings.came(pdo.node_id, pdo.name, frame.data, now, found)
         return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
 
-    def _odd_length(self, pdo: OverheardPdo, size: int, now: Time, found: list[Finding]) -> None:
+    def _odd_length(self, pdo: ObservedPdo, size: int, now: Time, found: list[Finding]) -> None:
         """A PDO has another length than its mapping. One with the right length proves the mapping: else its change is missing."""
         text = f"{pdo.name} has {size} bytes, and its mapping {pdo.byte_length}"
         last = self._lengths.get(pdo)

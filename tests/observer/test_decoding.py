@@ -15,7 +15,7 @@ from canopen_proto.frame import EXTENDED, REMOTE, Frame, routing_key
 from canopen_proto.observer.meaning import Shown, bytes_text
 from canopen_proto.observer.observer import Observer
 from canopen_proto.observer.parameters import Parameters
-from canopen_proto.observer.pdo import OverheardPdos
+from canopen_proto.observer.pdo import ObservedPdos
 from tests.examples import examples
 from tests.interop.recorded import FOLDER, needs_recordings
 
@@ -346,7 +346,7 @@ parameters = st.tuples(
 def test_pdos_that_change_one_by_one_are_those_that_are_read_at_once(steps: list[tuple[int, int, int, int] | None]) -> None:
     """None: node 5 boots."""
     known = Parameters({5: DICTIONARY, 6: ObjectDictionary(())})
-    pdos = OverheardPdos(known)
+    pdos = ObservedPdos(known)
     for node_id in (5, 6):
         pdos.renew(node_id)
     for step in steps:
@@ -355,11 +355,11 @@ def test_pdos_that_change_one_by_one_are_those_that_are_read_at_once(steps: list
             pdos.renew(5)
         elif known.settle(step[0], step[1], step[2], step[3].to_bytes(4, "little")):
             pdos.renew(step[0], step[1])
-    fresh = OverheardPdos(known)
+    fresh = ObservedPdos(known)
     for node_id in (5, 6):
         fresh.renew(node_id)
 
-    def seen(of: OverheardPdos) -> list[object]:
+    def seen(of: ObservedPdos) -> list[object]:
         keys = [routing_key(can_id, flags) for can_id in range(0x800) for flags in (0, EXTENDED)]
         found = [pdo and (pdo.node_id, pdo.name, pdo.mapping and pdo.mapping.parameters) for pdo in map(of.find, keys)]
         return [*found, *[(key, first.name, second.name) for key, first, second in of.shared()]]

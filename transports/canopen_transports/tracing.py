@@ -127,7 +127,7 @@ class _Listener:
         """Nothing is open."""
 
 
-def overheard(transport: Named, heard: Callable[[Record], None]) -> TracingTransport:
+def tapped(transport: Named, heard: Callable[[Record], None]) -> TracingTransport:
     """Return the transport, with each frame that passes through it told to `heard`, which must not raise or block."""
     return Trace(_Listener(heard)).wrap(transport)
 
