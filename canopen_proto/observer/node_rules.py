@@ -23,8 +23,7 @@ from typing import Final
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.observer.finding import Finding, ms_text
-from canopen_proto.observer.gaps import QUIET, Gaps
+from canopen_proto.observer.finding import QUIET, Finding, Gaps, ms_text
 from canopen_proto.observer.words import nmt_command_text
 
 OBEYING: Final = 100 * MILLISECOND

@@ -46,12 +46,10 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import index_of, subindex_of
 from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 from canopen_proto.observer import words
-from canopen_proto.observer.connections import Channel, Service, channels_of, services_of
-from canopen_proto.observer.finding import Finding
-from canopen_proto.observer.gaps import Gaps
+from canopen_proto.observer.finding import Finding, Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
-from canopen_proto.observer.parameters import Parameters
+from canopen_proto.observer.parameters import Channel, Parameters, Service, channels_of, services_of
 from canopen_proto.observer.pdo import PROFILE, STATUSWORDS, ObservedPdo, ObservedPdos
 from canopen_proto.observer.pdo_rules import PdoRules
 from canopen_proto.observer.sdo import SdoFollower, Settled

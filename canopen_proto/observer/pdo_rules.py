@@ -15,8 +15,7 @@ from typing import Final
 
 from canopen_proto.dictionary import Direction
 from canopen_proto.machine import MILLISECOND, NEVER, Time
-from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, ms_text
-from canopen_proto.observer.gaps import Gaps
+from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, Gaps, ms_text
 from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, place_of
 
 MAX_CYCLIC: Final = 240

@@ -9,7 +9,7 @@ heard, nothing is wrong. A frame that does not fit into the transfer is put in w
 transfer. Where the recording lacks a part of a block, neither its CRC nor its size is judged, and no value is shown. A request
 that is given up without an abort is no fault of its own.
 
-Whatever a missing frame can look like is told as that, once (gaps.py). A fault needs a proof:
+Whatever a missing frame can look like is told as that, once (finding.py). A fault needs a proof:
 
     toggle        of a segment: all bytes are there that were announced, so no segment is missing; or the server says so itself.
                   It is likely only where a copy of the frame before, in the place of the right one, would look the same
@@ -35,8 +35,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.observer import words
-from canopen_proto.observer.finding import Finding
-from canopen_proto.observer.gaps import QUIET, Gaps
+from canopen_proto.observer.finding import QUIET, Finding, Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEGMENT_SIZE
 from canopen_proto.sdo.codec import (

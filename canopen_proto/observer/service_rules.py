@@ -20,8 +20,7 @@ from canopen_proto.indices import (
 )
 from canopen_proto.lss.messages import LssService
 from canopen_proto.machine import NEVER, Time
-from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, ms_text
-from canopen_proto.observer.gaps import Gaps
+from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, Gaps, ms_text
 from canopen_proto.observer.pdo_rules import BURST, EARLY
 from canopen_proto.sync import MAX_COUNTER
 
