@@ -8,7 +8,6 @@ from __future__ import annotations
 from binascii import crc_hqx
 
 from canopen_check.bench import Bench
-from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal
 from canopen_check.raw_sdo import MAX_SEGMENTS, abort_code_in, answer, ask, expect_response, initiate
 from canopen_proto.abort import AbortCode
 from canopen_proto.procedures.steps import Procedure
@@ -30,6 +29,7 @@ from canopen_proto.sdo.codec import (
     announced_size,
     unused_at_end,
 )
+from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
 
 
 def _expect_initiated(response: bytes, expected: SdoFrame, index: int, subindex: int) -> None:

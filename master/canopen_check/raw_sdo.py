@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, Bench
-from canopen_check.expectations import Violation, expect, expect_equal
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import (
     ABORT,
@@ -28,6 +27,7 @@ from canopen_proto.sdo.codec import (
     segment,
     segment_data,
 )
+from canopen_proto.verdict import Violation, expect, expect_equal
 
 MAX_SEGMENTS: Final = 1 << 12
 """The most segments of one upload: if the server never sends the last one, the case ends."""

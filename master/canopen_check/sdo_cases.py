@@ -13,7 +13,7 @@ from typing import Final
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case, for_each
-from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.raw_sdo import (
     abort_code_in,
     ask,
@@ -31,6 +31,7 @@ from canopen_proto.indices import GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DE
 from canopen_proto.pdo.settings import EVENT_TIMER, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT, expedited_data
+from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
 
 READ_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.GENERAL_ERROR)
 WRITE_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.WRITE_ONLY, AbortCode.GENERAL_ERROR)
