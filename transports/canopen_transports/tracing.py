@@ -24,8 +24,7 @@ import trio
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.locator import parse_locator
-from canopen_transports.log_files import LogWriter
-from canopen_transports.record import Record
+from canopen_transports.record import LogWriter, Record
 from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, PromptTransport, Received, Transport
 
 _trace: Final[ContextVar[Trace | None]] = ContextVar("trace", default=None)

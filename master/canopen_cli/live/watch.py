@@ -14,7 +14,7 @@ import click
 import trio
 from rich.console import RenderableType
 
-from canopen_cli.live.frame_clock import FrameClock
+from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.notes import note_lost, note_source, note_state
 from canopen_cli.live.screen import LiveScreen
 from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source
