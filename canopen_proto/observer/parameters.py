@@ -53,7 +53,7 @@ COB_ID_BITS: Final = 0x3FFF_FFFF
 _FIRST_CHANNELS: Final = range(SDO_SERVER_TO_CLIENT, SDO_CLIENT_TO_SERVER + MAX_NODE_ID + 1)
 
 
-class Parameters:
+class ObservedParameters:
     """See this module's text. dictionaries: by node-ID, one for each device that a bus may have."""
 
     __slots__ = ("_in_file", "_recorded", "_shown", "_stored", "dictionaries")
@@ -127,7 +127,7 @@ def is_parameter(index: int) -> bool:
 # ---- what they say ----
 
 
-class Service(Enum):
+class CobIdService(Enum):
     """A service that a COB-ID may have been given."""
 
     SYNC = "SYNC"
@@ -143,15 +143,15 @@ class Channel(NamedTuple):
     node_id: int
 
 
-def services_of(parameters: Parameters, node_id: int) -> Iterator[tuple[RoutingKey, Service, int]]:
+def services_of(parameters: ObservedParameters, node_id: int) -> Iterator[tuple[RoutingKey, CobIdService, int]]:
     """Return the COB-IDs that a device has for SYNC, TIME and EMCY, each with the node that it is of."""
     for index, service in (
-        (indices.COB_ID_SYNC, Service.SYNC),
-        (indices.COB_ID_TIME_STAMP, Service.TIME),
-        (indices.COB_ID_EMERGENCY, Service.EMCY),
+        (indices.COB_ID_SYNC, CobIdService.SYNC),
+        (indices.COB_ID_TIME_STAMP, CobIdService.TIME),
+        (indices.COB_ID_EMERGENCY, CobIdService.EMCY),
     ):
         cob_id = parameters.value(node_id, index, 0)
-        if cob_id and not (service is Service.EMCY and cob_id & COB_ID_INVALID):
+        if cob_id and not (service is CobIdService.EMCY and cob_id & COB_ID_INVALID):
             key = key_of_cob_id(cob_id & COB_ID_BITS)
             if _may_be(key, service, is_recorded=parameters.is_recorded(node_id, index)):
                 yield key, service, node_id
@@ -159,11 +159,11 @@ def services_of(parameters: Parameters, node_id: int) -> Iterator[tuple[RoutingK
         is_recorded = parameters.is_recorded(node_id, indices.EMERGENCY_CONSUMER)
         for producer in range(1, MAX_NODE_ID + 1):
             cob_id = parameters.value(node_id, indices.EMERGENCY_CONSUMER, producer) or 0
-            if is_valid(cob_id) and _may_be(key_of_cob_id(cob_id), Service.EMCY, is_recorded=is_recorded):
-                yield key_of_cob_id(cob_id), Service.EMCY, producer
+            if is_valid(cob_id) and _may_be(key_of_cob_id(cob_id), CobIdService.EMCY, is_recorded=is_recorded):
+                yield key_of_cob_id(cob_id), CobIdService.EMCY, producer
 
 
-def _may_be(key: RoutingKey, service: Service, *, is_recorded: bool) -> bool:
+def _may_be(key: RoutingKey, service: CobIdService, *, is_recorded: bool) -> bool:
     """Return whether a service may be there.
 
     Files often leave out the node-ID, as in 0x80 for EMCY: SYNC and TIME keep their place, and a file changes none that the
@@ -172,7 +172,7 @@ def _may_be(key: RoutingKey, service: Service, *, is_recorded: bool) -> bool:
     return key not in (SYNC, TIME) and (is_recorded or not SYNC < key < TIME)
 
 
-def channels_of(parameters: Parameters, node_id: int) -> Iterator[Channel]:
+def channels_of(parameters: ObservedParameters, node_id: int) -> Iterator[Channel]:
     """Return the SDO channels beyond the first that a device's records describe; none with a CAN-ID of a first one."""
     for index in sorted(parameters.indices(node_id)):
         is_client = index in indices.SDO_CLIENTS

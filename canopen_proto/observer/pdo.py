@@ -22,8 +22,8 @@ from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
 from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.multiplexer import index_of
-from canopen_proto.observer.meaning import Shown, Words, hex_text, object_text, shown_of, value_text
-from canopen_proto.observer.parameters import Parameters
+from canopen_proto.observer.meaning import ShownObject, Words, hex_text, object_text, shown_of, value_text
+from canopen_proto.observer.parameters import ObservedParameters
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError, entries_of
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.multiplexed import DESTINATION_MODE, MPDO, MpdoMode
@@ -95,7 +95,7 @@ class ObservedPdo:
         texts = []
         for entry, label, value in zip(mapping.components, mapping.labels, values, strict=True):
             text = value_text(dictionary, entry.index, entry.subindex, value)
-            objects.append(Shown(self.node_id, entry.index, entry.subindex, entry.name, value, text, is_held))
+            objects.append(ShownObject(self.node_id, entry.index, entry.subindex, entry.name, value, text, is_held))
             texts.append(f"{_name_of(entry, label)} = {text}")
         if len(data) > self.byte_length:
             rest = data[self.byte_length :].hex(" ")
@@ -119,7 +119,7 @@ class ObservedPdo:
 class ObservedPdos:
     """The PDOs of all devices on a bus; see this module's text. `renew` reads those of a device."""
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: ObservedParameters) -> None:
         self._parameters = parameters
         self._of_node: dict[int, dict[_Place, tuple[RoutingKey, ObservedPdo]]] = {}
         self._by_key: dict[RoutingKey, list[ObservedPdo]] = {}  # the surest one first

@@ -35,7 +35,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.observer import words
-from canopen_proto.observer.finding import QUIET, Finding, Gaps
+from canopen_proto.observer.finding import QUIET, BusFinding, Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEGMENT_SIZE
 from canopen_proto.sdo.codec import (
@@ -135,12 +135,12 @@ class SdoFollower:
         self._rival_at: Time = -NEVER  # the last of these
         self._twins = 0  # second answers in a row
         self._least: Time = NEVER  # the least time from a request to its answer
-        self._held: _Held | None = None  # a transfer in which another one began
+        self._held: _Interrupted | None = None  # a transfer in which another one began
         self._is_lost = False  # frames of this transfer are missing
         self.settled: Settled | None = None
         self.aborted: Mux | None = None
         self._dictionary = dictionary
-        self._found: list[Finding] = []
+        self._found: list[BusFinding] = []
         self._phase = _Phase.UNKNOWN
         self._is_judged = False  # the request that began this transfer was heard
         self._since: Time = 0  # of the request that waits for its answer
@@ -175,7 +175,7 @@ class SdoFollower:
         self._is_paused = False  # the end of this transfer, and the beginning of another one, may be missing
         self._is_odd_request = False
 
-    def take(self, frame: Frame, now: Time, found: list[Finding], *, is_client: bool) -> Meaning:
+    def take(self, frame: Frame, now: Time, found: list[BusFinding], *, is_client: bool) -> Meaning:
         """Return the meaning of a frame of the client, or of the server. found: takes what is wrong."""
         self.settled = self.aborted = None
         self._found = found
@@ -225,7 +225,7 @@ class SdoFollower:
             return self._block_segment(data)
         request = complete(data, LEAST_REQUEST)
         if request is None:
-            self._found.append(Finding("sdo", self.node_id, "an SDO request is too short for its command"))
+            self._found.append(BusFinding("sdo", self.node_id, "an SDO request is too short for its command"))
             self._forget()  # what it asked for is not known, so neither is its answer
             return words.too_short
         what = REQUESTS[request[0]]
@@ -283,7 +283,7 @@ class SdoFollower:
                 self._copies += 1  # the client asks again, and both may be answered
         elif self._phase in (_Phase.SEGMENT_REQUEST, _Phase.SEGMENT_ANSWER) and self._is_judged:
             self._end_oddly()
-            self._held = _Held(
+            self._held = _Interrupted(
                 self._phase, self._request, self._announced, bytes(self._data), self._length, self._toggle, self._last_request
             )
         self._begin(request, what)
@@ -486,7 +486,7 @@ class SdoFollower:
             self._gaps.missing(self.node_id, self._odd, self._now, self._found)
             self._odd = ""
 
-    def _resume(self, held: _Held) -> None:
+    def _resume(self, held: _Interrupted) -> None:
         """Go on with a transfer in which another one was made."""
         self._held = None
         self._begin(held.request, REQUESTS[held.request[0]])
@@ -688,10 +688,10 @@ class SdoFollower:
 
     def _say(self, rule: str, text: str, *, is_certain: bool = True) -> None:
         if self._is_judged:
-            self._found.append(Finding(rule, self.node_id, text, is_certain=is_certain))
+            self._found.append(BusFinding(rule, self.node_id, text, is_certain=is_certain))
 
 
-class _Held(NamedTuple):
+class _Interrupted(NamedTuple):
     """A transfer in segments in which another one began."""
 
     phase: _Phase
