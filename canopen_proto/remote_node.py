@@ -10,7 +10,7 @@ holds
 - `held`: the RPDOs whose data may wait in the device for the next SYNC, which would undo a write by SDO. So a `write` of an
   object in `commanded` (a controlword) first sends each such RPDO with this object again, with the new value: the next SYNC then
   brings the last command;
-- `overhearing`: what other masters write to the node; it hears nothing unless it is asked to;
+- `foreign_writes`: what other masters write to the node; it hears nothing unless it is asked to;
 - `nmt_state`: the state in its heartbeat; without a heartbeat, the state that we commanded. A heartbeat right after a command may
   have been sent before it: the command counts until NMT_REACTION_TIME is over. A node whose heartbeat is lost keeps its state.
 
@@ -36,6 +36,7 @@ from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
+from canopen_proto.foreign_writes import ForeignWrites
 from canopen_proto.frame import KEY_EXTENDED, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
@@ -43,7 +44,6 @@ from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatR
 from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time, check_node_id
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
-from canopen_proto.overhearing import Overhearing
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.held import HeldRpdos
 from canopen_proto.pdo.mapping import Mapping
@@ -79,6 +79,7 @@ class RemoteNode(Group):
         "commanded",
         "dictionary",
         "emcy",
+        "foreign_writes",
         "guarding",
         "heard_at",
         "heartbeat",
@@ -86,7 +87,6 @@ class RemoteNode(Group):
         "last_sync",
         "nmt_state",
         "node_id",
-        "overhearing",
         "rpdos",
         "sdo",
         "sdo_channels",
@@ -123,7 +123,7 @@ class RemoteNode(Group):
         self.tpdos: dict[int, PdoConsumer] = {}
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, RoutingKey] = {}  # RPDO number -> key
-        self.overhearing = Overhearing(self.inner, node_id, dictionary, self.rpdos)
+        self.foreign_writes = ForeignWrites(self.inner, node_id, dictionary, self.rpdos)
         self.commanded: set[Mux] = set()
         self._in_doubt: dict[Mux, set[Value | None]] = defaultdict(set)
         self.held = HeldRpdos()
@@ -132,7 +132,7 @@ class RemoteNode(Group):
         self._listeners: list[Callable[[Collection[Mux], Time], None]] = []
         self._boot_listeners: list[Callable[[], None]] = []
         self._sync_listeners: list[Callable[[Time], None]] = []
-        for machine in (self.sdo, self.heartbeat, self.emcy, self._mpdo_listener, self.overhearing):
+        for machine in (self.sdo, self.heartbeat, self.emcy, self._mpdo_listener, self.foreign_writes):
             self._members.attach(machine)
         self._reactions.update(
             {
@@ -304,7 +304,7 @@ class RemoteNode(Group):
             producer.sent_at = before.sent_at  # the device may still hold the data of the one before
         self.rpdos[number] = producer
         self._members.attach(producer)
-        self.overhearing.renew()
+        self.foreign_writes.renew()
         return producer
 
     def _check_pdo(self, direction: Direction, number: int, key: RoutingKey) -> None:
@@ -326,7 +326,7 @@ class RemoteNode(Group):
             self._wanted.discard(number)
             self._mpdo_rpdos.pop(number, None)
             self.held.forget(number)
-            self.overhearing.renew()
+            self.foreign_writes.renew()
         else:
             self._mpdo_listener.set_pdo(number, None)
 

@@ -12,7 +12,7 @@ FRAMES: Final = ("tests/observer/test_observer.py",)
 MIDLIFE: Final = ("tests/observer/test_observer_midlife.py",)
 GAPS: Final = ("tests/observer/test_observer_gaps.py",)
 
-_GAPS: Final = "observer/gaps.py"
+_FINDING: Final = "observer/finding.py"
 _NODES: Final = "observer/node_rules.py"
 _PDOS: Final = "observer/pdo_rules.py"
 _SERVICES: Final = "observer/service_rules.py"
@@ -41,7 +41,7 @@ OBSERVER_MUTANTS: Final = tuple(
         # ---- gaps ----
         (
             "observer_gap_told_for_each_sign",
-            _GAPS,
+            _FINDING,
             "if now - self.last > QUIET:",
             "if now >= self.last:",
             "one gap is told as often as it shows itself",
@@ -49,7 +49,7 @@ OBSERVER_MUTANTS: Final = tuple(
         ),
         (
             "observer_copies_told_each",
-            _GAPS,
+            _FINDING,
             "if now - self._copied > QUIET:",
             "if now >= self._copied:",
             "each frame of a burst is told",

@@ -25,9 +25,9 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Event, Outbox, Outcome, Time
 from canopen_proto.sdo.access import Pending
-from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, KIND, MAX_BLOCK_SIZE, SEGMENT_SIZE, SEQUENCE
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEGMENT_SIZE
 from canopen_proto.sdo.client import AUTO_BLOCK, Block, SdoAborted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
-from canopen_proto.sdo.codec import BLOCK_UPLOAD, INITIATE
+from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, BLOCK_UPLOAD, END, INITIATE, KIND, SEQUENCE
 from canopen_proto.sdo.server import SdoServer
 from tests.core.block_pair import BY_HOST, INDEX, LARGEST, BlockPair, Store, pattern
 from tests.core.bus import Bus, Fate

@@ -32,7 +32,7 @@ from canopen_proto.frame import (
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import Observation
 
 MAX_INTERVALS: Final = 256
@@ -140,7 +140,7 @@ class BusFigures(NamedTuple):
     sync_counter: int | None
     transfers: int
     aborts: int
-    findings: tuple[tuple[Time, Finding], ...]
+    findings: tuple[tuple[Time, BusFinding], ...]
     found: dict[str, int]
 
 
@@ -149,7 +149,7 @@ class BusView:
 
     def __init__(self, *, bitrate: int = 0) -> None:
         self.bitrate = bitrate
-        self._nodes: dict[int, _Node] = {}
+        self._nodes: dict[int, _NodeView] = {}
         self._rate = _Rate()
         self._peak = 0
         self._begin: Time | None = None
@@ -157,7 +157,7 @@ class BusView:
         self._syncs = 0
         self._sync = _Pulse()
         self._sync_counter: int | None = None
-        self._findings: deque[tuple[Time, Finding]] = deque(maxlen=MAX_FINDINGS)
+        self._findings: deque[tuple[Time, BusFinding]] = deque(maxlen=MAX_FINDINGS)
         self._found: Counter[str] = Counter()
 
     def add(self, frame: Frame, observation: Observation, now: Time) -> None:
@@ -183,7 +183,7 @@ class BusView:
         if node_id:
             node = self._nodes.get(node_id)
             if node is None:
-                node = self._nodes[node_id] = _Node(node_id)
+                node = self._nodes[node_id] = _NodeView(node_id)
             node.rate.add(slot, bits)
             if not frame.flags & (EXTENDED | REMOTE) and frame.can_id & 0x780 in _BY_THE_NODE:
                 node.last_heard, node.heard_by = now, service
@@ -234,7 +234,7 @@ class BusView:
                 node.state, node.is_said, node.state_at = state, False, now
 
 
-class _Node:
+class _NodeView:
     """One node, as it was heard; see `NodeFigures`."""
 
     __slots__ = (

@@ -26,7 +26,7 @@ _NUMBERS: Final = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownObject:
     """An object in a frame, with its value if the frame shows one.
 
     node_id: of the device that has the object. name: "" if no dictionary tells it. value: bytes if the type is not known; None if
@@ -47,7 +47,7 @@ class Words(NamedTuple):
     """A frame in words, and its objects: those of a PDO, in its order, or the one of an SDO transfer."""
 
     text: str
-    objects: tuple[Shown, ...] = ()
+    objects: tuple[ShownObject, ...] = ()
 
 
 Say: TypeAlias = Callable[[Frame], Words]
@@ -75,7 +75,7 @@ class Meaning:
         return self._said().text
 
     @property
-    def objects(self) -> tuple[Shown, ...]:
+    def objects(self) -> tuple[ShownObject, ...]:
         """The objects of a PDO, in its order, or the one of an SDO transfer."""
         return self._said().objects
 
@@ -96,12 +96,12 @@ def variable_at(dictionary: ObjectDictionary, index: int, subindex: int) -> Vari
 
 def shown_of(
     dictionary: ObjectDictionary, node_id: int, index: int, subindex: int, data: bytes | None, *, is_held: bool
-) -> Shown:
+) -> ShownObject:
     """Return an object with the value in these bytes; None: without one."""
     variable = variable_at(dictionary, index, subindex)
     name = variable.name if variable is not None else ""
     if data is None:
-        return Shown(node_id, index, subindex, name, None, "", False)
+        return ShownObject(node_id, index, subindex, name, None, "", False)
     value: Value = data
     if variable is not None and variable.data_type not in (DataType.DOMAIN, DataType.OCTET_STRING):
         try:
@@ -113,7 +113,7 @@ def shown_of(
         text = f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
     else:
         text = bytes_text(data)
-    return Shown(node_id, index, subindex, name, value, text, is_held)
+    return ShownObject(node_id, index, subindex, name, value, text, is_held)
 
 
 def object_text(dictionary: ObjectDictionary, index: int, subindex: int) -> str:

@@ -23,8 +23,7 @@ from typing import Final
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.observer.finding import Finding, ms_text
-from canopen_proto.observer.gaps import QUIET, Gaps
+from canopen_proto.observer.finding import QUIET, BusFinding, Gaps, ms_text
 from canopen_proto.observer.words import nmt_command_text
 
 OBEYING: Final = 100 * MILLISECOND
@@ -78,7 +77,7 @@ class _View:
         self.interval: Time = 0  # from the heartbeat before it
         self.pairs = 0  # heartbeats in a row that came in two rhythms
         self.byte = -1  # of its last heartbeat
-        self.suspect: Finding | None = None  # what its next heartbeat may prove
+        self.suspect: BusFinding | None = None  # what its next heartbeat may prove
         self.suspected: Time = 0  # when that was
         self.guarded: Time = -NEVER  # its last guarding answer
         self.guard_time: Time = NEVER  # the least time between two of them
@@ -134,7 +133,7 @@ class NodeRules:
         """Take note of a guarding request."""
         self._views[node_id].is_asked = True
 
-    def overdue(self, now: Time) -> list[Finding]:
+    def overdue(self, now: Time) -> list[BusFinding]:
         """Return the heartbeats that are later than their consumers allow; each one once."""
         found = []
         for node_id, view in enumerate(self._views):
@@ -143,18 +142,18 @@ class NodeRules:
                 allowed = view.limit // MILLISECOND
                 waiting = [str(consumer) for (consumer, _), (each, _) in sorted(self._consumers.items()) if each == node_id]
                 text = f"no heartbeat for more than {allowed} ms, which node {', '.join(waiting)} allows"
-                found.append(Finding("late heartbeat", node_id, text, is_certain=False))
+                found.append(BusFinding("late heartbeat", node_id, text, is_certain=False))
         self.deadline = min(view.deadline for view in self._views)
         return found
 
-    def command(self, command: int, node_id: int, now: Time) -> list[Finding]:
+    def command(self, command: int, node_id: int, now: Time) -> list[BusFinding]:
         """Take note of an NMT command. node_id: 0 for all nodes."""
         if command not in _COMMANDS:
-            return [Finding("nmt", 0, f"an NMT command 0x{command:02X} for node {node_id}: there is no such command")]
+            return [BusFinding("nmt", 0, f"an NMT command 0x{command:02X} for node {node_id}: there is no such command")]
         if node_id > MAX_NODE_ID:
             name = nmt_command_text(command)
             text = f"the NMT command {name} (0x{command:02X}) with node-ID {node_id}: 0 is all nodes, 1 to {MAX_NODE_ID} one node"
-            return [Finding("nmt", 0, text)]
+            return [BusFinding("nmt", 0, text)]
         for view in self._views[node_id : node_id + 1] if node_id else self._views:
             view.state = _AFTER.get(command)
             view.since = now
@@ -165,10 +164,10 @@ class NodeRules:
             view.is_reset = view.is_reset or command in _RESETS
         return []
 
-    def error_control(self, node_id: int, data: bytes, now: Time) -> list[Finding]:
+    def error_control(self, node_id: int, data: bytes, now: Time) -> list[BusFinding]:
         """Take note of a boot-up, a heartbeat, or a guarding answer."""
         if len(data) != 1:
-            return [Finding("length", node_id, f"a heartbeat of {len(data)} bytes; it has one")]
+            return [BusFinding("length", node_id, f"a heartbeat of {len(data)} bytes; it has one")]
         view, state = self._views[node_id], data[0] & _STATE
         view.deadline = NEVER if view.limit == NEVER else now + view.limit
         self.deadline = min(self.deadline, view.deadline)
@@ -181,9 +180,9 @@ class NodeRules:
             is_expected = view.is_reset or not view.is_up
             view.is_reset = view.is_up = False
             text = "it boots in the middle of operation, and no reset command is in the recording"
-            return [] if is_expected else [Finding("boot-up", node_id, text, is_certain=False)]
+            return [] if is_expected else [BusFinding("boot-up", node_id, text, is_certain=False)]
         view.is_up = True
-        found: list[Finding] = []
+        found: list[BusFinding] = []
         if view.is_asked:
             self._answered(node_id, view, data[0], now, found)
         elif data[0] == view.byte and now - view.last < COPY:
@@ -194,13 +193,13 @@ class NodeRules:
         if suspect is not None and state == view.state and now - view.suspected > LATE:
             found.append(suspect)
         if state not in _STATES:
-            found.append(Finding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
+            found.append(BusFinding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
         interval, before, period = now - view.last, view.interval, view.period
         if abs(interval + before - period) * 8 <= period and abs(interval - before) * 5 > period > 0:
             view.pairs += 1
             if view.pairs == _PAIRS:
                 text = f"its heartbeats come {ms_text(before)} and {ms_text(interval)} apart in turn, and it sends one in"
-                found.append(Finding("double id", node_id, f"{text} {ms_text(period)}: two nodes have one ID"))
+                found.append(BusFinding("double id", node_id, f"{text} {ms_text(period)}: two nodes have one ID"))
         else:
             view.pairs = 0
         view.last, view.interval, view.is_said = now, interval, True
@@ -211,13 +210,13 @@ class NodeRules:
             if len(view.turns) > _TURNS:
                 if len(set(view.turns[::2])) == len(set(view.turns[1::2])) == 1:
                     text = f"its heartbeats say {_word(view.turns[-2])} and {_word(state)} in turn: two nodes have one ID"
-                    found.append(Finding("double id", node_id, text))
+                    found.append(BusFinding("double id", node_id, text))
                 del view.turns[:-1]
         if state != view.state:
             view.state, view.since, view.is_told = state, now, False
         return found
 
-    def _answered(self, node_id: int, view: _View, byte: int, now: Time, found: list[Finding]) -> None:
+    def _answered(self, node_id: int, view: _View, byte: int, now: Time, found: list[BusFinding]) -> None:
         """Look whether an answer to a guarding request has the toggle bit of the one before.
 
         A request and an answer may be missing between them. It is told once many in a row came, each in the time of one request.
@@ -237,13 +236,13 @@ class NodeRules:
             view.same_toggles = view.same_toggles + 1 if is_in_time else 0
             if view.same_toggles == _SAME_TOGGLES:
                 view.same_toggles = 0
-                found.append(Finding("toggle", node_id, f"{text}: it sends heartbeats instead, or two nodes have one ID"))
+                found.append(BusFinding("toggle", node_id, f"{text}: it sends heartbeats instead, or two nodes have one ID"))
             else:
                 self._gaps.missing(node_id, text, now, found)
         else:
             view.same_toggles = 0
 
-    def sdo(self, node_id: int, now: Time, found: list[Finding], *, is_answer: bool) -> None:
+    def sdo(self, node_id: int, now: Time, found: list[BusFinding], *, is_answer: bool) -> None:
         """Take note of an SDO frame."""
         view = self._views[node_id]
         view.is_up = view.is_up or is_answer
@@ -251,9 +250,9 @@ class NodeRules:
             return
         view.is_told = True
         text = "it is stopped, and answers an SDO" if is_answer else "an SDO goes to a node that is stopped: it may not answer"
-        view.suspect, view.suspected = Finding("stopped", node_id, text), now
+        view.suspect, view.suspected = BusFinding("stopped", node_id, text), now
 
-    def pdo(self, node_id: int, now: Time, found: list[Finding]) -> None:
+    def pdo(self, node_id: int, now: Time, found: list[BusFinding]) -> None:
         """Take note of a PDO that a node has sent."""
         view = self._views[node_id]
         view.is_up = True
@@ -261,7 +260,7 @@ class NodeRules:
             return
         view.since = now  # said again after a while only
         text = f"it sends a PDO, and is {_word(view.state)}"
-        view.suspect, view.suspected = Finding("not operational", node_id, text), now
+        view.suspect, view.suspected = BusFinding("not operational", node_id, text), now
 
 
 def _word(state: int) -> str:

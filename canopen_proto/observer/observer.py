@@ -46,14 +46,12 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.multiplexer import index_of, subindex_of
 from canopen_proto.nmt import STATE_OF_BYTE, NmtState
 from canopen_proto.observer import words
-from canopen_proto.observer.connections import Channel, Service, channels_of, services_of
-from canopen_proto.observer.finding import Finding
-from canopen_proto.observer.gaps import Gaps
+from canopen_proto.observer.finding import BusFinding, Gaps
 from canopen_proto.observer.meaning import Meaning, Say
 from canopen_proto.observer.node_rules import MAX_CONSUMERS, NodeRules
-from canopen_proto.observer.parameters import Parameters
-from canopen_proto.observer.pdo import PROFILE, STATUSWORDS, OverheardPdo, OverheardPdos
-from canopen_proto.observer.pdo_rules import PdoRules
+from canopen_proto.observer.parameters import Channel, CobIdService, ObservedParameters, channels_of, services_of
+from canopen_proto.observer.pdo import PROFILE, STATUSWORDS, ObservedPdo, ObservedPdos
+from canopen_proto.observer.pdo_rules import PdoTimings
 from canopen_proto.observer.sdo import SdoFollower, Settled
 from canopen_proto.observer.sequences import Sequences, Summary
 from canopen_proto.observer.service_rules import ServiceRules
@@ -97,7 +95,7 @@ _FUNCTION: Final = 0x780
 _BOOT_UP: Final = b"\0"
 _TOGGLE: Final = 0x80
 
-_Route: TypeAlias = Callable[[Frame, Time, list[Finding]], Meaning]
+_Route: TypeAlias = Callable[[Frame, Time, list[BusFinding]], Meaning]
 """Takes a frame of one service of one node. Puts what is wrong into the list."""
 
 
@@ -112,7 +110,7 @@ class Observation(NamedTuple):
     """
 
     meaning: Meaning
-    findings: tuple[Finding, ...]
+    findings: tuple[BusFinding, ...]
     settled: Settled | None = None
     bits: int = 0
     is_part: bool = False
@@ -136,9 +134,9 @@ class Observer:
         drives: Iterable[int] = (),
     ) -> None:
         self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
-        self._parameters = Parameters(self._dictionaries)
-        self._pdos = OverheardPdos(self._parameters)
-        self._cob_ids: dict[int, tuple[tuple[RoutingKey, Service, int], ...]] = {}  # by node-ID
+        self._parameters = ObservedParameters(self._dictionaries)
+        self._pdos = ObservedPdos(self._parameters)
+        self._cob_ids: dict[int, tuple[tuple[RoutingKey, CobIdService, int], ...]] = {}  # by node-ID
         self._channels: dict[int, tuple[Channel, ...]] = {}  # by node-ID
         self._followers: dict[Channel, SdoFollower] = {}  # those that were heard
         self._routes: dict[RoutingKey, _Route] = {}  # those that were needed since the last change
@@ -146,7 +144,7 @@ class Observer:
         self._gaps = Gaps()
         self._nodes = NodeRules(self._gaps)
         self._services = ServiceRules(self._gaps)
-        self._timings = PdoRules(self._nodes.is_operational, self._gaps)
+        self._timings = PdoTimings(self._nodes.is_operational, self._gaps)
         self._sequences = Sequences()
         self._told: set[str] = set()
         self._alive: set[int] = set()  # nodes that have sent something
@@ -154,7 +152,7 @@ class Observer:
         self._now: Time = -NEVER
         self._load = _Load(bitrate, load_limit) if bitrate else None
         self._settled: Settled | None = None  # by this frame
-        self._lengths: dict[OverheardPdo, int] = {}  # those that came: the wrong length of the last one, or 0
+        self._lengths: dict[ObservedPdo, int] = {}  # those that came: the wrong length of the last one, or 0
         self._statuswords: tuple[tuple[int, int], ...] = ()  # by this frame
         for node_id in drives:
             self._pdos.identified(node_id, DEVICE_TYPE, PROFILE)
@@ -168,7 +166,7 @@ class Observer:
             self._now = now
         else:
             now = self._now
-        found: list[Finding] = []
+        found: list[BusFinding] = []
         if now >= self._nodes.deadline:
             found += self._nodes.overdue(now)
         if now >= self._timings.deadline:
@@ -190,7 +188,7 @@ class Observer:
             return Observation(meaning, tuple(found), settled, bits, *sequences.take(), statuswords)
         return Observation(meaning, tuple(found), settled, bits, False, (), statuswords)
 
-    def idle(self, now: Time) -> tuple[tuple[Finding, ...], tuple[Summary, ...]]:
+    def idle(self, now: Time) -> tuple[tuple[BusFinding, ...], tuple[Summary, ...]]:
         """Return what is wrong because nothing comes, and the sequences that a silence has ended. now: ns; all frames before it
         have been observed."""
         now = self._now = max(now, self._now)
@@ -199,7 +197,7 @@ class Observer:
         _, summaries = self._sequences.take()
         return tuple(found), summaries
 
-    def lost(self, text: str, now: Time) -> Finding:
+    def lost(self, text: str, now: Time) -> BusFinding:
         """Take the receiver's own word that it lost frames here (an overrun), and return it as a finding.
 
         What such frames would have shown is no other finding then. text: the receiver's words. now: ns, as for `observe`.
@@ -255,10 +253,10 @@ class Observer:
                 del self._followers[gone]
         return routes
 
-    def _service_route(self, service: Service, node_id: int) -> _Route:
-        if service is Service.EMCY:
+    def _service_route(self, service: CobIdService, node_id: int) -> _Route:
+        if service is CobIdService.EMCY:
             return partial(self._emergency, node_id)
-        return self._sync if service is Service.SYNC else self._time
+        return self._sync if service is CobIdService.SYNC else self._time
 
     def _predefined(self, key: RoutingKey) -> _Route:
         """Return the route by the predefined connection set, of 11-bit identifiers. CiA 301 v4.2.0, 7.3.3"""
@@ -306,18 +304,18 @@ class Observer:
 
     # ---- the services ----
 
-    def _nmt(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _nmt(self, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         data = frame.data
         if len(data) == 2:
             self._timings.commanded(data[1])
             found += self._nodes.command(data[0], data[1], now)
             self._sequences.command(data[0], data[1], now)
         else:
-            found.append(Finding("length", 0, f"an NMT command of {len(data)} bytes; it has two"))
+            found.append(BusFinding("length", 0, f"an NMT command of {len(data)} bytes; it has two"))
         node_id = data[1] if len(data) > 1 and data[1] <= MAX_NODE_ID else 0
         return Meaning("NMT", node_id, words.of_nmt, frame)
 
-    def _error_control(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _error_control(self, node_id: int, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         data = frame.data
         self._lives(node_id)
         found += self._nodes.error_control(node_id, data, now)
@@ -337,32 +335,32 @@ class Observer:
             self._sequences.operational(node_id, now)
         return Meaning(service, node_id, words.of_error_control, frame)
 
-    def _guarding_request(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _guarding_request(self, node_id: int, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         self._nodes.asked(node_id)
         return Meaning("guarding", node_id, words.of_guarding_request, frame)
 
-    def _sync(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _sync(self, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         self._services.sync(frame.data, now, found)
         self._timings.sync(now, found)
         return Meaning("SYNC", 0, words.of_sync, frame)
 
-    def _time(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _time(self, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         found += self._services.length("TIME", 0, frame.data)
         return Meaning("TIME", 0, words.of_time, frame)
 
-    def _lss(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _lss(self, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         found += self._services.length("LSS", 0, frame.data)
         self._services.lss(frame.data, now, found, by_master=frame.key == lss.FROM_MASTER)
         self._sequences.lss(frame.data, now, by_master=frame.key == lss.FROM_MASTER)
         return Meaning("LSS", 0, words.of_lss, frame)
 
-    def _emergency(self, node_id: int, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _emergency(self, node_id: int, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         self._lives(node_id)
         found += self._services.length("EMCY", node_id, frame.data)
         found += self._services.emergency(node_id, now)
         return Meaning("EMCY", node_id, words.of_emergency, frame)
 
-    def _one_of(self, pdos: tuple[OverheardPdo, ...], frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _one_of(self, pdos: tuple[ObservedPdo, ...], frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         """Take a PDO that PDOs.csv describes: the first one with its length. A frame of another length is none of these."""
         for pdo in pdos:
             if pdo.byte_length == len(frame.data):
@@ -370,7 +368,7 @@ class Observer:
                 return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
         return Meaning(_pdo_name(frame.can_id & _FUNCTION), frame.can_id & MAX_NODE_ID, words.of_bytes, frame)
 
-    def _pdo(self, pdo: OverheardPdo, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _pdo(self, pdo: ObservedPdo, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         if len(frame.data) != pdo.byte_length:
             self._odd_length(pdo, len(frame.data), now, found)
         else:
@@ -382,28 +380,28 @@ class Observer:
         self._timings.came(pdo.node_id, pdo.name, frame.data, now, found)
         return Meaning(pdo.name, pdo.node_id, pdo.say, frame)
 
-    def _odd_length(self, pdo: OverheardPdo, size: int, now: Time, found: list[Finding]) -> None:
+    def _odd_length(self, pdo: ObservedPdo, size: int, now: Time, found: list[BusFinding]) -> None:
         """A PDO has another length than its mapping. One with the right length proves the mapping: else its change is missing."""
         text = f"{pdo.name} has {size} bytes, and its mapping {pdo.byte_length}"
         last = self._lengths.get(pdo)
         if last is None and pdo.is_recorded:
             self._gaps.missing(pdo.node_id, f"{text}, which no PDO had yet", now, found)
         elif last != size:
-            found.append(Finding("pdo length", pdo.node_id, text, is_certain=last is not None))
+            found.append(BusFinding("pdo length", pdo.node_id, text, is_certain=last is not None))
             self._lengths[pdo] = size
 
-    def _request(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _request(self, channel: Channel, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         self._nodes.sdo(channel.node_id, now, found, is_answer=False)
         follower = self._follower(channel)
-        meaning = follower.client(frame, now, found)
+        meaning = follower.take(frame, now, found, is_client=True)
         self._sequences.sdo(channel.node_id, None, follower.aborted, now)
         return meaning
 
-    def _answer(self, channel: Channel, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+    def _answer(self, channel: Channel, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         self._lives(channel.node_id)
         self._nodes.sdo(channel.node_id, now, found, is_answer=True)
         follower = self._follower(channel)
-        meaning = follower.server(frame, now, found)
+        meaning = follower.take(frame, now, found, is_client=False)
         self._sequences.sdo(channel.node_id, follower.settled, follower.aborted, now)
         if follower.settled is not None:
             self._settled = follower.settled
@@ -416,7 +414,7 @@ class Observer:
             follower = self._followers[channel] = SdoFollower(channel.node_id, self._dictionaries[channel.node_id], self._gaps)
         return follower
 
-    def _settle(self, settled: Settled) -> list[Finding]:
+    def _settle(self, settled: Settled) -> list[BusFinding]:
         """Take note of a value that a node holds."""
         node_id, place, data, _ = settled
         index, subindex, value = index_of(place), subindex_of(place), int.from_bytes(data[:4], "little")
@@ -440,7 +438,7 @@ class Observer:
             self._alive.add(node_id)
             self._is_shared_told = False
 
-    def _shared(self) -> list[Finding]:
+    def _shared(self) -> list[BusFinding]:
         """Return PDOs of two nodes with one COB-ID that were not told yet. A file alone is no evidence: both have to be there."""
         found = []
         for key, first, second in self._pdos.shared():
@@ -449,7 +447,7 @@ class Observer:
             text = f"{first.name} of node {first.node_id} and {second.name} of node {second.node_id} have the COB-ID 0x{key:X}"
             if text not in self._told and len(self._told) < _MAX_TOLD:
                 self._told.add(text)
-                found.append(Finding("shared cob-id", second.node_id, text, is_certain=False))
+                found.append(BusFinding("shared cob-id", second.node_id, text, is_certain=False))
         return found
 
     def _read_consumers(self, node_id: int, dictionary: ObjectDictionary) -> None:
@@ -462,7 +460,7 @@ class Observer:
                 self._nodes.consumer(node_id, subindex, value)
 
 
-def _plain(service: str, node_id: int, say: Say, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
+def _plain(service: str, node_id: int, say: Say, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
     """Take a frame of a service without rules."""
     return Meaning(service, node_id, say, frame)
 
@@ -489,14 +487,14 @@ class _Load:
         self._is_behind_silence = False  # what was held back may come in this second
         self._bits = 0
 
-    def add(self, frame: Frame, now: Time, found: list[Finding]) -> int:
+    def add(self, frame: Frame, now: Time, found: list[BusFinding]) -> int:
         """Count a frame, and return its bits on the wire."""
         if self._begin is None or now - self._begin >= SECOND:
             elapsed = SECOND if self._begin is None else now - self._begin
             share = self._bits * SECOND / (elapsed * self._bitrate)
             if self._limit < share and not self._is_behind_silence:
                 text = f"the load was {share * 100:.0f} % of {self._bitrate} bit/s in the last {elapsed / SECOND:.3g} s"
-                found.append(Finding("load", 0, f"{text}; the limit is {self._limit * 100:.0f} %"))
+                found.append(BusFinding("load", 0, f"{text}; the limit is {self._limit * 100:.0f} %"))
             self._is_behind_silence = now - self._last > _SILENCE
             self._begin, self._bits = now, 0
         elif now - self._last > _SILENCE:

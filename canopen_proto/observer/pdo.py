@@ -22,8 +22,8 @@ from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
 from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.multiplexer import index_of
-from canopen_proto.observer.meaning import Shown, Words, hex_text, object_text, shown_of, value_text
-from canopen_proto.observer.parameters import Parameters
+from canopen_proto.observer.meaning import ShownObject, Words, hex_text, object_text, shown_of, value_text
+from canopen_proto.observer.parameters import ObservedParameters
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError, entries_of
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.multiplexed import DESTINATION_MODE, MPDO, MpdoMode
@@ -44,7 +44,7 @@ _Place: TypeAlias = tuple[Direction, int]
 """Direction and number of a PDO of a device."""
 
 
-class OverheardPdo:
+class ObservedPdo:
     """A PDO of a device. Never changes.
 
     name: "TPDO 1", or its name in PDOs.csv and "?". is_recorded: the recording has shown its parameters. mapping: None for a
@@ -95,7 +95,7 @@ class OverheardPdo:
         texts = []
         for entry, label, value in zip(mapping.components, mapping.labels, values, strict=True):
             text = value_text(dictionary, entry.index, entry.subindex, value)
-            objects.append(Shown(self.node_id, entry.index, entry.subindex, entry.name, value, text, is_held))
+            objects.append(ShownObject(self.node_id, entry.index, entry.subindex, entry.name, value, text, is_held))
             texts.append(f"{_name_of(entry, label)} = {text}")
         if len(data) > self.byte_length:
             rest = data[self.byte_length :].hex(" ")
@@ -116,13 +116,13 @@ class OverheardPdo:
         return Words(f"{object_text(dictionary, index, subindex)} {whose} = {shown.text}", (shown,))
 
 
-class OverheardPdos:
+class ObservedPdos:
     """The PDOs of all devices on a bus; see this module's text. `renew` reads those of a device."""
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: ObservedParameters) -> None:
         self._parameters = parameters
-        self._of_node: dict[int, dict[_Place, tuple[RoutingKey, OverheardPdo]]] = {}
-        self._by_key: dict[RoutingKey, list[OverheardPdo]] = {}  # the surest one first
+        self._of_node: dict[int, dict[_Place, tuple[RoutingKey, ObservedPdo]]] = {}
+        self._by_key: dict[RoutingKey, list[ObservedPdo]] = {}  # the surest one first
         self._crowded: set[RoutingKey] = set()  # those of several PDOs
         self._described: set[int] = set()  # nodes that PDOs.csv may describe
 
@@ -159,12 +159,12 @@ class OverheardPdos:
             if not pdos:
                 del self._by_key[key]
 
-    def find(self, key: RoutingKey) -> OverheardPdo | None:
+    def find(self, key: RoutingKey) -> ObservedPdo | None:
         """Return the PDO with a routing key by the recording or by a file, or None."""
         pdos = self._by_key.get(key)
         return pdos[0] if pdos else None
 
-    def shared(self) -> list[tuple[RoutingKey, OverheardPdo, OverheardPdo]]:
+    def shared(self) -> list[tuple[RoutingKey, ObservedPdo, ObservedPdo]]:
         """Return the PDOs that two nodes send with one COB-ID, with its routing key."""
         crowded = [(key, self._by_key[key]) for key in sorted(self._crowded)]
         return [
@@ -174,7 +174,7 @@ class OverheardPdos:
             if pdos[0].node_id != pdo.node_id and Direction.RPDO not in (pdos[0].direction, pdo.direction)
         ]
 
-    def guesses(self, key: RoutingKey) -> tuple[OverheardPdo, ...]:
+    def guesses(self, key: RoutingKey) -> tuple[ObservedPdo, ...]:
         """Return the PDOs that PDOs.csv describes with a routing key, for a device that has shown none itself."""
         node_id = key & MAX_NODE_ID
         if node_id not in self._described or self._of_node.get(node_id):
@@ -187,10 +187,10 @@ class OverheardPdos:
                     mapping = PdoMapping.from_description(each)
                 except MappingError:
                     continue
-                found.append(OverheardPdo(node_id, f"{each.name}?", each.direction, mapping, dictionaries))
+                found.append(ObservedPdo(node_id, f"{each.name}?", each.direction, mapping, dictionaries))
         return tuple(found)
 
-    def _pdo_of(self, node_id: int, direction: Direction, number: int) -> tuple[RoutingKey, OverheardPdo] | None:
+    def _pdo_of(self, node_id: int, direction: Direction, number: int) -> tuple[RoutingKey, ObservedPdo] | None:
         """Return a PDO by the recording and by the device's file, with its routing key; None if it is not valid."""
         cob_id = self._cob_id(node_id, direction, number)
         if not cob_id or cob_id & COB_ID_INVALID:
@@ -201,7 +201,7 @@ class OverheardPdos:
         places = communication_index(direction, number), mapping_index(direction, number)
         is_recorded = any(self._parameters.is_recorded(node_id, index) for index in places)
         dictionaries = self._parameters.dictionaries
-        pdo = OverheardPdo(node_id, f"{direction} {number}", direction, mapping, dictionaries, is_recorded=is_recorded)
+        pdo = ObservedPdo(node_id, f"{direction} {number}", direction, mapping, dictionaries, is_recorded=is_recorded)
         return key_of_cob_id(cob_id), pdo
 
     def _cob_id(self, node_id: int, direction: Direction, number: int) -> int | None:
@@ -244,7 +244,7 @@ def _name_of(entry: MappedEntry, label: str) -> str:
     return label if label == entry.name else f"{label} {entry.name}"
 
 
-def _rank(pdo: OverheardPdo) -> tuple[bool, bool, int, str]:
+def _rank(pdo: ObservedPdo) -> tuple[bool, bool, int, str]:
     """Return by what PDOs with one COB-ID are ordered; see this module's text."""
     return not pdo.is_recorded, pdo.direction is Direction.RPDO, pdo.node_id, pdo.name
 

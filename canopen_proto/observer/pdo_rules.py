@@ -15,8 +15,7 @@ from typing import Final
 
 from canopen_proto.dictionary import Direction
 from canopen_proto.machine import MILLISECOND, NEVER, Time
-from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, ms_text
-from canopen_proto.observer.gaps import Gaps
+from canopen_proto.observer.finding import INHIBIT_UNIT, BusFinding, Gaps, ms_text
 from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, place_of
 
 MAX_CYCLIC: Final = 240
@@ -60,7 +59,7 @@ class _Timing:
         self.twice_at = -1  # the number of the last SYNC when it came a second time
 
 
-class PdoRules:
+class PdoTimings:
     """See this module's text. is_operational: whether a node has said that it is operational.
 
     deadline: the time at which a PDO is late for its event timer; NEVER if none can be.
@@ -110,7 +109,7 @@ class PdoRules:
             if node_id in (0, timing.node_id):
                 timing.forget()
 
-    def came(self, node_id: int, name: str, data: bytes, now: Time, found: list[Finding]) -> None:
+    def came(self, node_id: int, name: str, data: bytes, now: Time, found: list[BusFinding]) -> None:
         """Take note of a PDO. found: takes what is wrong with its time."""
         timing = self._timings.get((node_id, name)) if self._timings else None
         if timing is None:
@@ -120,7 +119,7 @@ class PdoRules:
             timing.early = timing.early + 1 if interval > BURST else 0
             if timing.early == EARLY:
                 text = f"{name} {ms_text(interval)} behind the last one; its inhibit time is {ms_text(timing.inhibit)}"
-                found.append(Finding("inhibit time", node_id, text))
+                found.append(BusFinding("inhibit time", node_id, text))
         else:
             timing.early = 0
         if timing.is_sent and 0 <= timing.kind <= MAX_CYCLIC:
@@ -133,7 +132,7 @@ class PdoRules:
             timing.deadline = now + timing.event_timer * 3 // 2
             self.deadline = min(self.deadline, timing.deadline)
 
-    def _twice(self, timing: _Timing, data: bytes, interval: Time, now: Time, found: list[Finding]) -> None:
+    def _twice(self, timing: _Timing, data: bytes, interval: Time, now: Time, found: list[BusFinding]) -> None:
         """A PDO comes a second time behind one SYNC. A SYNC may be missing between the two, if that was long enough."""
         text = f"{timing.name} comes a second time behind one SYNC"
         if data == timing.data:
@@ -145,9 +144,9 @@ class PdoRules:
             timing.twice_at = self._syncs
             if timing.extra == _TWICE:
                 timing.extra = 0
-                found.append(Finding("synchronous pdo", timing.node_id, f"{text}, {_TWICE} times in a row"))
+                found.append(BusFinding("synchronous pdo", timing.node_id, f"{text}, {_TWICE} times in a row"))
 
-    def sync(self, now: Time, found: list[Finding]) -> None:
+    def sync(self, now: Time, found: list[BusFinding]) -> None:
         """Take note of a SYNC. found: takes the PDOs that were due behind the last two of theirs; each one once."""
         self._syncs += 1
         self._cycle = min(self._cycle, now - self._sync_at)
@@ -157,9 +156,9 @@ class PdoRules:
                 timing.at_sync = -1
                 if self._is_operational(timing.node_id):
                     text = f"{timing.name} does not come, at a SYNC and at the next one; its transmission type is {timing.kind}"
-                    found.append(Finding("late pdo", timing.node_id, text, is_certain=False))
+                    found.append(BusFinding("late pdo", timing.node_id, text, is_certain=False))
 
-    def overdue(self, now: Time) -> list[Finding]:
+    def overdue(self, now: Time) -> list[BusFinding]:
         """Return the PDOs that are later than their event timers allow; each one once."""
         found = []
         for timing in self._timings.values():
@@ -167,7 +166,7 @@ class PdoRules:
                 timing.deadline = NEVER
                 if self._is_operational(timing.node_id):
                     text = f"{timing.name} does not come; its event timer is {ms_text(timing.event_timer)}"
-                    found.append(Finding("late pdo", timing.node_id, text, is_certain=False))
+                    found.append(BusFinding("late pdo", timing.node_id, text, is_certain=False))
         self.deadline = min((timing.deadline for timing in self._timings.values()), default=NEVER)
         return found
 

@@ -9,7 +9,7 @@ heard, nothing is wrong. A frame that does not fit into the transfer is put in w
 transfer. Where the recording lacks a part of a block, neither its CRC nor its size is judged, and no value is shown. A request
 that is given up without an abort is no fault of its own.
 
-Whatever a missing frame can look like is told as that, once (gaps.py). A fault needs a proof:
+Whatever a missing frame can look like is told as that, once (finding.py). A fault needs a proof:
 
     toggle        of a segment: all bytes are there that were announced, so no segment is missing; or the server says so itself.
                   It is likely only where a copy of the frame before, in the place of the right one, would look the same
@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import enum
 from binascii import crc_hqx
+from functools import partial
 from typing import Final, NamedTuple
 
 from canopen_proto.abort import text_of
@@ -33,41 +34,35 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.observer.finding import Finding
-from canopen_proto.observer.gaps import QUIET, Gaps
+from canopen_proto.observer import words
+from canopen_proto.observer.finding import QUIET, BusFinding, Gaps
 from canopen_proto.observer.meaning import Meaning, Say
-from canopen_proto.observer.sdo_words import (
-    WRITTEN,
-    SdoStep,
-    a_block_confirmation,
-    a_confirmation,
-    alone,
-    mux_of,
-    name_of,
-    once_more,
-    too_short,
-)
-from canopen_proto.sdo.block import ACKNOWLEDGEMENT, END, END_RESPONSE, FINAL, KIND, MAX_BLOCK_SIZE, SEQUENCE, START_UPLOAD
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEGMENT_SIZE
 from canopen_proto.sdo.codec import (
     ABORT,
     BLOCK_DOWNLOAD,
     BLOCK_UPLOAD,
-    DOWNLOAD_SEGMENT,
-    DOWNLOAD_SEGMENT_RESPONSE,
+    CRC_BIT,
     EXPEDITED_BIT,
-    INITIATE_DOWNLOAD,
-    INITIATE_DOWNLOAD_RESPONSE,
-    INITIATE_UPLOAD,
-    INITIATE_UPLOAD_RESPONSE,
+    FINAL,
+    INITIATES,
     LAST,
+    LEAST_INITIATE,
     LEAST_REQUEST,
     LEAST_RESPONSE,
-    SIZE_BIT,
+    REQUESTS,
+    RESPONSES,
+    SEQUENCE,
     SPECIFIER,
     TOGGLE,
-    UPLOAD_SEGMENT,
-    UPLOAD_SEGMENT_RESPONSE,
+    SdoFrame,
+    announced_size,
     complete,
+    expedited_data,
+    mux_in,
+    number_in,
+    segment_data,
+    unused_at_end,
 )
 
 MAX_KEPT: Final = 1 << 16
@@ -85,11 +80,7 @@ PAUSE: Final = 100 * MILLISECOND
 _REPEATED: Final = 3
 """So often something has to happen that accuses another client, or another node."""
 _MAX_SUPERSEDED: Final = 4
-_SEGMENT: Final = 7
 _TOGGLE_ABORT: Final = 0x0503_0000
-
-_BLOCK_CRC: Final = 0x04
-_BLOCK_SIZE_BIT: Final = 0x02
 
 
 class _Phase(enum.Enum):
@@ -123,7 +114,7 @@ class SdoFollower:
     """
 
     __slots__ = (
-        "_acknowledgement", "_announced", "_answer", "_answered", "_before", "_block_size", "_copies", "_crc", "_data",
+        "_acknowledgement", "_announced", "_answer", "_answered", "_asked", "_before", "_block_size", "_copies", "_crc", "_data",
         "_dictionary", "_echo", "_found", "_gaps", "_has_crc", "_held", "_is_client", "_is_doubtful", "_is_intruded",
         "_is_judged", "_is_lost", "_is_odd_proven", "_is_odd_request", "_is_paused", "_is_sound", "_is_upload", "_is_whole",
         "_last", "_last_answer", "_last_request", "_least", "_length", "_now", "_odd", "_pending", "_phase", "_place",
@@ -144,23 +135,23 @@ class SdoFollower:
         self._rival_at: Time = -NEVER  # the last of these
         self._twins = 0  # second answers in a row
         self._least: Time = NEVER  # the least time from a request to its answer
-        self._held: _Held | None = None  # a transfer in which another one began
+        self._held: _Interrupted | None = None  # a transfer in which another one began
         self._is_lost = False  # frames of this transfer are missing
         self.settled: Settled | None = None
         self.aborted: Mux | None = None
         self._dictionary = dictionary
-        self._found: list[Finding] = []
+        self._found: list[BusFinding] = []
         self._phase = _Phase.UNKNOWN
         self._is_judged = False  # the request that began this transfer was heard
         self._since: Time = 0  # of the request that waits for its answer
         self._answer = b""  # the last one that ended a transfer
         self._answered: Time = 0
-        self._begin(bytes(8), is_upload=False)
+        self._begin(bytes(8), SdoFrame.DOWNLOAD)
 
-    def _begin(self, frame: bytes, *, is_upload: bool) -> None:
-        self._request, self._place = frame, frame[1:4]
-        self._is_upload = is_upload
-        self._verb = "read" if is_upload else "write"
+    def _begin(self, frame: bytes, asked: SdoFrame) -> None:
+        self._request, self._place, self._asked = frame, frame[1:4], asked
+        self._is_upload = asked in _UPLOADS
+        self._verb = "read" if self._is_upload else "write"
         self._announced: int | None = None  # bytes
         self._data = bytearray()
         self._length: int = 0  # bytes so far
@@ -184,39 +175,29 @@ class SdoFollower:
         self._is_paused = False  # the end of this transfer, and the beginning of another one, may be missing
         self._is_odd_request = False
 
-    def client(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
-        """Return the meaning of a frame of the client. found: takes what is wrong."""
+    def take(self, frame: Frame, now: Time, found: list[BusFinding], *, is_client: bool) -> Meaning:
+        """Return the meaning of a frame of the client, or of the server. found: takes what is wrong."""
         self.settled = self.aborted = None
         self._found = found
         data = frame.data
-        if data == self._before and self._is_client and now - self._now < COPY:
+        if data == self._before and is_client is self._is_client and now - self._now < COPY:
+            return self._copy(frame)
+        if now - self._now > PAUSE and self._phase not in _BETWEEN:
+            self._is_paused = True
+        self._now, self._before, self._is_client = now, data, is_client
+        return Meaning("SDO", self.node_id, self._of_client(data) if is_client else self._of_server(data), frame)
+
+    def _copy(self, frame: Frame) -> Meaning:
+        """Take a frame that has come twice: it counts once, unless both requests have an answer."""
+        if not self._is_client and self._copies:
+            self._copies -= 1
+            return Meaning("SDO", self.node_id, words.once_more, frame)
+        if self._is_client:
             self._copies += self._phase is _Phase.INITIATE_ANSWER
-            return self._copy(frame, "request")
-        if now - self._now > PAUSE and self._phase not in _BETWEEN:
-            self._is_paused = True
-        self._now, self._before, self._is_client = now, data, True
-        return Meaning("SDO", self.node_id, self._of_client(data, now), frame)
-
-    def server(self, frame: Frame, now: Time, found: list[Finding]) -> Meaning:
-        """Return the meaning of a frame of the server. found: takes what is wrong."""
-        self.settled = self.aborted = None
-        self._found = found
-        data = frame.data
-        if data == self._before and not self._is_client and now - self._now < COPY:
-            if self._copies:
-                self._copies -= 1
-                return Meaning("SDO", self.node_id, once_more, frame)
-            return self._copy(frame, "answer")
-        if now - self._now > PAUSE and self._phase not in _BETWEEN:
-            self._is_paused = True
-        self._now, self._before, self._is_client = now, data, False
-        return Meaning("SDO", self.node_id, self._of_server(data, now), frame)
-
-    def _copy(self, frame: Frame, what: str) -> Meaning:
-        """Take a frame that has come twice: it counts once."""
         if self._is_judged:
+            what = "request" if self._is_client else "answer"
             self._gaps.copied(self.node_id, f"the same SDO {what} is there twice", self._now, self._found)
-        return Meaning("SDO", self.node_id, once_more, frame)
+        return Meaning("SDO", self.node_id, words.once_more, frame)
 
     def _lost(self, text: str) -> None:
         """Take a sign that frames of this transfer are missing."""
@@ -239,136 +220,132 @@ class SdoFollower:
         self._is_lost = True
         self._pending.clear()
 
-    def _of_client(self, data: bytes, now: Time) -> Say:
-        if not self._is_upload and data and not self._is_abort(data):
-            if self._phase is _Phase.BLOCK_SEGMENTS:
-                return self._block_segment(data)
-            if 0 < data[0] & SEQUENCE < _LEAST_INITIATE and self._has_next_segments():
-                return self._block_segment(data)
+    def _of_client(self, data: bytes) -> Say:
+        if not self._is_upload and self._is_block_segment(data):
+            return self._block_segment(data)
         request = complete(data, LEAST_REQUEST)
         if request is None:
-            self._found.append(Finding("sdo", self.node_id, "an SDO request is too short for its command"))
+            self._found.append(BusFinding("sdo", self.node_id, "an SDO request is too short for its command"))
             self._forget()  # what it asked for is not known, so neither is its answer
-            return too_short
-        specifier = request[0] & SPECIFIER
-        if specifier == ABORT:
-            return self._aborted(request, "client")
-        if specifier in (INITIATE_DOWNLOAD, INITIATE_UPLOAD) or (
-            specifier in (BLOCK_UPLOAD, BLOCK_DOWNLOAD) and not request[0] & (0x03 if specifier == BLOCK_UPLOAD else LAST)
-        ):
-            return self._initiate(request, now)
+            return words.too_short
+        what = REQUESTS[request[0]]
+        if what is SdoFrame.ABORT:
+            return self._aborted(request)
+        if what in INITIATES:
+            return self._initiate(request, what)
         if self._phase is _Phase.UNKNOWN:
-            return alone
-        if specifier in (DOWNLOAD_SEGMENT, UPLOAD_SEGMENT):
-            return self._segment_request(request, is_upload=specifier == UPLOAD_SEGMENT)
-        return self._block_of_client(request)
+            return words.alone
+        if what in _SEGMENTS:
+            return self._segment_request(request, is_upload=what is SdoFrame.UPLOAD_SEGMENT)
+        return self._block(request, what)
 
-    def _of_server(self, data: bytes, now: Time) -> Say:
-        if self._is_upload and data and not self._is_abort(data):
-            if self._phase is _Phase.BLOCK_SEGMENTS:
-                return self._block_segment(data)
-            if 0 < data[0] & SEQUENCE < _LEAST_INITIATE and self._has_next_segments():
-                return self._block_segment(data)
+    def _of_server(self, data: bytes) -> Say:
+        if self._is_upload and self._is_block_segment(data):
+            return self._block_segment(data)
         answer = complete(data, LEAST_RESPONSE)
         if answer is None:
             self._say("sdo", "an SDO answer is too short for its command")
-            return too_short
-        specifier = answer[0] & SPECIFIER
+            return words.too_short
+        what = RESPONSES[answer[0]]
         say: Say
-        if specifier == ABORT:
+        if what is SdoFrame.ABORT:
             if self._phase is _Phase.IDLE and not self._superseded:
                 self._lost("the server aborts a transfer whose request is not there")
-            say = self._aborted(answer, "server")
+            say = self._aborted(answer)
         elif self._phase is _Phase.IDLE or self._phase is _Phase.UNKNOWN:
-            say = self._unasked(answer, now)
+            say = self._unasked(answer, what)
         elif self._phase is _Phase.INITIATE_ANSWER:
-            say = self._initiate_answer(answer, now)
-        elif specifier in (UPLOAD_SEGMENT_RESPONSE, DOWNLOAD_SEGMENT_RESPONSE) and self._phase in (
-            _Phase.SEGMENT_ANSWER,
-            _Phase.SEGMENT_REQUEST,
-        ):
-            say = self._segment_answer(answer, is_upload=specifier == UPLOAD_SEGMENT_RESPONSE)
+            say = self._initiate_answer(answer, what)
+        elif what in _SEGMENTS and self._phase in (_Phase.SEGMENT_ANSWER, _Phase.SEGMENT_REQUEST):
+            say = self._segment_answer(answer, is_upload=what is SdoFrame.UPLOAD_SEGMENT)
         else:
-            say = self._block_of_server(answer)
+            say = self._block(answer, what)
         if self._phase is _Phase.IDLE:
-            self._answer, self._answered = answer, now
+            self._answer, self._answered = answer, self._now
         return say
+
+    def _is_block_segment(self, data: bytes) -> bool:
+        """Return whether a frame of the side that has the data is a segment of a block, and not an abort of the transfer."""
+        if not data or (len(data) == 8 and data[0] == ABORT and data[1:4] == self._place):
+            return False
+        if self._phase is _Phase.BLOCK_SEGMENTS:
+            return True
+        return 0 < data[0] & SEQUENCE < LEAST_INITIATE and self._has_next_segments()
 
     # ---- initiate ----
 
-    def _initiate(self, request: bytes, now: Time) -> Say:
+    def _initiate(self, request: bytes, what: SdoFrame) -> Say:
         if self._phase is _Phase.INITIATE_ANSWER:
             if request != self._request:
-                self._superseded.append((self._place, now - self._since < TWO_CLIENTS))
+                self._superseded.append((self._place, self._now - self._since < TWO_CLIENTS))
                 del self._superseded[:-_MAX_SUPERSEDED]
             else:
                 self._copies += 1  # the client asks again, and both may be answered
         elif self._phase in (_Phase.SEGMENT_REQUEST, _Phase.SEGMENT_ANSWER) and self._is_judged:
             self._end_oddly()
-            self._held = _Held(
+            self._held = _Interrupted(
                 self._phase, self._request, self._announced, bytes(self._data), self._length, self._toggle, self._last_request
             )
-        command = request[0]
-        specifier = command & SPECIFIER
-        self._begin(request, is_upload=specifier in (INITIATE_UPLOAD, BLOCK_UPLOAD))
-        self._phase, self._since, self._is_judged, self._is_lost = _Phase.INITIATE_ANSWER, now, True, False
-        if specifier == INITIATE_UPLOAD:
+        self._begin(request, what)
+        self._phase, self._since, self._is_judged, self._is_lost = _Phase.INITIATE_ANSWER, self._now, True, False
+        if what is SdoFrame.UPLOAD:
             return self._step()
-        if specifier == INITIATE_DOWNLOAD:
-            if command & EXPEDITED_BIT:
-                self._keep(_expedited(request))
-                return self._value()
-            return self._step(f": in segments{self._announce(request, SIZE_BIT)}")
-        self._has_crc = bool(command & _BLOCK_CRC)
-        if specifier == BLOCK_DOWNLOAD:
-            return self._step(f": in blocks{self._announce(request, _BLOCK_SIZE_BIT)}")
+        if what is SdoFrame.DOWNLOAD:
+            return self._value_or_segments(request)
+        self._has_crc = bool(request[0] & CRC_BIT)
+        if what is SdoFrame.BLOCK_DOWNLOAD:
+            return self._step(f": in blocks{self._announce(request)}")
         self._block_size = request[4]
         return self._step(f": in blocks of {request[4]} segments")
 
-    def _initiate_answer(self, answer: bytes, now: Time) -> Say:
-        command, asked = answer[0], self._request[0] & SPECIFIER
-        specifier = command & SPECIFIER
-        if (asked, specifier) not in _ANSWERS or answer[1:4] != self._place:
+    def _initiate_answer(self, answer: bytes, what: SdoFrame) -> Say:
+        is_other = what is SdoFrame.UPLOAD and self._asked is SdoFrame.BLOCK_UPLOAD  # it may change to the other protocol
+        if not (what is self._asked or is_other) or answer[1:4] != self._place:
             if not self._is_to_another(answer):
-                seen = (
-                    f"an SDO answer for {name_of(answer[1:4])}" if answer[1:4] != self._place else "an SDO answer of another kind"
-                )
-                self._lost(f"{seen}; the request was for {name_of(self._place)}")
-            return self._by_itself(answer)
-        self._least = min(self._least, now - self._since)
+                is_named = answer[1:4] == self._place
+                seen = "an SDO answer of another kind" if is_named else f"an SDO answer for {words.name_of(answer)}"
+                self._lost(f"{seen}; the request was for {words.name_of(self._request)}")
+            return self._by_itself(answer, what)
+        self._least = min(self._least, self._now - self._since)
         self._twins = self._twins if answer[1:4] == self._answer[1:4] else 0
-        if specifier == INITIATE_DOWNLOAD_RESPONSE:
+        if what is SdoFrame.DOWNLOAD:  # whose answer alone does not say whether segments follow
             if self._request[0] & EXPEDITED_BIT:
                 return self._written()
             self._phase = _Phase.SEGMENT_REQUEST
+        self._has_crc = self._has_crc and bool(answer[0] & CRC_BIT)
+        return self._begun(answer, what)
+
+    def _begun(self, answer: bytes, what: SdoFrame) -> Say:
+        """Take the answer to an initiate request: the data follow, or are in it."""
+        if what is SdoFrame.UPLOAD:
+            say = self._value_or_segments(answer)
+            self._phase = _Phase.SEGMENT_REQUEST
+            if answer[0] & EXPEDITED_BIT:
+                self._end()
+            return say
+        if what is SdoFrame.DOWNLOAD:
             return self._step(": go on")
-        if specifier == INITIATE_UPLOAD_RESPONSE:  # also of a block upload: the server may change to the other protocol
-            return self._upload_answer(answer)
-        self._has_crc = self._has_crc and bool(command & _BLOCK_CRC)
-        return self._block_answer(answer)
-
-    def _upload_answer(self, answer: bytes) -> Say:
-        if answer[0] & EXPEDITED_BIT:
-            self._keep(_expedited(answer))
-            self._end()
-            return self._value()
-        self._phase = _Phase.SEGMENT_REQUEST
-        return self._step(f": in segments{self._announce(answer, SIZE_BIT)}")
-
-    def _block_answer(self, answer: bytes) -> Say:
-        if self._is_upload:
+        if what is SdoFrame.BLOCK_UPLOAD:
             self._phase = _Phase.BLOCK_START
-            return self._step(f": in blocks{self._announce(answer, _BLOCK_SIZE_BIT)}")
+            return self._step(f": in blocks{self._announce(answer)}")
         self._phase, self._block_size = _Phase.BLOCK_SEGMENTS, answer[4]
         return self._step(f": go on, {answer[4]} segments a block")
 
-    def _unasked(self, answer: bytes, now: Time) -> Say:
+    def _value_or_segments(self, frame: bytes) -> Say:
+        """Take the initiate frame of the side that has the data, without blocks."""
+        data = expedited_data(frame)
+        if data is None:
+            return self._step(f": in segments{self._announce(frame)}")
+        self._keep(data)
+        return self._value()
+
+    def _unasked(self, answer: bytes, what: SdoFrame) -> Say:
         if not self._is_judged or self._is_to_another(answer):
-            return self._by_itself(answer)
+            return self._by_itself(answer, what)
         if self._copies and answer == self._answer:
             self._copies -= 1
-            return self._by_itself(answer)
-        is_twin = answer[1:4] == self._answer[1:4] and (now - self._answered) * 2 < self._least and self._least < NEVER
+            return self._by_itself(answer, what)
+        is_twin = answer[1:4] == self._answer[1:4] and (self._now - self._answered) * 2 < self._least < NEVER
         twins = self._twins + 1 if is_twin else 0
         if twins >= _REPEATED:
             self._say(
@@ -378,7 +355,7 @@ class SdoFollower:
         else:
             self._lost("an SDO answer whose request is not there" + (", or a second node answers" if is_twin else ""))
         self._twins = twins
-        return self._by_itself(answer)
+        return self._by_itself(answer, what)
 
     def _is_to_another(self, answer: bytes) -> bool:
         """Return whether an answer is to a request before the last one: its client gave up, or there are two clients."""
@@ -397,32 +374,19 @@ class SdoFollower:
                 return True
         return False
 
-    def _by_itself(self, answer: bytes) -> Say:
+    def _by_itself(self, answer: bytes, what: SdoFrame) -> Say:
         """Return an answer in words; its request was not heard, or was another one. If nothing else is known, the transfer is
         followed from here."""
-        specifier = answer[0] & SPECIFIER
-        is_upload = specifier in (INITIATE_UPLOAD_RESPONSE, BLOCK_DOWNLOAD)
-        if not is_upload and specifier not in (INITIATE_DOWNLOAD_RESPONSE, BLOCK_UPLOAD):
-            return a_confirmation if specifier == DOWNLOAD_SEGMENT_RESPONSE else alone
-        if specifier == BLOCK_UPLOAD and answer[0] & KIND:
-            return a_block_confirmation if answer[0] & KIND == END_RESPONSE else alone
-        if specifier == BLOCK_DOWNLOAD and answer[0] & LAST:
-            return alone
-        if self._phase is not _Phase.UNKNOWN:  # another transfer is followed, or its end is remembered
-            return self._only_step(answer, is_upload=is_upload)
-        self._begin(answer, is_upload=is_upload)
-        if specifier == INITIATE_UPLOAD_RESPONSE:
-            return self._upload_answer(answer)
-        return self._step(": go on") if specifier == INITIATE_DOWNLOAD_RESPONSE else self._block_answer(answer)
-
-    def _only_step(self, answer: bytes, *, is_upload: bool) -> Say:
-        """Return an initiate answer in words, and leave the transfer as it is."""
-        place, verb, data = answer[1:4], "read" if is_upload else "write", None
-        if answer[0] & SPECIFIER == INITIATE_UPLOAD_RESPONSE and answer[0] & EXPEDITED_BIT:
-            data = _expedited(answer)
-            self.settled = Settled(self.node_id, mux_of(place), data, True)
-        after = ": begins" if is_upload else ": go on"
-        return SdoStep(self._dictionary, self.node_id, place, verb, after, data, data is not None).say
+        if what not in INITIATES:
+            return words.STRAY_ANSWERS.get(what, words.alone)
+        if self._phase is _Phase.UNKNOWN:
+            self._begin(answer, what)
+            return self._begun(answer, what)
+        # Another transfer is followed, or its end is remembered: that stays as it is
+        data = expedited_data(answer) if what is SdoFrame.UPLOAD else None
+        if data is not None:
+            self.settled = Settled(self.node_id, mux_in(answer), data, True)
+        return self._said(answer, *(("read", ": begins") if what in _UPLOADS else ("write", ": go on")), data)
 
     # ---- segments ----
 
@@ -432,15 +396,15 @@ class SdoFollower:
             self._resume(held)
         if self._phase not in (_Phase.SEGMENT_REQUEST, _Phase.SEGMENT_ANSWER) or is_upload != self._is_upload:
             self._lost("a request for a segment, outside of such a transfer")
-            return alone
+            return words.alone
         if request[0] & TOGGLE != self._toggle and request == self._last_request:
             self._echo = request  # or the next one, with a wrong toggle bit: the answer will tell
-            return once_more
+            return words.once_more
         self._echo = b""
         self._is_odd_request = request[0] & TOGGLE != self._toggle
         if self._is_odd_request and self._phase is _Phase.SEGMENT_ANSWER:
             self._lost("the answer to a segment")
-            return alone
+            return words.alone
         self._last_request = request
         self._check_toggle(request[0], "request")
         self._phase = _Phase.SEGMENT_ANSWER
@@ -456,13 +420,13 @@ class SdoFollower:
                 if not is_upload:
                     self._segment(echo)
         if answer == self._last_answer and answer[0] & TOGGLE != self._toggle and self._phase is _Phase.SEGMENT_REQUEST:
-            return once_more
+            return words.once_more
         if is_upload != self._is_upload or (self._phase is not _Phase.SEGMENT_ANSWER and self._is_judged):
             self._lost("a segment's answer to which there is no request")
-            return alone
+            return words.alone
         if self._is_odd_request and answer[0] & TOGGLE != self._toggle:
             self._lost("a segment and its answer")
-            return alone
+            return words.alone
         if answer[0] & TOGGLE != self._toggle and answer == self._last_answer:
             self._is_odd_proven = False
         self._last_answer = answer
@@ -475,7 +439,7 @@ class SdoFollower:
 
     def _segment(self, frame: bytes) -> Say:
         """Take the data of a segment."""
-        self._keep(frame[1 : 8 - (frame[0] >> 1 & 7)])
+        self._keep(segment_data(frame))
         self._last = bool(frame[0] & LAST)
         if not self._last:
             return self._step(f": segment, {self._length} bytes so far")
@@ -498,10 +462,10 @@ class SdoFollower:
             self._odd = ""
             self._is_sound = False
             is_doubtful = self._is_paused or self._gaps.is_near(self._now)
-            if (is_doubtful and not is_complete) or abs(announced - length) >= _SEGMENT:
-                self._lost(f"{name_of(self._place)} was announced with {announced} bytes, and has {length}")
+            text = f"{words.name_of(self._request)} was announced with {announced} bytes, and has {length}"
+            if (is_doubtful and not is_complete) or abs(announced - length) >= SEGMENT_SIZE:
+                self._lost(text)
                 return
-            text = f"{name_of(self._place)} was announced with {announced} bytes, and has {length}"
             self._say("size", text, is_certain=False)
         self._check_odd()
         if self._is_intruded and announced == length:
@@ -522,10 +486,10 @@ class SdoFollower:
             self._gaps.missing(self.node_id, self._odd, self._now, self._found)
             self._odd = ""
 
-    def _resume(self, held: _Held) -> None:
+    def _resume(self, held: _Interrupted) -> None:
         """Go on with a transfer in which another one was made."""
         self._held = None
-        self._begin(held.request, is_upload=held.request[0] & SPECIFIER == INITIATE_UPLOAD)
+        self._begin(held.request, REQUESTS[held.request[0]])
         self._phase, self._announced, self._length, self._toggle = held.phase, held.announced, held.length, held.toggle
         self._data += held.data
         self._last_request = held.last_request
@@ -557,62 +521,59 @@ class SdoFollower:
         if self._phase is _Phase.BLOCK_ACKNOWLEDGEMENT:
             return not self._was_final
         is_begun = self._phase is (_Phase.BLOCK_START if self._is_upload else _Phase.INITIATE_ANSWER)
-        if not is_begun or self._request[0] & SPECIFIER != (BLOCK_DOWNLOAD if not self._is_upload else BLOCK_UPLOAD):
+        if not is_begun or self._asked not in (SdoFrame.BLOCK_DOWNLOAD, SdoFrame.BLOCK_UPLOAD):
             return False
         self._lost_in_block("the beginning of a block")
         return True
 
-    def _block_of_client(self, frame: bytes) -> Say:
-        kind = frame[0] & KIND
-        if self._is_upload and frame[0] == START_UPLOAD and self._phase is _Phase.BLOCK_START:
+    def _block(self, frame: bytes, what: SdoFrame) -> Say:
+        """Take a frame of a block transfer, but its initiation and its segments; or a frame that does not fit at all."""
+        phase, by_sender = self._phase, self._is_client is not self._is_upload
+        if by_sender:
+            if what is SdoFrame.BLOCK_END and phase is _Phase.BLOCK_END:
+                return self._block_end(frame)
+        elif what is SdoFrame.BLOCK_START and phase is _Phase.BLOCK_START:
             self._phase = _Phase.BLOCK_SEGMENTS
             return self._step(": start")
-        if self._is_upload and self._may_acknowledge(frame):
+        elif self._may_acknowledge(frame, what):
             return self._acknowledged(frame)
-        if self._is_upload and frame[0] == END_RESPONSE and self._phase is _Phase.BLOCK_END_ANSWER:
+        elif what is SdoFrame.BLOCK_END_RESPONSE and phase is _Phase.BLOCK_END_ANSWER:
+            if not self._is_upload:
+                return self._written()
             self._end()
             return self._step(": block transfer ended")
-        if not self._is_upload and kind == END and self._phase is _Phase.BLOCK_END:
-            return self._block_end(frame)
-        if frame[0] & SPECIFIER == SPECIFIER and self._phase is _Phase.IDLE:
+        if self._is_client and frame[0] & SPECIFIER == SPECIFIER and phase is _Phase.IDLE:
             self._say("sdo", f"an SDO request with the command 0x{frame[0]:02X}, which does not exist")
-            return alone
-        if not self._is_upload and kind == END and self._phase in _IN_BLOCK:
-            self._lost_in_block("the end of a block")
-            return self._block_end(frame)
-        if self._is_upload and self._phase in _IN_BLOCK:
-            self._lost_in_block("a part of a block")
-            if frame[0] == ACKNOWLEDGEMENT:
+            return words.alone
+        if phase in _IN_BLOCK and self._is_of_block(frame, what):
+            self._lost_in_block("the end of a block" if self._is_client and by_sender else "a part of a block")
+            if by_sender and what is SdoFrame.BLOCK_END:
+                return self._block_end(frame)
+            if what is SdoFrame.BLOCK_ACKNOWLEDGEMENT:
                 return self._acknowledged(frame)
-            if frame[0] == END_RESPONSE:
+            if what is SdoFrame.BLOCK_END_RESPONSE:
+                if not self._is_upload:
+                    return self._written()
                 self._end()
-            return self._step(": not all of it was heard")
-        self._lost("a frame of a block transfer that does not fit here")
-        return alone
-
-    def _block_of_server(self, frame: bytes) -> Say:
-        kind = frame[0] & KIND
-        if not self._is_upload and self._may_acknowledge(frame):
-            return self._acknowledged(frame)
-        if not self._is_upload and frame[0] == END_RESPONSE and self._phase is _Phase.BLOCK_END_ANSWER:
-            return self._written()
-        if self._is_upload and kind == END and self._phase is _Phase.BLOCK_END:
-            return self._block_end(frame)
-        if self._phase in _IN_BLOCK and frame[0] & SPECIFIER == (BLOCK_UPLOAD if not self._is_upload else BLOCK_DOWNLOAD):
-            self._lost_in_block("a part of a block")
             if self._is_upload:
-                return self._block_end(frame) if kind == END else self._step(": not all of it was heard")
-            if frame[0] == ACKNOWLEDGEMENT:
-                return self._acknowledged(frame)
-            if frame[0] == END_RESPONSE:
-                return self._written()
+                return self._step(": not all of it was heard")
+        if self._is_client:
+            self._lost("a frame of a block transfer that does not fit here")
+            return words.alone
         self._lost("an SDO answer that does not fit the request")
-        return self._by_itself(frame)
+        return self._by_itself(frame, what)
 
-    def _may_acknowledge(self, frame: bytes) -> bool:
+    def _is_of_block(self, frame: bytes, what: SdoFrame) -> bool:
+        """Return whether a frame may belong to the block transfer, where frames are missing."""
+        if self._is_client:
+            return self._is_upload or what is SdoFrame.BLOCK_END
+        return frame[0] & SPECIFIER == (BLOCK_DOWNLOAD if self._is_upload else BLOCK_UPLOAD)
+
+    def _may_acknowledge(self, frame: bytes, what: SdoFrame) -> bool:
         if self._phase is _Phase.BLOCK_END:  # it may be said once more
             return frame == self._acknowledgement
-        return frame[0] == ACKNOWLEDGEMENT and self._phase in (_Phase.BLOCK_SEGMENTS, _Phase.BLOCK_ACKNOWLEDGEMENT)
+        is_acknowledgement = what is SdoFrame.BLOCK_ACKNOWLEDGEMENT
+        return is_acknowledgement and self._phase in (_Phase.BLOCK_SEGMENTS, _Phase.BLOCK_ACKNOWLEDGEMENT)
 
     def _acknowledged(self, frame: bytes) -> Say:
         """Count what the receiver has. The sender goes on behind that: with the rest of this sub-block, if something was lost."""
@@ -639,7 +600,7 @@ class SdoFollower:
 
     def _block_end(self, frame: bytes) -> Say:
         self._phase = _Phase.BLOCK_END_ANSWER
-        self._keep_tail(self._tail[: 7 - (frame[0] >> 2 & 7)])
+        self._keep_tail(self._tail[: SEGMENT_SIZE - unused_at_end(frame)])
         said = int.from_bytes(frame[1:3], "little")
         if self._is_doubtful:
             has_proof = self._has_crc or self._announced is not None
@@ -652,7 +613,9 @@ class SdoFollower:
                 self._lost("the CRC of a block does not fit, and its size does not prove that all of it is there")
                 return self._step(": not all of it was heard")
             if is_wrong and self._announced == self._length:
-                self._say("crc", f"the CRC of {name_of(self._place)} is said to be 0x{said:04X}, and is 0x{self._crc:04X}")
+                self._say(
+                    "crc", f"the CRC of {words.name_of(self._request)} is said to be 0x{said:04X}, and is 0x{self._crc:04X}"
+                )
             self._check_size(is_complete=self._has_crc and not is_wrong)
         return self._value()
 
@@ -662,12 +625,13 @@ class SdoFollower:
         self._phase = _Phase.IDLE if self._is_judged else _Phase.UNKNOWN
         self._pending.clear()
 
-    def _announce(self, frame: bytes, bit: int) -> str:
-        """Take note of the size that an initiate frame announces by a bit of its command. Return it in words."""
-        if not frame[0] & bit:
+    def _announce(self, frame: bytes) -> str:
+        """Take note of the size that an initiate frame announces. Return it in words."""
+        size = announced_size(frame)
+        if size is None:
             return ""
-        self._announced = int.from_bytes(frame[4:8], "little")
-        return f", {self._announced} bytes"
+        self._announced = size
+        return f", {size} bytes"
 
     def _keep(self, data: bytes) -> None:
         self._length += len(data)
@@ -696,38 +660,38 @@ class SdoFollower:
         data = bytes(self._data) if self._is_whole and self._length == len(self._data) else None
         if data is not None:
             self._settle(data)
-        return SdoStep(self._dictionary, self.node_id, self._place, WRITTEN, "", data, self.settled is not None).say
+        return self._said(self._request, words.WRITTEN, "", data)
 
     def _settle(self, data: bytes) -> None:
         if self._is_sound and not self._is_lost:
-            self.settled = Settled(self.node_id, mux_of(self._place), data, self._is_upload)
+            self.settled = Settled(self.node_id, mux_in(self._request), data, self._is_upload)
 
-    def _aborted(self, frame: bytes, whom: str) -> Say:
-        code = int.from_bytes(frame[4:8], "little")
+    def _aborted(self, frame: bytes) -> Say:
+        code, whom = number_in(frame), "client" if self._is_client else "server"
         if code == _TOGGLE_ABORT and (self._odd or self._is_odd_request or self._echo):
             self._say("toggle", f"the toggle bit of a segment does not alternate; the {whom} says so too")
             self._odd = ""
         self._end_oddly()
         self._end()
-        self.aborted = mux_of(frame[1:4])
+        self.aborted = mux_in(frame)
         text = text_of(code)
         reason = f": {text}" + ("" if "(0x" in text else f" (0x{code:08X})")
-        return SdoStep(self._dictionary, self.node_id, frame[1:4], f"aborted by the {whom},", reason, None, False).say
-
-    def _is_abort(self, data: bytes) -> bool:
-        """Return whether a frame among the segments of a block is an abort: it names the transfer's object."""
-        return len(data) == 8 and data[0] == ABORT and data[1:4] == self._place
+        return self._said(frame, f"aborted by the {whom},", reason)
 
     def _step(self, after: str = "", data: bytes | None = None) -> Say:
+        return self._said(self._request, self._verb, after, data)
+
+    def _said(self, named: bytes, verb: str, after: str, data: bytes | None = None) -> Say:
+        """Return a step of a transfer, to be put in words later. named: a frame that names the object; see `sdo_step`."""
         is_held = data is not None and self.settled is not None
-        return SdoStep(self._dictionary, self.node_id, self._place, self._verb, after, data, is_held).say
+        return partial(words.sdo_step, self._dictionary, self.node_id, named, verb, after, data, is_held)
 
     def _say(self, rule: str, text: str, *, is_certain: bool = True) -> None:
         if self._is_judged:
-            self._found.append(Finding(rule, self.node_id, text, is_certain=is_certain))
+            self._found.append(BusFinding(rule, self.node_id, text, is_certain=is_certain))
 
 
-class _Held(NamedTuple):
+class _Interrupted(NamedTuple):
     """A transfer in segments in which another one began."""
 
     phase: _Phase
@@ -737,11 +701,6 @@ class _Held(NamedTuple):
     length: int
     toggle: int
     last_request: bytes
-
-
-def _expedited(frame: bytes) -> bytes:
-    """Return the value in an initiate frame."""
-    return frame[4 : 8 - (frame[0] >> 2 & 3 if frame[0] & SIZE_BIT else 0)]
 
 
 _BETWEEN: Final = frozenset((_Phase.UNKNOWN, _Phase.IDLE, _Phase.INITIATE_ANSWER))
@@ -754,15 +713,5 @@ _IN_BLOCK: Final = frozenset(
         _Phase.BLOCK_END_ANSWER,
     )
 )
-_LEAST_INITIATE: Final = 0x20
-"""The least first byte of a request that begins a transfer: segments with lower numbers cannot be taken for one."""
-_ANSWERS: Final = frozenset(
-    {
-        (INITIATE_DOWNLOAD, INITIATE_DOWNLOAD_RESPONSE),
-        (INITIATE_UPLOAD, INITIATE_UPLOAD_RESPONSE),
-        (BLOCK_DOWNLOAD, BLOCK_UPLOAD),  # the server's specifiers are the other way round
-        (BLOCK_UPLOAD, BLOCK_DOWNLOAD),
-        (BLOCK_UPLOAD, INITIATE_UPLOAD_RESPONSE),
-    }
-)
-"""By the specifier of the request: those of its answers."""
+_SEGMENTS: Final = (SdoFrame.DOWNLOAD_SEGMENT, SdoFrame.UPLOAD_SEGMENT)
+_UPLOADS: Final = (SdoFrame.UPLOAD, SdoFrame.BLOCK_UPLOAD)

@@ -20,8 +20,7 @@ from canopen_proto.indices import (
 )
 from canopen_proto.lss.messages import LssService
 from canopen_proto.machine import NEVER, Time
-from canopen_proto.observer.finding import INHIBIT_UNIT, Finding, ms_text
-from canopen_proto.observer.gaps import Gaps
+from canopen_proto.observer.finding import INHIBIT_UNIT, BusFinding, Gaps, ms_text
 from canopen_proto.observer.pdo_rules import BURST, EARLY
 from canopen_proto.sync import MAX_COUNTER
 
@@ -56,7 +55,7 @@ class ServiceRules:
         self._lss = (b"", 0)  # the last LSS answer, and how many came to one request
         self._lss_rivals = 0
 
-    def settle(self, node_id: int, index: int, value: int) -> list[Finding]:
+    def settle(self, node_id: int, index: int, value: int) -> list[BusFinding]:
         """Take note of a value that a node holds; returns what is wrong with it on this bus. Other objects do nothing."""
         if index == COB_ID_SYNC:
             _keep(self._producers, node_id, bool(value & _PRODUCES_SYNC))
@@ -77,7 +76,7 @@ class ServiceRules:
             return []
         self._told = True
         return [
-            Finding(
+            BusFinding(
                 "two sync",
                 node_id,
                 f"nodes {', '.join(map(str, both))} produce SYNC: bit 30 of 0x1005, and 0x1006 > 0",
@@ -95,22 +94,22 @@ class ServiceRules:
         self._inhibit.pop(node_id, None)
         self._emergencies[node_id] = -NEVER
 
-    def sync(self, data: bytes, now: Time, found: list[Finding]) -> None:
+    def sync(self, data: bytes, now: Time, found: list[BusFinding]) -> None:
         """Take a SYNC. found: takes what is wrong with it."""
         size = len(data)
         if size > 1:
-            found.append(Finding("length", 0, f"a SYNC of {size} bytes; it has one for the counter, or none"))
+            found.append(BusFinding("length", 0, f"a SYNC of {size} bytes; it has one for the counter, or none"))
             return
         if not self._lengths or self._lengths[-1] != size:
             self._lengths.append(size)
             if len(self._lengths) > _TURNS:
-                found.append(Finding("two sync", 0, "SYNCs with a counter and without one in turn: two nodes produce SYNC"))
+                found.append(BusFinding("two sync", 0, "SYNCs with a counter and without one in turn: two nodes produce SYNC"))
                 del self._lengths[:-1]
         if size:
             last, self._counter = self._counter, data[0]
             if not 1 <= data[0] <= MAX_COUNTER:
                 found.append(
-                    Finding("sync counter", 0, f"the counter of SYNC is {data[0]}; it runs from 1 to {MAX_COUNTER} at most")
+                    BusFinding("sync counter", 0, f"the counter of SYNC is {data[0]}; it runs from 1 to {MAX_COUNTER} at most")
                 )
             elif last is not None and data[0] not in (1, last + 1):
                 text = f"the counter of SYNC is {data[0]} behind {last}"
@@ -119,12 +118,12 @@ class ServiceRules:
                 else:
                     self._gaps.missing(0, text, now, found)
 
-    def length(self, service: str, node_id: int, data: bytes) -> list[Finding]:
+    def length(self, service: str, node_id: int, data: bytes) -> list[BusFinding]:
         """Return whether a frame of TIME, EMCY or LSS has a wrong length."""
         size, due = len(data), _LENGTHS[service]
-        return [] if size == due else [Finding("length", node_id, f"{_WORDS[service]} of {size} bytes; it has {due}")]
+        return [] if size == due else [BusFinding("length", node_id, f"{_WORDS[service]} of {size} bytes; it has {due}")]
 
-    def lss(self, data: bytes, now: Time, found: list[Finding], *, by_master: bool) -> None:
+    def lss(self, data: bytes, now: Time, found: list[BusFinding], *, by_master: bool) -> None:
         """Look whether one device answers an LSS request. Only an identification may have several answers (CiA 305)."""
         if by_master:
             self._lss = (b"", 0)
@@ -141,11 +140,11 @@ class ServiceRules:
         self._lss_rivals += is_same_service
         if is_same_service and self._lss_rivals == EARLY:
             self._lss_rivals = 0
-            found.append(Finding("double id", 0, text, is_certain=False))
+            found.append(BusFinding("double id", 0, text, is_certain=False))
         else:
             self._gaps.missing(0, f"{text}, or a request is missing", now, found)
 
-    def emergency(self, node_id: int, now: Time) -> list[Finding]:
+    def emergency(self, node_id: int, now: Time) -> list[BusFinding]:
         """Return whether an emergency came sooner than the inhibit time of its node allows.
 
         A frame may wait for the bus, and the next one not: only less than half of the time is a fault.
@@ -159,7 +158,7 @@ class ServiceRules:
         if self._early[node_id] != EARLY:
             return []
         text = f"an emergency {ms_text(now - last)} behind the last one; 0x1015 allows one in {ms_text(inhibit)}"
-        return [Finding("inhibit time", node_id, text)]
+        return [BusFinding("inhibit time", node_id, text)]
 
 
 def _keep(nodes: set[int], node_id: int, is_in: bool) -> None:

@@ -40,7 +40,7 @@ KINDS: Final = {
 """By the kind of an event: what happened, in words."""
 
 
-class Event(NamedTuple):
+class BusEvent(NamedTuple):
     """Something that happened. time: ns. kind: one of KINDS. text: for people."""
 
     time: Time
@@ -74,9 +74,9 @@ class Story:
         self._deadline: Time = NEVER
         self._last: Time = -NEVER
 
-    def add(self, frame: Frame, observation: Observation, now: Time) -> list[Event]:
+    def add(self, frame: Frame, observation: Observation, now: Time) -> list[BusEvent]:
         """Take a frame, and what the observer says of it. Return what it shows to have happened. now: ns."""
-        events: list[Event] = []
+        events: list[BusEvent] = []
         if now >= self._deadline:
             self._silences(now, events)
         if now > self._last:
@@ -95,11 +95,11 @@ class Story:
             self._tell_kind("abort", node_id, frame.data[4:8], observation.meaning.text, now, events)
         return events
 
-    def _tell(self, kind: str, node_id: int, text: str, now: Time, events: list[Event]) -> None:
+    def _tell(self, kind: str, node_id: int, text: str, now: Time, events: list[BusEvent]) -> None:
         self.told[kind] = self.told.get(kind, 0) + 1
-        events.append(Event(now, kind, node_id, text))
+        events.append(BusEvent(now, kind, node_id, text))
 
-    def _tell_kind(self, kind: str, node_id: int, mark: bytes, text: str, now: Time, events: list[Event]) -> None:
+    def _tell_kind(self, kind: str, node_id: int, mark: bytes, text: str, now: Time, events: list[BusEvent]) -> None:
         """Tell an event, if its mark is a new one of this node; count it in any case."""
         key = (kind, node_id, mark)
         if key in self._kinds or len(self._kinds) >= MAX_KINDS:
@@ -108,7 +108,7 @@ class Story:
         self._kinds.add(key)
         self._tell(kind, node_id, text, now, events)
 
-    def _emergency(self, node_id: int, data: bytes, observation: Observation, now: Time, events: list[Event]) -> None:
+    def _emergency(self, node_id: int, data: bytes, observation: Observation, now: Time, events: list[BusEvent]) -> None:
         """An emergency that says the same as the last one counts only. The end of all errors is told if there were some."""
         if data[:2] == bytes(2) and node_id not in self._emergencies:
             return
@@ -118,7 +118,7 @@ class Story:
         self._emergencies[node_id] = data
         self._tell("EMCY", node_id, observation.meaning.text, now, events)
 
-    def _statusword(self, node_id: int, index: int, word: int, now: Time, events: list[Event]) -> None:
+    def _statusword(self, node_id: int, index: int, word: int, now: Time, events: list[BusEvent]) -> None:
         """Tell when a drive falls into fault, and when it leaves that."""
         state, key = state_of(word), (node_id, index)
         before = self._states.get(key)
@@ -139,7 +139,7 @@ class Story:
             for node_id in [data[1]] if data[1] else list(self._beats):
                 self._beats.pop(node_id, None)
 
-    def _heard(self, node_id: int, is_boot_up: bool, now: Time, events: list[Event]) -> None:
+    def _heard(self, node_id: int, is_boot_up: bool, now: Time, events: list[BusEvent]) -> None:
         beat = self._beats.get(node_id)
         if beat is not None and beat.is_silent:
             self._tell("back", node_id, f"it is back {_duration(now - beat.last)} behind its last heartbeat", now, events)
@@ -153,7 +153,7 @@ class Story:
         if beat.count >= MISSED:
             self._deadline = min(self._deadline, now + MISSED * beat.period)
 
-    def _silences(self, now: Time, events: list[Event]) -> None:
+    def _silences(self, now: Time, events: list[BusEvent]) -> None:
         """Tell which nodes have become silent. Where no frame came at all, the bus has, or the recording stood still."""
         pause = now - self._last
         self._deadline = NEVER

@@ -1,15 +1,22 @@
-"""The frames of services that have no memory, in words: NMT, error control, SYNC, TIME, EMCY, LSS, remote frames."""
+"""The frames of the services in words.
+
+Those of services without memory say it themselves: NMT, error control, SYNC, TIME, EMCY, LSS, remote frames. The meaning of an
+SDO frame depends on those before it, which the follower (sdo.py) keeps.
+"""
 
 from __future__ import annotations
 
 from typing import Final
 
 from canopen_proto.datatypes import ValueRangeError
+from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.error_codes import error_text, register_names
 from canopen_proto.frame import MAX_NODE_ID, Frame
 from canopen_proto.lss import messages as lss
+from canopen_proto.multiplexer import split_mux
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand
-from canopen_proto.observer.meaning import Words, bytes_text, hex_text
+from canopen_proto.observer.meaning import Say, Words, bytes_text, hex_text, object_text, shown_of
+from canopen_proto.sdo.codec import SdoFrame, mux_in
 from canopen_proto.time_stamp import time_of
 
 _COMMANDS: Final[dict[int, str]] = {
@@ -117,3 +124,59 @@ def of_remote(frame: Frame) -> Words:
 
 def of_extended(frame: Frame) -> Words:
     return Words("29-bit identifier, which no file here assigns")
+
+
+# ---- SDO ----
+
+WRITTEN: Final = "written"
+"""The verb of a confirmation: it shows the value as held, and does not repeat it in words."""
+
+
+def sdo_step(
+    dictionary: ObjectDictionary,
+    node_id: int,
+    named: bytes,
+    verb: str,
+    after: str,
+    data: bytes | None,
+    is_held: bool,
+    _frame: Frame,
+) -> Words:
+    """Say what one frame of a transfer does, with its object.
+
+    named: the frame of the transfer that names the object. after: what follows the object, unless its value does. data: the
+    value, if the frame shows or confirms one. is_held: the device holds it.
+    """
+    index, subindex = split_mux(mux_in(named))
+    shown = shown_of(dictionary, node_id, index, subindex, data, is_held=is_held)
+    if data is not None and verb != WRITTEN:
+        after = f" = {shown.text}"
+    return Words(f"{verb} {object_text(dictionary, index, subindex)}{after}", (shown,))
+
+
+def alone(frame: Frame) -> Words:
+    """Say that a frame belongs to a transfer of which nothing else is known."""
+    return Words(f"part of a transfer whose beginning was not heard: {frame.data[:8].ljust(8, bytes(1)).hex(' ')}")
+
+
+def once_more(_frame: Frame) -> Words:
+    """Say that a frame is the one before it."""
+    return Words("the same frame once more")
+
+
+def too_short(frame: Frame) -> Words:
+    """Say that bytes are missing which the command byte announces."""
+    return Words(f"too short for its command: {hex_text(frame.data)}")
+
+
+def name_of(named: bytes) -> str:
+    """Return the object that an SDO frame names, as "6041:00"."""
+    index, subindex = split_mux(mux_in(named))
+    return f"{index:04X}:{subindex:02X}"
+
+
+STRAY_ANSWERS: Final[dict[SdoFrame, Say]] = {
+    SdoFrame.DOWNLOAD_SEGMENT: lambda _frame: Words("a segment is confirmed"),
+    SdoFrame.BLOCK_END_RESPONSE: lambda _frame: Words("a block transfer is confirmed"),
+}
+"""Answers, of transfers of which nothing else is known, that still say something. The others are `alone`."""

@@ -49,14 +49,7 @@ import struct
 from typing import Final
 
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.sdo.codec import (
-    BLOCK_DOWNLOAD,
-    BLOCK_UPLOAD,
-    INITIATE,
-    INITIATE_DOWNLOAD,
-    INITIATE_UPLOAD,
-    SPECIFIER,
-)
+from canopen_proto.sdo.codec import BLOCK_SIZE_BIT, BLOCK_UPLOAD, CRC_BIT, FINAL, INITIATE, LEAST_INITIATE, SEQUENCE
 
 MAX_BLOCK_SIZE: Final = 127
 """Segments in a sub-block: their numbers have seven bits."""
@@ -78,22 +71,8 @@ STREAM_TIMEOUT: Final = 5 * SECOND
 MAX_STALLS: Final = 10
 """How many sub-blocks in a row may arrive without their first segment before the transfer is aborted."""
 
-# Command bytes (codec.py has BLOCK_UPLOAD and BLOCK_DOWNLOAD) and their bits
-END_RESPONSE: Final = 0xA1
-ACKNOWLEDGEMENT: Final = 0xA2
-START_UPLOAD: Final = 0xA3
-END: Final = 0xC1
-KIND: Final = 0xE3
-"""The bits that tell these four apart."""
-FINAL: Final = 0x80
-SEQUENCE: Final = 0x7F
-LEAST_INITIATE: Final = 0x20
-"""The lowest sequence number that the first byte of an initiate request looks like."""
 MOST_LOST: Final = 2
 """How many segments may be missing in a run that comes out of place: the one after the gap is still recognised."""
-CRC_BIT: Final = 0x04
-BLOCK_SIZE_BIT: Final = 0x02
-"""The size of the data is indicated, in an initiate frame of the sender."""
 
 ACKNOWLEDGE: Final = struct.Struct("<BBB5x")
 """Command, ackseq, block size."""
@@ -106,16 +85,6 @@ INITIATE_BY_RECEIVER: Final = struct.Struct("<BHBB3x")
 def silence_limit(timeout: Time) -> Time:
     """Return the longest pause that a side with this time-out survives inside a block transfer, in ns."""
     return max(timeout, LEAST_SILENCE)
-
-
-def is_initiate(command: int) -> bool:
-    """Return whether a client's frame begins a transfer of any kind."""
-    specifier = command & SPECIFIER
-    if specifier == BLOCK_UPLOAD:
-        return not command & 3
-    if specifier == BLOCK_DOWNLOAD:
-        return not command & 1
-    return specifier in (INITIATE_DOWNLOAD, INITIATE_UPLOAD)
 
 
 def is_next(command: int, due: int) -> bool:

@@ -21,21 +21,22 @@ from typing import Final
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Time
-from canopen_proto.sdo.block import (
-    ACKNOWLEDGEMENT,
-    BLOCK_SIZE_BIT,
-    CRC_BIT,
-    END_RESPONSE,
-    KIND,
-    MAX_SIZE,
-    START_UPLOAD,
-    chosen_block_size,
-    receiver_initiate,
-    sender_initiate,
-)
+from canopen_proto.sdo.block import MAX_SIZE, chosen_block_size, receiver_initiate, sender_initiate
 from canopen_proto.sdo.block_receiver import BlockReceiver
 from canopen_proto.sdo.block_sender import BlockSender
-from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, BLOCK_UPLOAD, INITIATE_UPLOAD_RESPONSE, SIZE, SPECIFIER
+from canopen_proto.sdo.codec import (
+    ACKNOWLEDGEMENT,
+    BLOCK_DOWNLOAD,
+    BLOCK_SIZE_BIT,
+    BLOCK_UPLOAD,
+    CRC_BIT,
+    END_RESPONSE,
+    INITIATE_UPLOAD_RESPONSE,
+    KIND,
+    SIZE,
+    SPECIFIER,
+    START_UPLOAD,
+)
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.segmented_client import Download, Upload, impossible
 from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, ChannelEnd, Transfer

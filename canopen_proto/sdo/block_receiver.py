@@ -48,20 +48,15 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
 from canopen_proto.sdo.block import (
     ACKNOWLEDGE,
-    ACKNOWLEDGEMENT,
-    END,
-    FINAL,
-    KIND,
     MAX_BLOCK_SIZE,
     MAX_STALLS,
     SEGMENT_SIZE,
-    SEQUENCE,
     chosen_block_size,
     is_next,
     next_number,
     silence_limit,
 )
-from canopen_proto.sdo.codec import ABORT
+from canopen_proto.sdo.codec import ABORT, ACKNOWLEDGEMENT, END, FINAL, KIND, SEQUENCE
 from canopen_proto.sdo.transfer import ENDING, HELD, INITIATED, OVER, SEGMENTS, ChannelEnd, Transfer
 
 _BEHIND_A_GAP: Final = -1

@@ -24,18 +24,8 @@ from typing import ClassVar, Final
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
-from canopen_proto.sdo.block import (
-    ACKNOWLEDGEMENT,
-    END,
-    END_FRAME,
-    END_RESPONSE,
-    FINAL,
-    KIND,
-    MAX_BLOCK_SIZE,
-    MAX_STALLS,
-    SEGMENT_SIZE,
-)
-from canopen_proto.sdo.codec import HEADS
+from canopen_proto.sdo.block import END_FRAME, MAX_BLOCK_SIZE, MAX_STALLS, SEGMENT_SIZE
+from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, END, END_RESPONSE, FINAL, HEADS, KIND
 from canopen_proto.sdo.transfer import ENDING, HELD, INITIATED, OVER, SEGMENTS, SENT, Buffer, ChannelEnd, Transfer
 
 

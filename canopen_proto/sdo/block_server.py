@@ -16,22 +16,10 @@ from typing import Final
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
-from canopen_proto.sdo.block import (
-    ACKNOWLEDGEMENT,
-    COPY_TIME,
-    CRC_BIT,
-    END_RESPONSE,
-    KIND,
-    MAX_SIZE,
-    START_UPLOAD,
-    is_initiate,
-    receiver_initiate,
-    sender_initiate,
-    silence_limit,
-)
+from canopen_proto.sdo.block import COPY_TIME, MAX_SIZE, receiver_initiate, sender_initiate, silence_limit
 from canopen_proto.sdo.block_receiver import BlockReceiver
 from canopen_proto.sdo.block_sender import BlockSender
-from canopen_proto.sdo.codec import BLOCK_DOWNLOAD
+from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, BLOCK_DOWNLOAD, CRC_BIT, END_RESPONSE, KIND, START_UPLOAD, is_initiate
 from canopen_proto.sdo.host import Door
 from canopen_proto.sdo.transfer import OVER, ChannelEnd
 

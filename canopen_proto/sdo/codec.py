@@ -13,6 +13,10 @@ client's frames, scs in the server's). Numbers are little-endian. CiA 301 v4.2.0
 
     t toggle   n unused bytes   c no more segments   e expedited   s size (n or the size field) is indicated   x reserved
 
+`REQUESTS` and `RESPONSES` say by the command byte what a frame is (`SdoFrame`). What takes frames apart beside the transfers
+themselves (the observer, the conformance cases, a client that hears others) does it by these tables and by the functions behind
+them. The transfers look at the bits themselves: each frame of the bus passes there.
+
 Download = client to server. Reserved bits are sent as 0 and not looked at. e = 1, s = 0 is expedited data of unspecified size,
 all four bytes; e = 0, s = 0 a segmented transfer whose size is not announced.
 
@@ -23,7 +27,10 @@ announces have to be there; the others count as zeros. See `complete`.
 from __future__ import annotations
 
 import struct
+from enum import Enum
 from typing import Final
+
+from canopen_proto.multiplexer import Mux, mux, mux_text
 
 INITIATE: Final = struct.Struct("<BHBI")
 """Command, index, subindex, and size or abort code (or nothing)."""
@@ -44,7 +51,11 @@ UPLOAD_SEGMENT_RESPONSE: Final = 0x00
 DOWNLOAD_SEGMENT_RESPONSE: Final = 0x20
 ABORT: Final = 0x80
 BLOCK_UPLOAD: Final = 0xA0
+END_RESPONSE: Final = 0xA1
+ACKNOWLEDGEMENT: Final = 0xA2
+START_UPLOAD: Final = 0xA3
 BLOCK_DOWNLOAD: Final = 0xC0
+END: Final = 0xC1
 
 # and their bits
 SPECIFIER: Final = 0xE0
@@ -52,6 +63,17 @@ TOGGLE: Final = 0x10
 LAST: Final = 0x01
 EXPEDITED_BIT: Final = 0x02
 SIZE_BIT: Final = 0x01
+KIND: Final = 0xE3
+"""The bits that tell END_RESPONSE, ACKNOWLEDGEMENT, START_UPLOAD and END apart."""
+CRC_BIT: Final = 0x04
+BLOCK_SIZE_BIT: Final = 0x02
+"""The size of the data is indicated, in an initiate frame of the sender of a block transfer."""
+
+# The first byte of a segment of a block transfer
+FINAL: Final = 0x80
+SEQUENCE: Final = 0x7F
+LEAST_INITIATE: Final = 0x20
+"""The lowest sequence number that the first byte of an initiate request looks like."""
 
 HEADS: Final = tuple(bytes((command,)) for command in range(128))
 """The first byte of a segment as bytes: its command byte, or in a block transfer its number."""
@@ -103,26 +125,114 @@ def complete(data: bytes, least: tuple[int, ...]) -> bytes | None:
     return data[:8].ljust(8, b"\x00")
 
 
+# ---- frames taken apart ----
+
+
+class SdoFrame(Enum):
+    """What a frame is. A response is named like its request; the segments of a block transfer have no name."""
+
+    DOWNLOAD = "initiate download"
+    UPLOAD = "initiate upload"
+    DOWNLOAD_SEGMENT = "download segment"
+    UPLOAD_SEGMENT = "upload segment"
+    ABORT = "abort transfer"
+    BLOCK_DOWNLOAD = "initiate block download"
+    BLOCK_UPLOAD = "initiate block upload"
+    BLOCK_START = "start block upload"
+    BLOCK_ACKNOWLEDGEMENT = "acknowledge sub-block"
+    BLOCK_END = "end block transfer"
+    BLOCK_END_RESPONSE = "end block transfer response"
+    UNKNOWN = "none that the standard has"
+
+
+_COMMANDS: Final = (
+    (INITIATE_DOWNLOAD, INITIATE_DOWNLOAD_RESPONSE, SdoFrame.DOWNLOAD),
+    (INITIATE_UPLOAD, INITIATE_UPLOAD_RESPONSE, SdoFrame.UPLOAD),
+    (DOWNLOAD_SEGMENT, DOWNLOAD_SEGMENT_RESPONSE, SdoFrame.DOWNLOAD_SEGMENT),
+    (UPLOAD_SEGMENT, UPLOAD_SEGMENT_RESPONSE, SdoFrame.UPLOAD_SEGMENT),
+    (ABORT, ABORT, SdoFrame.ABORT),
+    (BLOCK_DOWNLOAD, BLOCK_UPLOAD, SdoFrame.BLOCK_DOWNLOAD),  # the server's specifiers are the other way round
+    (BLOCK_UPLOAD, BLOCK_DOWNLOAD, SdoFrame.BLOCK_UPLOAD),
+    (START_UPLOAD, START_UPLOAD, SdoFrame.BLOCK_START),  # a client's only
+    (ACKNOWLEDGEMENT, ACKNOWLEDGEMENT, SdoFrame.BLOCK_ACKNOWLEDGEMENT),
+    (END, END, SdoFrame.BLOCK_END),
+    (END_RESPONSE, END_RESPONSE, SdoFrame.BLOCK_END_RESPONSE),
+)
+"""The command bytes of client and server, with none of the bits that `_named_by` leaves out."""
+
+
+def _named_by(command: int) -> int:
+    """Return the bits of a command byte that say what the frame is."""
+    if command < BLOCK_UPLOAD:
+        return command & SPECIFIER
+    bits = command & KIND
+    return BLOCK_DOWNLOAD if bits == BLOCK_DOWNLOAD | BLOCK_SIZE_BIT else bits
+
+
+_NAMES: Final = tuple({row[side]: row[2] for row in _COMMANDS} for side in (0, 1))
+REQUESTS: Final = tuple(_NAMES[0].get(_named_by(command), SdoFrame.UNKNOWN) for command in range(256))
+"""By command byte: what a client's frame is, unless it is a segment of a block transfer."""
+RESPONSES: Final = tuple(_NAMES[1].get(_named_by(command), SdoFrame.UNKNOWN) for command in range(256))
+"""The same for a server's frame."""
+INITIATES: Final = (SdoFrame.DOWNLOAD, SdoFrame.UPLOAD, SdoFrame.BLOCK_DOWNLOAD, SdoFrame.BLOCK_UPLOAD)
+"""The frames that begin a transfer, and name its object."""
+
+
+def is_initiate(command: int) -> bool:
+    """Return whether a client's frame begins a transfer of any kind."""
+    return REQUESTS[command] in INITIATES
+
+
+def mux_in(frame: bytes) -> Mux:
+    """Return the object that a frame names, of those that name one: initiate frames and aborts."""
+    return mux(frame[1] | frame[2] << 8, frame[3])
+
+
+def number_in(frame: bytes) -> int:
+    """Return the number in the last four bytes: the code of an abort, the size of an initiate frame."""
+    return int.from_bytes(frame[4:8], "little")
+
+
+def announced_size(frame: bytes) -> int | None:
+    """Return the bytes of data that an initiate frame of the side that sends them announces; None if it announces no size."""
+    return number_in(frame) if frame[0] & (SIZE_BIT if frame[0] < BLOCK_UPLOAD else BLOCK_SIZE_BIT) else None
+
+
+def expedited_data(frame: bytes) -> bytes | None:
+    """Return the data in an initiate frame, four bytes if it does not say how many; None if the data come in segments."""
+    command = frame[0]
+    if not command & EXPEDITED_BIT:
+        return None
+    return frame[4 : 8 - (command >> 2 & 3)] if command & SIZE_BIT else frame[4:8]
+
+
+def segment_data(frame: bytes) -> bytes:
+    """Return the data in a segment, of a download or an upload."""
+    return frame[1 : 8 - (frame[0] >> 1 & 7)]
+
+
+def unused_at_end(frame: bytes) -> int:
+    """Return how many bytes of the last segment an "end block transfer" declares unused."""
+    return frame[0] >> 2 & 7
+
+
+_ASKED: Final = {
+    SdoFrame.DOWNLOAD: "began to write {place}",
+    SdoFrame.UPLOAD: "asked for {place}",
+    SdoFrame.DOWNLOAD_SEGMENT: "sent a segment of a write",
+    SdoFrame.UPLOAD_SEGMENT: "asked for a segment of a read",
+    SdoFrame.ABORT: "aborted the transfer of {place} with 0x{number:08X}",
+    SdoFrame.BLOCK_DOWNLOAD: "began a block write of {place}",
+    SdoFrame.BLOCK_UPLOAD: "began a block read of {place}",
+}
+
+
 def what_was_asked(request: bytes) -> str:
     """Return what a client did by a request (eight bytes), as in "asked for 0x1018:01". "" for no bytes."""
     if not request:
         return ""
-    command = request[0]
-    specifier = command & SPECIFIER
-    index, subindex = MULTIPLEXER.unpack(request)
-    place = f"0x{index:04X}:{subindex:02X}"
-    if specifier == ABORT:
-        return f"aborted the transfer of {place} with 0x{SIZE.unpack_from(request, 4)[0]:08X}"
-    if specifier == INITIATE_DOWNLOAD:
-        return f"wrote {place}" if command & EXPEDITED_BIT else f"began to write {place}"
-    if specifier == INITIATE_UPLOAD:
-        return f"asked for {place}"
-    if specifier == DOWNLOAD_SEGMENT:
-        return "sent a segment of a write"
-    if specifier == UPLOAD_SEGMENT:
-        return "asked for a segment of a read"
-    if specifier == BLOCK_UPLOAD and not command & 3:
-        return f"began a block read of {place}"
-    if specifier == BLOCK_DOWNLOAD and not command & 1:
-        return f"began a block write of {place}"
-    return f"sent a frame of a block transfer (command 0x{command:02X})"
+    asked = REQUESTS[request[0]]
+    text = _ASKED.get(asked, f"sent a frame of a block transfer (command 0x{request[0]:02X})")
+    if asked is SdoFrame.DOWNLOAD and request[0] & EXPEDITED_BIT:
+        text = "wrote {place}"
+    return text.format(place=mux_text(mux_in(request)), number=number_in(request))

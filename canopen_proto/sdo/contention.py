@@ -23,23 +23,23 @@ from typing import ClassVar, Final
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
-from canopen_proto.sdo.block import END, END_RESPONSE, KIND, is_initiate, silence_limit
+from canopen_proto.sdo.block import silence_limit
 from canopen_proto.sdo.codec import (
     ABORT,
     BLOCK_DOWNLOAD,
     BLOCK_UPLOAD,
-    DOWNLOAD_SEGMENT,
-    DOWNLOAD_SEGMENT_RESPONSE,
+    END,
+    END_RESPONSE,
     EXPEDITED_BIT,
-    INITIATE_DOWNLOAD,
-    INITIATE_DOWNLOAD_RESPONSE,
-    INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
+    KIND,
     LAST,
+    REQUESTS,
+    RESPONSES,
     SPECIFIER,
     TOGGLE,
-    UPLOAD_SEGMENT,
-    UPLOAD_SEGMENT_RESPONSE,
+    SdoFrame,
+    is_initiate,
 )
 from canopen_proto.sdo.transfer import INITIATED, Buffer, Transfer
 
@@ -52,6 +52,9 @@ SERVICE_ERROR: Final = 0x05
 """The highest byte of abort codes about the protocol itself (CiA 301 v4.2.0, table 22): they may be a stranger's doing."""
 MAX_NAMES: Final = 16
 """Objects of strangers' open requests that are remembered; with more of them nothing is certain."""
+_ONE_FRAME: Final = (SdoFrame.DOWNLOAD, SdoFrame.UPLOAD)
+"""The initiate frames of transfers that may be over with their answer: expedited ones."""
+_ENDING: Final = (*_ONE_FRAME, SdoFrame.DOWNLOAD_SEGMENT, SdoFrame.UPLOAD_SEGMENT)
 _NOTHING: Final = bytes((ABORT,)).ljust(8, b"\x00")
 """A request that needs no answer."""
 
@@ -107,7 +110,6 @@ class OtherClient:
     def on_request(self, data: bytes, ours: Transfer | None, timeout: Time, now: Time) -> None:
         """Take a stranger's request. ours: our own transfer that is under way."""
         command = data[0]
-        specifier = command & SPECIFIER
         self.count += 1
         self.heard, self.heard_at = data, now
         if self.in_blocks and self.last[0] & SPECIFIER == BLOCK_DOWNLOAD and command != ABORT and command & KIND != END:
@@ -119,7 +121,7 @@ class OtherClient:
         if is_initiate(command):
             self._note(data[1:4], ours)
         self.last = data
-        self.in_blocks = specifier in (BLOCK_UPLOAD, BLOCK_DOWNLOAD)
+        self.in_blocks = command & SPECIFIER in (BLOCK_UPLOAD, BLOCK_DOWNLOAD)
         if command != ABORT and command != END_RESPONSE:
             self.until = now + (silence_limit(timeout) if self.in_blocks else timeout)
         elif ours is not None or self._is_ambiguous:
@@ -147,20 +149,19 @@ class OtherClient:
 
     def _is_last_answer(self, data: bytes) -> bool:
         request, command = self.last[0], data[0]
-        asked, said = request & SPECIFIER, command & SPECIFIER
+        asked, said = REQUESTS[request], RESPONSES[command]
         is_named = data[1:4] == self.last[1:4]
         is_alike = (request ^ command) & TOGGLE == 0
         if command == ABORT:
             return not self._names or data[1:4] in self._names
         if self.in_blocks:  # the segments of an upload may look like anything else
             return request & KIND == END and command == END_RESPONSE
-        if asked == INITIATE_DOWNLOAD:
-            return is_named and said == INITIATE_DOWNLOAD_RESPONSE and bool(request & EXPEDITED_BIT)
-        if asked == INITIATE_UPLOAD:
-            return is_named and said == INITIATE_UPLOAD_RESPONSE and bool(command & EXPEDITED_BIT)
-        if asked == DOWNLOAD_SEGMENT:
-            return is_alike and said == DOWNLOAD_SEGMENT_RESPONSE and bool(request & LAST)
-        return is_alike and asked == UPLOAD_SEGMENT and said == UPLOAD_SEGMENT_RESPONSE and bool(command & LAST)
+        if asked is not said or asked not in _ENDING:
+            return False
+        by_sender = request if asked in (SdoFrame.DOWNLOAD, SdoFrame.DOWNLOAD_SEGMENT) else command
+        if asked in _ONE_FRAME:
+            return is_named and bool(by_sender & EXPEDITED_BIT)
+        return is_alike and bool(by_sender & LAST)
 
     def _is_idle_after(self, data: bytes) -> bool:
         """Return whether a last answer shows that nothing else is open: a server answers in order, and in one frame only if it is
@@ -173,10 +174,10 @@ class OtherClient:
 
         Both are initiate requests without blocks, they name different objects, and nothing else was sent for ours yet.
         """
-        if transfer.state is not INITIATED or self.last[0] & SPECIFIER not in (INITIATE_DOWNLOAD, INITIATE_UPLOAD):
+        if transfer.state is not INITIATED or REQUESTS[self.last[0]] not in _ONE_FRAME:
             return False
-        asked = transfer.first[0] & SPECIFIER
-        is_one_frame = asked == INITIATE_UPLOAD or (asked == INITIATE_DOWNLOAD and bool(transfer.first[0] & EXPEDITED_BIT))
+        asked = REQUESTS[transfer.first[0]]
+        is_one_frame = asked is SdoFrame.UPLOAD or (asked is SdoFrame.DOWNLOAD and bool(transfer.first[0] & EXPEDITED_BIT))
         return is_one_frame and transfer.first[1:4] not in self._names and len(self._names) <= MAX_NAMES
 
     def may_answer(self, transfer: Transfer) -> bool:

@@ -41,9 +41,10 @@ from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.sdo.access import PENDING, ObjectStore, Pending
-from canopen_proto.sdo.block import BLOCK_SIZE_BIT, MAX_BLOCK_SIZE, MAX_BURST, is_initiate, is_next, next_number
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, MAX_BURST, is_next, next_number
 from canopen_proto.sdo.block_server import ServerBlockDownload
 from canopen_proto.sdo.codec import (
+    BLOCK_SIZE_BIT,
     BLOCK_UPLOAD,
     EXPEDITED_BIT,
     INITIATE,
@@ -54,6 +55,7 @@ from canopen_proto.sdo.codec import (
     SIZE_BIT,
     SPECIFIER,
     complete,
+    is_initiate,
 )
 from canopen_proto.sdo.events import ObjectAccessPending, ObjectWritten, SdoServerAborted
 from canopen_proto.sdo.host import Door

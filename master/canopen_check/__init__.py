@@ -5,7 +5,8 @@ Each case of the conformance test is a procedure written against an object dicti
     bench = Bench(network, node_id=5, dictionary)
     request_id = network.run(run_all(bench), now)        # ProcedureFinished.result: a list of (case, verdict)
 
-    case.py         Case: its body and its result; expectations.py: how a body checks the device
+    case.py         Case: its body and its result
+    expectations.py what a body notes about the device; canopen_proto/verdict.py: how it checks, and the verdict
     bench.py        Bench: a device under test, and the tools to test it; probe.py: frames made by hand
     catalogue.py    all cases by number; `run_all`; the table in docs/conformance.md
     *_cases.py      the cases, one chapter each

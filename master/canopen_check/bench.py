@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias, TypeVar
 
-from canopen_check.expectations import LateOrEarly, Notes, NotInTime, Violation, does_not_apply, expect, expect_equal
+from canopen_check.expectations import LateOrEarly, Notes, NotInTime
 from canopen_check.probe import FrameHeard, RawProbe
 from canopen_data.description import DeviceDescription
 from canopen_proto.abort import AbortOrigin
@@ -57,6 +57,7 @@ from canopen_proto.procedures.steps import (
     wait_for_event,
 )
 from canopen_proto.sdo.client import SdoClient
+from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
 
 ANSWER_TIME: Final = 1 * SECOND
 BOOT_TIME: Final = 5 * SECOND

@@ -7,7 +7,7 @@ from typing import Final
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case
-from canopen_check.expectations import expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.raw_block import (
     begin_block_upload,
     block_download,
@@ -20,7 +20,9 @@ from canopen_check.sdo_cases import ANY_TIME, DEVICE_TYPE, TIME_SIZE, holds, lon
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.sdo.block import ACKNOWLEDGE, ACKNOWLEDGEMENT, MAX_BLOCK_SIZE, START_UPLOAD
+from canopen_proto.sdo.block import ACKNOWLEDGE, MAX_BLOCK_SIZE
+from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, START_UPLOAD
+from canopen_proto.verdict import expect_equal
 
 BAD_BLOCK_SIZE: Final = (AbortCode.INVALID_COMMAND, AbortCode.INVALID_BLOCK_SIZE, AbortCode.GENERAL_ERROR)
 BAD_SEQUENCE: Final = (AbortCode.INVALID_COMMAND, AbortCode.INVALID_SEQUENCE_NUMBER, AbortCode.GENERAL_ERROR)

@@ -8,7 +8,7 @@ in one of these ways:
     any other ProcedureError   failed too: the device did not answer, or refused what it has to accept
     NotApplicable              the device does not have the subject of the case
 
-expectations.py has the checks that a body uses.
+canopen_proto/verdict.py and expectations.py have the checks that a body uses.
 
 When a body begins, the device has just been reset and then commanded to Pre-operational (`Bench.reset`): a device that starts by
 itself is Operational after its boot-up. The body may leave the device in any state: a reset of the node undoes all changes,
@@ -22,10 +22,9 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias, TypeVar
 
 from canopen_check.bench import Bench
-from canopen_check.expectations import NotApplicable, Violation
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
-from canopen_proto.verdict import Result, Verdict
+from canopen_proto.verdict import NotApplicable, Result, Verdict, Violation
 
 T = TypeVar("T")
 

@@ -12,7 +12,7 @@ from typing import Final
 from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
 from canopen_check.case import Case, for_each
 from canopen_check.dictionary_cases import expect_defaults
-from canopen_check.expectations import does_not_apply, expect, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.raw_sdo import ask, initiate
 from canopen_check.sdo_cases import DEVICE_TYPE, NO_OBJECT
 from canopen_check.storing_cases import save
@@ -25,6 +25,7 @@ from canopen_proto.parameter_storage import STORE
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
 from canopen_proto.sdo.codec import INITIATE_UPLOAD
+from canopen_proto.verdict import does_not_apply, expect, expect_equal
 
 TRIAL_TO_SERVER: Final = RoutingKey(0x6D0)
 TRIAL_TO_CLIENT: Final = RoutingKey(0x6D1)

@@ -10,10 +10,10 @@ from typing import Final
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case
-from canopen_check.expectations import Violation, does_not_apply
 from canopen_data.checks import check
 from canopen_data.findings import Severity
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import Violation, does_not_apply
 
 
 def check_file(bench: Bench) -> Procedure[str]:

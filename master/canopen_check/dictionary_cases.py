@@ -13,7 +13,7 @@ from typing import Final, NoReturn
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case, for_each
-from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.sdo_cases import (
     ANY_TIME,
     NEVER_WRITTEN,
@@ -32,6 +32,7 @@ from canopen_proto.dictionary.download_order import NO_DOWNLOAD
 from canopen_proto.indices import COMMUNICATION_AREA, ERROR_REGISTER, MANUFACTURER_AREA, MANUFACTURER_STATUS_REGISTER
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import Procedure, SdoFailed
+from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
 
 FIRST_OF_MAKER: Final = 0x2000
 """The first index after the communication area."""

@@ -6,10 +6,10 @@
 from __future__ import annotations
 
 from canopen_check.bench import Bench
-from canopen_check.expectations import Violation, expect_equal
 from canopen_check.probe import FrameHeard
 from canopen_proto.machine import Time
 from canopen_proto.procedures.steps import Procedure, current_time
+from canopen_proto.verdict import Violation, expect_equal
 
 
 def code_of(message: bytes) -> int:

@@ -9,7 +9,7 @@ from typing import Final
 from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_told, next_error
-from canopen_check.expectations import expect, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.pdo_cases import PROFILE_EVENTS
 from canopen_check.pdo_tools import key_of, length_of, set_up, usable
 from canopen_proto import indices
@@ -19,6 +19,7 @@ from canopen_proto.frame import COB_ID_INVALID, EMCY
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import expect, expect_equal
 
 ERROR_REGISTER: Final = indices.ERROR_REGISTER
 HISTORY: Final = indices.PREDEFINED_ERROR_FIELD

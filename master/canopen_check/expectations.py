@@ -1,7 +1,7 @@
-"""The checks of a case's body, and the notes about what is wrong.
+"""The notes about what is wrong with a device, and the checks of a case's body that are about devices alone.
 
-`expect` and the like end the body at the first failure. `for_each` (case.py) notes a failure of one of many objects and goes on
-with the next, so that the verdict names all of them.
+`expect` and the like (canopen_proto/verdict.py) end the body at the first failure. `for_each` (case.py) notes a failure of one of
+many objects and goes on with the next, so that the verdict names all of them.
 
 `Bench.notes` takes three degrees: a failure; a remark, if the standard leaves the behaviour open; and a violation of the standard
 that CiA's own tool does not check (`Notes.beyond`), which is a remark unless the test is strict.
@@ -13,21 +13,17 @@ cause. All others are certain.
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Final, NoReturn
+from typing import Final
 
 from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.procedures.steps import ProcedureError, StepTimeout
-from canopen_proto.verdict import Result, Verdict
+from canopen_proto.verdict import Result, Verdict, Violation
 
 LATE: Final = 20 * MILLISECOND
 """If our process is later than this, it cannot call others late: a fifth of the shortest period that is measured."""
 LATE_PART: Final = 5
 """If our process is late by less than a fifth of a wait, this does not explain why nothing came."""
-
-
-class Violation(ProcedureError):
-    """The device did what the standard forbids, or did not do what it demands."""
 
 
 class LateOrEarly(Violation):
@@ -43,10 +39,6 @@ class NotInTime(StepTimeout):
         """Make the error. waited: how long the bench waited, in ns."""
         super().__init__(message)
         self.excuse = max(waited // LATE_PART, LATE)
-
-
-class NotApplicable(ProcedureError):
-    """The device does not have the subject of the case."""
 
 
 class Notes:
@@ -102,18 +94,6 @@ class Notes:
         return Verdict(Result.PASSED, seen)
 
 
-def expect(condition: bool, otherwise: str) -> None:
-    """Go on if the condition holds, else raise Violation with this text."""
-    if not condition:
-        raise Violation(otherwise)
-
-
-def expect_equal(seen: object, expected: object, what: str) -> None:
-    """Go on if the two are equal, else raise Violation, which shows both; numbers also as hexadecimal."""
-    if seen != expected:
-        raise Violation(f"{what} is {_shown(seen)}, not {_shown(expected)}")
-
-
 def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: str) -> None:
     """Go on if an access was refused with one of these codes, else raise Violation. abort_code: None if it was not refused."""
     codes = " or ".join(f"0x{code:08X}" for code in valid)
@@ -123,17 +103,6 @@ def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: s
         raise Violation(f"{what} was refused with 0x{abort_code:08X} ({text_of(abort_code)}), not with {codes}")
 
 
-def does_not_apply(reason: str) -> NoReturn:
-    """End the case: the device does not have its subject."""
-    raise NotApplicable(reason)
-
-
 def _summary(lines: tuple[str, ...]) -> str:
     """Return the first line, with the number of lines that follow."""
     return lines[0] if len(lines) == 1 else f"{lines[0]} (and {len(lines) - 1} more)"
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, int):
-        return f"{value} (0x{value:X})"
-    return value.hex(" ") or "nothing" if isinstance(value, bytes) else repr(value)

@@ -11,7 +11,7 @@ from typing import Final
 from canopen_check.bench import ANSWER_TIME, PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_told, expect_no_error, next_error
-from canopen_check.expectations import LateOrEarly, does_not_apply, expect, expect_equal
+from canopen_check.expectations import LateOrEarly
 from canopen_check.heartbeat_cases import EMCY_CONNECTION_LOST, check_not_early, highest
 from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
 from canopen_proto import indices
@@ -21,6 +21,7 @@ from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
+from canopen_proto.verdict import does_not_apply, expect, expect_equal
 
 GUARD_TIME: Final = indices.GUARD_TIME
 LIFE_TIME_FACTOR: Final = indices.LIFE_TIME_FACTOR

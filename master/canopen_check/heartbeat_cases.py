@@ -8,7 +8,7 @@ from typing import Final
 from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_told, expect_no_error, next_error
-from canopen_check.expectations import LateOrEarly, Violation, does_not_apply, expect_equal, expect_refusal
+from canopen_check.expectations import LateOrEarly, expect_refusal
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, RoutingKey
@@ -16,6 +16,7 @@ from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
+from canopen_proto.verdict import Violation, does_not_apply, expect_equal
 
 CONSUMER: Final = indices.CONSUMER_HEARTBEAT_TIME
 PRODUCER: Final = indices.PRODUCER_HEARTBEAT_TIME

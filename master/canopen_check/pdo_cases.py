@@ -14,7 +14,7 @@ from typing import Final, TypeAlias
 
 from canopen_check.bench import REACTION_TIME, Bench
 from canopen_check.case import Body, Case, for_each
-from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.pdo_tools import (
     Pdo,
     all_pdos,
@@ -38,6 +38,7 @@ from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
 
 SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from canopen_check.bench import REACTION_TIME, Bench
 from canopen_check.case import Case, for_each
-from canopen_check.expectations import Violation, does_not_apply, expect, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.pdo_tools import (
     INTO,
     Pdo,
@@ -36,6 +36,7 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.mapping import LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES
 from canopen_proto.pdo.settings import COB_ID
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import Violation, does_not_apply, expect
 
 BOTH: Final = (Direction.RPDO, Direction.TPDO)
 OTHER: Final = {Direction.RPDO: Direction.TPDO, Direction.TPDO: Direction.RPDO}

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from canopen_check.bench import Bench
-from canopen_check.expectations import does_not_apply
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RoutingKey, key_of_cob_id
@@ -25,6 +24,7 @@ from canopen_proto.pdo.settings import (
     place_of,
 )
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import does_not_apply
 
 _CAN_ID: Final = 0x3FFF_FFFF  # with the frame bit
 

@@ -6,46 +6,36 @@ A server need not support block transfer; the case does not apply then.
 from __future__ import annotations
 
 from binascii import crc_hqx
-from typing import Final
 
 from canopen_check.bench import Bench
-from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal
-from canopen_check.raw_sdo import (
-    MAX_SEGMENTS,
-    abort_code_in,
-    answer,
-    ask,
-    expect_command,
-    expect_multiplexer,
-    initiate,
-)
+from canopen_check.raw_sdo import MAX_SEGMENTS, abort_code_in, answer, ask, expect_response, initiate
 from canopen_proto.abort import AbortCode
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.sdo.block import (
-    ACKNOWLEDGE,
+from canopen_proto.sdo.block import ACKNOWLEDGE, END_FRAME, MAX_BLOCK_SIZE, SEGMENT_SIZE
+from canopen_proto.sdo.codec import (
+    ABORT,
     ACKNOWLEDGEMENT,
+    BLOCK_DOWNLOAD,
     BLOCK_SIZE_BIT,
+    BLOCK_UPLOAD,
     CRC_BIT,
     END,
-    END_FRAME,
     END_RESPONSE,
     FINAL,
-    KIND,
-    MAX_BLOCK_SIZE,
-    SEGMENT_SIZE,
+    RESPONSES,
     SEQUENCE,
     START_UPLOAD,
+    SdoFrame,
+    announced_size,
+    unused_at_end,
 )
-from canopen_proto.sdo.codec import ABORT, BLOCK_DOWNLOAD, BLOCK_UPLOAD
-
-_UNUSED_BITS: Final = 0x1C
+from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
 
 
-def _expect_initiated(response: bytes, specifier: int, index: int, subindex: int) -> None:
+def _expect_initiated(response: bytes, expected: SdoFrame, index: int, subindex: int) -> None:
     if abort_code_in(response) == AbortCode.INVALID_COMMAND:
         does_not_apply("the device does not support block transfer")
-    expect_command(response, specifier, f"the block transfer of 0x{index:04X}:{subindex:02X}")
-    expect_multiplexer(response, index, subindex)
+    expect_response(response, expected, f"the block transfer of 0x{index:04X}:{subindex:02X}", (index, subindex))
 
 
 def initiate_block_upload(bench: Bench, index: int, subindex: int, *, crc: bool, block_size: int) -> Procedure[bytes]:
@@ -57,7 +47,7 @@ def initiate_block_upload(bench: Bench, index: int, subindex: int, *, crc: bool,
 def begin_block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Procedure[bytes]:
     """Send an initiate block upload request; check and return the answer. The upload can be started then."""
     response = yield from initiate_block_upload(bench, index, subindex, crc=crc, block_size=MAX_BLOCK_SIZE)
-    _expect_initiated(response, BLOCK_DOWNLOAD, index, subindex)
+    _expect_initiated(response, SdoFrame.BLOCK_UPLOAD, index, subindex)
     return response
 
 
@@ -87,10 +77,10 @@ def block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Proce
         request = ACKNOWLEDGE.pack(ACKNOWLEDGEMENT, count, MAX_BLOCK_SIZE)
         expect(len(content) < MAX_SEGMENTS * SEGMENT_SIZE, f"no last segment came among {MAX_SEGMENTS}")
     end = yield from ask(bench, request)
-    expect(end[0] & KIND == END, f"the end of a block upload is 0x{end[0]:02X}")
-    content = content[: len(content) - ((end[0] & _UNUSED_BITS) >> 2)]
-    if response[0] & BLOCK_SIZE_BIT:
-        announced = int.from_bytes(response[4:], "little")
+    expect(RESPONSES[end[0]] is SdoFrame.BLOCK_END, f"the end of a block upload is 0x{end[0]:02X}")
+    content = content[: len(content) - unused_at_end(end)]
+    announced = announced_size(response)
+    if announced is not None:
         expect_equal(len(content), announced, f"the number of bytes of 0x{index:04X}:{subindex:02X}, against the one announced,")
     if with_crc:
         expect_equal(int.from_bytes(end[1:3], "little"), crc_hqx(content, 0), "the CRC")
@@ -102,20 +92,13 @@ def block_download(bench: Bench, index: int, subindex: int, content: bytes, *, c
     """Do a whole block download of one segment (1 to 7 bytes); return whether a CRC protected it."""
     command = BLOCK_DOWNLOAD | BLOCK_SIZE_BIT | (CRC_BIT if crc else 0)
     response = yield from ask(bench, initiate(command, index, subindex, len(content).to_bytes(4, "little")))
-    _expect_initiated(response, BLOCK_UPLOAD, index, subindex)
+    _expect_initiated(response, SdoFrame.BLOCK_DOWNLOAD, index, subindex)
     expect(1 <= response[4] <= MAX_BLOCK_SIZE, f"the block size that the device asks for is {response[4]}")
     with_crc = crc and bool(response[0] & CRC_BIT)
     acknowledgement = yield from ask(bench, bytes((FINAL | 1,)) + content)
-    _expect_kind(acknowledgement, ACKNOWLEDGEMENT, "a sub-block")
+    expect_response(acknowledgement, SdoFrame.BLOCK_ACKNOWLEDGEMENT, "a sub-block")
     expect_equal(acknowledgement[1], 1, "the number of acknowledged segments")
     unused = SEGMENT_SIZE - len(content)
     end = yield from ask(bench, END_FRAME.pack(END | unused << 2, crc_hqx(content, 0) if with_crc else 0))
-    _expect_kind(end, END_RESPONSE, "the end of a block download")
+    expect_response(end, SdoFrame.BLOCK_END_RESPONSE, "the end of a block download")
     return with_crc
-
-
-def _expect_kind(response: bytes, kind: int, what: str) -> None:
-    code = abort_code_in(response)
-    if code is not None:
-        raise Violation(f"{what} was answered by abort 0x{code:08X}")
-    expect(response[0] & KIND == kind, f"{what} was answered by the command byte 0x{response[0]:02X}")

@@ -8,24 +8,26 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, Bench
-from canopen_check.expectations import Violation, expect, expect_equal
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import (
     ABORT,
     DOWNLOAD_SEGMENT,
-    DOWNLOAD_SEGMENT_RESPONSE,
-    EXPEDITED_BIT,
     INITIATE_DOWNLOAD,
-    INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
-    INITIATE_UPLOAD_RESPONSE,
     LAST,
+    RESPONSES,
     SIZE_BIT,
     SPECIFIER,
     TOGGLE,
     UPLOAD_SEGMENT,
+    SdoFrame,
+    announced_size,
+    expedited_data,
+    number_in,
     segment,
+    segment_data,
 )
+from canopen_proto.verdict import Violation, expect, expect_equal
 
 MAX_SEGMENTS: Final = 1 << 12
 """The most segments of one upload: if the server never sends the last one, the case ends."""
@@ -59,37 +61,27 @@ def answer(bench: Bench, what: str) -> Procedure[bytes]:
 
 def abort_code_in(response: bytes) -> int | None:
     """Return the code of an abort; None if the response is not an abort."""
-    return int.from_bytes(response[4:], "little") if response[0] & SPECIFIER == ABORT else None
+    return number_in(response) if response[0] & SPECIFIER == ABORT else None
 
 
-def expect_command(response: bytes, specifier: int, what: str) -> None:
-    """Check that a response has this server command specifier."""
+def expect_response(response: bytes, expected: SdoFrame, what: str, place: tuple[int, int] | None = None) -> None:
+    """Check that a request was answered by this frame, and that it names this index and subindex, if any.
+
+    expected: no abort. what: the request, in words.
+    """
     code = abort_code_in(response)
-    if code is not None and specifier != ABORT:
+    if code is not None:
         raise Violation(f"{what} was answered by abort 0x{code:08X}")
-    expect(response[0] & SPECIFIER == specifier, f"{what} was answered by the command byte 0x{response[0]:02X}")
-
-
-def expect_multiplexer(response: bytes, index: int, subindex: int) -> None:
-    """Check that a response names this object."""
-    expect_equal(response[1:4], multiplexer(index, subindex), f"the object that {response.hex(' ')} names")
+    expect(RESPONSES[response[0]] is expected, f"{what} was answered by the command byte 0x{response[0]:02X}")
+    if place is not None:
+        expect_equal(response[1:4], multiplexer(*place), f"the object that {response.hex(' ')} names")
 
 
 def initiate_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes]:
     """Send an initiate upload request; check and return the response."""
     response = yield from ask(bench, initiate(INITIATE_UPLOAD, index, subindex))
-    expect_command(response, INITIATE_UPLOAD_RESPONSE, f"the upload of 0x{index:04X}:{subindex:02X}")
-    expect_multiplexer(response, index, subindex)
+    expect_response(response, SdoFrame.UPLOAD, f"the upload of 0x{index:04X}:{subindex:02X}", (index, subindex))
     return response
-
-
-def expedited_content(response: bytes) -> bytes | None:
-    """Return the data of an expedited upload response; None if it begins a segmented transfer."""
-    command = response[0]
-    if not command & EXPEDITED_BIT:
-        return None
-    unused = command >> 2 & 3 if command & SIZE_BIT else 0
-    return response[4 : 8 - unused]
 
 
 def segmented_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes]:
@@ -97,8 +89,8 @@ def segmented_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes
     Violation."""
     response = yield from initiate_upload(bench, index, subindex)
     place = f"0x{index:04X}:{subindex:02X}"
-    expect(expedited_content(response) is None, f"{place} came with an expedited transfer")
-    announced = int.from_bytes(response[4:], "little") if response[0] & SIZE_BIT else None
+    expect(expedited_data(response) is None, f"{place} came with an expedited transfer")
+    announced = announced_size(response)
     content = yield from upload_segments(bench)
     if announced is not None:
         expect_equal(len(content), announced, f"the number of bytes of {place}, against the one announced,")
@@ -110,9 +102,9 @@ def upload_segments(bench: Bench) -> Procedure[bytes]:
     content, toggle = b"", 0
     for _ in range(MAX_SEGMENTS):
         response = yield from ask(bench, bytes((UPLOAD_SEGMENT | toggle,)))
-        expect_command(response, 0, "an upload segment request")
+        expect_response(response, SdoFrame.UPLOAD_SEGMENT, "an upload segment request")
         expect_equal(response[0] & TOGGLE, toggle, "the toggle bit of an upload segment")
-        content += response[1 : 8 - (response[0] >> 1 & 7)]
+        content += segment_data(response)
         if response[0] & LAST:
             return content
         toggle ^= TOGGLE
@@ -123,11 +115,11 @@ def segmented_download(bench: Bench, index: int, subindex: int, content: bytes) 
     """Do a whole download in segments, however short the data."""
     size = len(content).to_bytes(4, "little")
     response = yield from ask(bench, initiate(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size))
-    expect_command(response, INITIATE_DOWNLOAD_RESPONSE, f"the segmented download of 0x{index:04X}:{subindex:02X}")
-    expect_multiplexer(response, index, subindex)
+    what = f"the segmented download of 0x{index:04X}:{subindex:02X}"
+    expect_response(response, SdoFrame.DOWNLOAD, what, (index, subindex))
     toggle = 0
     for offset in range(0, len(content), 7):
         response = yield from ask(bench, segment(DOWNLOAD_SEGMENT | toggle, content, offset))
-        expect_command(response, DOWNLOAD_SEGMENT_RESPONSE, "a download segment")
+        expect_response(response, SdoFrame.DOWNLOAD_SEGMENT, "a download segment")
         expect_equal(response[0] & TOGGLE, toggle, "the toggle bit of a segment's confirmation")
         toggle ^= TOGGLE

@@ -13,11 +13,10 @@ from typing import Final
 
 from canopen_check.bench import Bench
 from canopen_check.case import Case, for_each
-from canopen_check.expectations import Violation, does_not_apply, expect, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.raw_sdo import (
     abort_code_in,
     ask,
-    expedited_content,
     initiate,
     initiate_upload,
     segmented_download,
@@ -31,7 +30,8 @@ from canopen_proto.dictionary import Variable
 from canopen_proto.indices import GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DEFAULT_PARAMETERS, STORE_PARAMETERS
 from canopen_proto.pdo.settings import EVENT_TIMER, place_of
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT
+from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT, expedited_data
+from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
 
 READ_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.GENERAL_ERROR)
 WRITE_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.WRITE_ONLY, AbortCode.GENERAL_ERROR)
@@ -104,7 +104,7 @@ def holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
 
 def read_expedited(bench: Bench) -> Procedure[None]:
     """2.1: the device type comes in one frame, with its four bytes and its own multiplexer."""
-    content = expedited_content((yield from initiate_upload(bench, DEVICE_TYPE, 0)))
+    content = expedited_data((yield from initiate_upload(bench, DEVICE_TYPE, 0)))
     if content is None:
         raise Violation("0x1000:00 came with a segmented transfer")
     expect_equal(len(content), 4, "the number of bytes of 0x1000:00")
@@ -266,7 +266,7 @@ def read_device_type_segmented(bench: Bench) -> Procedure[str]:
     """2.13: the server chooses the kind of an upload. Segments must bring the four bytes. An expedited transfer is over at once
     (if the test is strict, a segment request after it must be refused)."""
     response = yield from initiate_upload(bench, DEVICE_TYPE, 0)
-    content = expedited_content(response)
+    content = expedited_data(response)
     if content is None:
         content = yield from upload_segments(bench)
         how = "in segments"

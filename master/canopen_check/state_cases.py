@@ -20,7 +20,6 @@ from canopen_check.dictionary_cases import (
     expect_put_back,
     with_default,
 )
-from canopen_check.expectations import NotApplicable, expect, expect_equal
 from canopen_check.pdo_cases import EVENT_TIME, PROFILE_EVENTS
 from canopen_check.pdo_tools import Pdo, has, key_of, length_of, mapped_variable, set_up, usable
 from canopen_check.raw_sdo import initiate
@@ -32,6 +31,7 @@ from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtState
 from canopen_proto.pdo.settings import EVENT_TIMER
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import INITIATE_UPLOAD
+from canopen_proto.verdict import NotApplicable, expect, expect_equal
 
 _LEADS_TO: Final = {
     NmtState.PRE_OPERATIONAL: NmtCommand.ENTER_PRE_OPERATIONAL,

@@ -13,7 +13,7 @@ from typing import Final
 
 from canopen_check.bench import Bench
 from canopen_check.case import Body, Case, for_each
-from canopen_check.expectations import Violation, does_not_apply, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.sdo_cases import ANY_TIME, settings, takes_any_time
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
@@ -27,6 +27,7 @@ from canopen_proto.parameter_storage import ON_COMMAND, RESTORE, SIGNATURES, STO
 from canopen_proto.pdo.settings import COB_ID, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
+from canopen_proto.verdict import Violation, does_not_apply, expect_equal
 
 VERIFY: Final = indices.VERIFY_CONFIGURATION
 

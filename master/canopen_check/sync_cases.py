@@ -11,7 +11,7 @@ from typing import Final
 from canopen_check.bench import ANSWER_TIME, Bench
 from canopen_check.bench import SYNC_PRODUCER as PRODUCER
 from canopen_check.case import Case, for_each
-from canopen_check.expectations import does_not_apply, expect, expect_equal, expect_refusal
+from canopen_check.expectations import expect_refusal
 from canopen_check.pdo_cases import expect_data
 from canopen_check.pdo_tools import Pdo, key_of, set_up, usable
 from canopen_check.sdo_cases import TOO_HIGH, TOO_LOW
@@ -24,6 +24,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.parameter_storage import STORE
 from canopen_proto.procedures.steps import Procedure
+from canopen_proto.verdict import does_not_apply, expect, expect_equal
 
 COB_ID_SYNC: Final = indices.COB_ID_SYNC
 CYCLE_PERIOD: Final = indices.COMMUNICATION_CYCLE_PERIOD

@@ -7,12 +7,11 @@ from pathlib import Path
 
 from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER, CASES, run_all, table
-from canopen_check.expectations import NotApplicable, Violation, expect_equal
 from canopen_check.probe import MAX_HEARD, RawProbe
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Outbox
 from canopen_proto.procedures.steps import Procedure, StepTimeout, act
-from canopen_proto.verdict import Result
+from canopen_proto.verdict import NotApplicable, Result, Violation, expect_equal
 from tests.check.conformance_rig import Site
 from tests.core.full_device import full_device
 

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 from canopen_check.bench import Bench
 from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER
-from canopen_check.expectations import Violation
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.verdict import Result, Verdict
+from canopen_proto.verdict import Result, Verdict, Violation
 from tests.check.conformance_rig import Fault, Site
 from tests.examples import examples
 

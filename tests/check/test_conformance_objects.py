@@ -10,12 +10,12 @@ import pytest
 
 from canopen_check import dictionary_cases, emergency_cases
 from canopen_check.catalogue import BY_NUMBER
-from canopen_check.expectations import Notes, Violation
+from canopen_check.expectations import Notes
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.verdict import Result
+from canopen_proto.verdict import Result, Violation
 from tests.check.conformance_rig import Fault, Site, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import BusyWhenOperational, CountsStarts, Inverting, KeepsCommunication
 from tests.core.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device

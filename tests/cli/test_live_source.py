@@ -16,7 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from canopen_cli.live.source import AHEAD, BATCH, INPUT, Heard, LiveSource, StampClock, open_live_source
+from canopen_cli.live.clocks import StampClock
+from canopen_cli.live.source import AHEAD, BATCH, INPUT, Heard, LiveSource, open_live_source
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.problem import Problem
 from canopen_proto.frame import Frame

@@ -14,7 +14,7 @@ from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.observer.meaning import Meaning, Shown, Words
+from canopen_proto.observer.meaning import Meaning, ShownObject, Words
 
 NODE = 5
 OTHER = 6
@@ -38,11 +38,11 @@ def watched(*variables: Variable, span: Time = 0, dictionary: ObjectDictionary =
 
 
 def value(variable: Variable, value: Value | None, service: str = "TPDO 1", *, node: int = NODE, held: bool = True) -> Meaning:
-    shown = Shown(node, variable.index, variable.subindex, variable.name, value, str(value), held)
+    shown = ShownObject(node, variable.index, variable.subindex, variable.name, value, str(value), held)
     return meaning(service, "", (shown,), node)
 
 
-def meaning(service: str, text: str, objects: tuple[Shown, ...] = (), node: int = NODE) -> Meaning:
+def meaning(service: str, text: str, objects: tuple[ShownObject, ...] = (), node: int = NODE) -> Meaning:
     return Meaning(service, node, lambda frame: Words(text, objects), Frame(0, b""))
 
 

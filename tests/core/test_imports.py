@@ -149,6 +149,7 @@ def test_a_network_is_imported_without_what_it_does_not_need() -> None:
         "group",
         "lazy_names",
         "machine",
+        "multiplexer",
         "network",
         "nmt",
         "procedures",

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Machine, Time
-from canopen_proto.sdo.block import MAX_BLOCK_SIZE, SEQUENCE, silence_limit
+from canopen_proto.sdo.block import MAX_BLOCK_SIZE, silence_limit
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded
-from canopen_proto.sdo.codec import EXPEDITED
+from canopen_proto.sdo.codec import EXPEDITED, SEQUENCE
 from canopen_proto.sdo.server import ObjectAccessPending
 from tests.core.block_pair import BY_HOST, INDEX, BlockPair, pattern
 from tests.core.bus import Bus, Fate

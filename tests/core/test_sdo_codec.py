@@ -7,7 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode, text_of
-from canopen_proto.sdo.codec import EXPEDITED_BITS, LEAST_REQUEST, LEAST_RESPONSE, complete, segment
+from canopen_proto.sdo.codec import (
+    EXPEDITED_BITS,
+    LEAST_REQUEST,
+    LEAST_RESPONSE,
+    REQUESTS,
+    RESPONSES,
+    SdoFrame,
+    announced_size,
+    complete,
+    expedited_data,
+    segment,
+    segment_data,
+)
 
 TABLE_22 = """
     05030000 05040000 05040001 05040002 05040003 05040004 05040005 06010000 06010001 06010002 06020000 06040041 06040042 06040043
@@ -100,3 +112,34 @@ def test_so_are_short_responses(response: str, whole: str | None) -> None:
 
 def test_what_is_longer_than_a_frame_is_cut() -> None:
     assert complete(bytes(9), LEAST_REQUEST) == bytes(8)
+
+
+@pytest.mark.parametrize(
+    ("what", "requests", "responses"),
+    [
+        (SdoFrame.DOWNLOAD, "20 2F 23 3C", "60 7F"),
+        (SdoFrame.UPLOAD, "40 5F", "40 42 4F"),
+        (SdoFrame.DOWNLOAD_SEGMENT, "00 0D 1F", "20 30 3F"),
+        (SdoFrame.UPLOAD_SEGMENT, "60 70 7F", "00 0D 1F"),
+        (SdoFrame.ABORT, "80 9F", "80 9F"),
+        (SdoFrame.BLOCK_DOWNLOAD, "C0 C2 C6", "A0 A4"),
+        (SdoFrame.BLOCK_UPLOAD, "A0 A4", "C0 C2 C6"),
+        (SdoFrame.BLOCK_START, "A3 BF", ""),
+        (SdoFrame.BLOCK_ACKNOWLEDGEMENT, "A2 BE", "A2 BE"),
+        (SdoFrame.BLOCK_END, "C1 D9 DD", "C1 D9 DD"),
+        (SdoFrame.BLOCK_END_RESPONSE, "A1 BD", "A1 BD"),
+        (SdoFrame.UNKNOWN, "E0 FF C3", "E0 FF C3"),
+    ],
+)
+def test_the_command_byte_names_the_frame(what: SdoFrame, requests: str, responses: str) -> None:
+    assert {REQUESTS[command] for command in bytes.fromhex(requests)} == {what}
+    assert all(RESPONSES[command] is what for command in bytes.fromhex(responses))
+
+
+def test_frames_taken_apart() -> None:
+    frames = [bytes.fromhex(text) for text in ("4F 00 20 00 01 02 03 04", "42 00 20 00 01 02 03 04", "41 00 20 00 01 02 00 00")]
+    assert [expedited_data(frame) for frame in frames] == [b"\1", b"\1\2\3\4", None]
+    assert announced_size(frames[2]) == 0x201
+    assert announced_size(bytes.fromhex("40 00 20 00 01 00 00 00")) is None
+    assert [announced_size(bytes.fromhex(f"{command} 00 20 00 07 00 00 00")) for command in ("C0", "C2", "C4")] == [None, 7, None]
+    assert [segment_data(segment(0, b"abcdefghi", offset)) for offset in (0, 7)] == [b"abcdefg", b"hi"]

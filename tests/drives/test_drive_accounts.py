@@ -439,13 +439,13 @@ def test_what_agrees_with_us_or_is_long_ago_is_no_reason() -> None:
 def test_only_commands_of_others_are_listened_to() -> None:
     """No frame of another kind, and none of our own, reaches the machine that listens."""
     rig, foreign = rig_in_motion()
-    assert set(rig.remote.overhearing.can_ids()) == {0x605, 0x205, 0x305, 0x405, 0x505}
+    assert set(rig.remote.foreign_writes.can_ids()) == {0x605, 0x205, 0x305, 0x405, 0x505}
     rig.run(drive.enable(rig.axis))
     foreign.remote.read(objects.STATUSWORD, rig.bus.now)
     foreign.write(objects.TARGET_POSITION, 7)
     for key in (objects.CONTROLWORD, objects.MODES_OF_OPERATION):
-        assert rig.remote.overhearing.last(key) is None
-    assert not set(RemoteNode(Network().out, 5, rig.node.dictionary).overhearing.can_ids())
+        assert rig.remote.foreign_writes.last(key) is None
+    assert not set(RemoteNode(Network().out, 5, rig.node.dictionary).foreign_writes.can_ids())
 
 
 def test_a_bit_that_no_object_has_is_refused() -> None:

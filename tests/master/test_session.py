@@ -13,7 +13,7 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402.states import State
 from canopen_transports import VirtualTransport
 from canopen_transports.record import Record
-from canopen_transports.tracing import overheard
+from canopen_transports.tracing import tapped
 from tests.master.world import (
     BUS,
     Breakable,
@@ -48,7 +48,7 @@ class Gateway(VirtualTransport):
 async def test_a_transport_that_may_not_hear_other_clients_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
     lines: list[Record] = []
     async with Gateway("gate") as gateway, VirtualTransport("open") as whole:
-        recorded = overheard(gateway, lines.append)
+        recorded = tapped(gateway, lines.append)
         async with open_master(buses={"arm": recorded, "gripper": recorded, "whole": whole}) as master:
             for bus in ("arm", "gripper", "whole"):
                 master.node(3, bus=bus)

@@ -12,10 +12,10 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Constant, Direction, Filler, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.dictionary.objects import Object, ObjectType
 from canopen_proto.frame import EXTENDED, REMOTE, Frame, routing_key
-from canopen_proto.observer.meaning import Shown, bytes_text
+from canopen_proto.observer.meaning import ShownObject, bytes_text
 from canopen_proto.observer.observer import Observer
-from canopen_proto.observer.parameters import Parameters
-from canopen_proto.observer.pdo import OverheardPdos
+from canopen_proto.observer.parameters import ObservedParameters
+from canopen_proto.observer.pdo import ObservedPdos
 from tests.examples import examples
 from tests.interop.recorded import FOLDER, needs_recordings
 
@@ -276,14 +276,14 @@ def test_names_that_repeat_are_told_with_their_place() -> None:
     )
 
 
-def shown(*frames: str) -> list[tuple[Shown, ...]]:
+def shown(*frames: str) -> list[tuple[ShownObject, ...]]:
     observer = Observer(lambda node_id: DICTIONARY if node_id == 5 else None)
     return [observer.observe(Frame.parse(frame), 0).meaning.objects for frame in frames]
 
 
 def test_the_objects_of_a_pdo_have_names_and_values() -> None:
-    statusword = Shown(5, 0x6041, 0, "statusword", 0x6F, "111 (ready)", True)
-    position = Shown(5, 0x6064, 0, "position", -2, "-2", True)
+    statusword = ShownObject(5, 0x6041, 0, "statusword", 0x6F, "111 (ready)", True)
+    position = ShownObject(5, 0x6064, 0, "position", -2, "-2", True)
     assert shown("185#6F00FEFFFFFF", "205#6F00", "185#6F", "185#R") == [
         (statusword, position),
         (replace(statusword, is_held=False),),  # the master's; it is not sure that the node takes it
@@ -293,15 +293,15 @@ def test_the_objects_of_a_pdo_have_names_and_values() -> None:
 
 
 def test_the_object_of_an_sdo_transfer_has_a_value_where_a_frame_shows_it() -> None:
-    asked = Shown(5, 0x6041, 0, "statusword", None, "", False)
-    read = Shown(5, 0x6041, 0, "statusword", 0x6F, "111 (ready)", True)
+    asked = ShownObject(5, 0x6041, 0, "statusword", None, "", False)
+    read = ShownObject(5, 0x6041, 0, "statusword", 0x6F, "111 (ready)", True)
     assert shown("605#4041600000000000", "585#4B4160006F000000") == [(asked,), (read,)]
-    position = Shown(5, 0x6064, 0, "position", 7, "7", True)
+    position = ShownObject(5, 0x6064, 0, "position", 7, "7", True)
     assert shown("605#2364600007000000", "585#6064600000000000") == [(replace(position, is_held=False),), (position,)]
-    refused = [(replace(position, is_held=False),), (Shown(5, 0x6064, 0, "position", None, "", False),)]
+    refused = [(replace(position, is_held=False),), (ShownObject(5, 0x6064, 0, "position", None, "", False),)]
     assert shown("605#2364600007000000", "585#8064600000000008") == refused
-    unknown = Shown(5, 0x3000, 1, "", b"\1\2", "0x0201", False)
-    strange = Shown(5, 0x6041, 0, "statusword", b"\1", "01 (not of its type, UNSIGNED16)", False)
+    unknown = ShownObject(5, 0x3000, 1, "", b"\1\2", "0x0201", False)
+    strange = ShownObject(5, 0x6041, 0, "statusword", b"\1", "01 (not of its type, UNSIGNED16)", False)
     assert shown("605#2B00300101020000", "605#2F41600001000000") == [(unknown,), (strange,)]
     assert shown("605#6000000000000000", "705#05", "605#") == [(), (), ()]
 
@@ -345,8 +345,8 @@ parameters = st.tuples(
 @examples(100)
 def test_pdos_that_change_one_by_one_are_those_that_are_read_at_once(steps: list[tuple[int, int, int, int] | None]) -> None:
     """None: node 5 boots."""
-    known = Parameters({5: DICTIONARY, 6: ObjectDictionary(())})
-    pdos = OverheardPdos(known)
+    known = ObservedParameters({5: DICTIONARY, 6: ObjectDictionary(())})
+    pdos = ObservedPdos(known)
     for node_id in (5, 6):
         pdos.renew(node_id)
     for step in steps:
@@ -355,11 +355,11 @@ def test_pdos_that_change_one_by_one_are_those_that_are_read_at_once(steps: list
             pdos.renew(5)
         elif known.settle(step[0], step[1], step[2], step[3].to_bytes(4, "little")):
             pdos.renew(step[0], step[1])
-    fresh = OverheardPdos(known)
+    fresh = ObservedPdos(known)
     for node_id in (5, 6):
         fresh.renew(node_id)
 
-    def seen(of: OverheardPdos) -> list[object]:
+    def seen(of: ObservedPdos) -> list[object]:
         keys = [routing_key(can_id, flags) for can_id in range(0x800) for flags in (0, EXTENDED)]
         found = [pdo and (pdo.node_id, pdo.name, pdo.mapping and pdo.mapping.parameters) for pdo in map(of.find, keys)]
         return [*found, *[(key, first.name, second.name) for key, first, second in of.shared()]]

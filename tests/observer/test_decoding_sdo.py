@@ -147,6 +147,26 @@ def test_what_begins_in_the_middle() -> None:
     assert sdo("<60 41 60 00 00 00 00 00") == ["write 6041:00 statusword: go on"]
     assert sdo("<4B 41 60 00 6F 00 00 00") == ["read 6041:00 statusword = 111 (ready)"]
     assert sdo("<C0 08 10 00 00 00 00 00") == ["read 1008:00 name: in blocks"]
+    assert sdo("<A0 00 20 00 02 00 00 00", ">01" + " 00" * 7, ">82" + " 00" * 7, "<A2 02 02 00 00 00 00 00") == [
+        "write 2000:00 blob: go on, 2 segments a block",
+        "write 2000:00 blob: block segment 1",
+        "write 2000:00 blob: block segment 2, the last",
+        "write 2000:00 blob: 2 segments taken",
+    ]
+
+
+def test_reserved_bits_of_block_frames_are_not_looked_at() -> None:
+    usual = (
+        ">A4 08 10 00 7F 00 00 00",
+        "<C2 08 10 00 07 00 00 00",
+        ">A3" + " 00" * 7,
+        "<81" + " 41" * 7,
+        ">A2 01 7F 00 00 00 00 00",
+    )
+    end = ("<C1" + " 00" * 7, ">A1" + " 00" * 7)
+    odd = tuple(frame.replace(">A3", ">B3").replace(">A2", ">AE").replace(">A1", ">BD") for frame in (*usual, *end))
+    assert sdo(*odd) == sdo(*usual, *end)
+    assert sdo(*odd)[-1] == "read 1008:00 name: block transfer ended"
 
 
 def test_a_long_value_is_only_counted() -> None:

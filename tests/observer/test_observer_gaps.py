@@ -7,13 +7,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import SECOND
-from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import Observer
 from tests.examples import examples
 from tests.observer.observer_sessions import CLEAN, NODE, OF_THE_RECORDER, Session, clean, damaged
 
 
-def findings(session: Session) -> list[Finding]:
+def findings(session: Session) -> list[BusFinding]:
     observer = Observer(bitrate=1_000_000)
     return [finding for at, frame in session for finding in observer.observe(frame, at).findings]
 
@@ -70,7 +70,7 @@ def test_what_an_overrun_has_cost_is_told_by_the_overrun_alone(number: int, plac
         for finding in observer.observe(frame, now).findings
         if finding.rule != "boot-up"
     ]
-    assert told == [Finding("missing", 0, "frames are missing here: overrun")]
+    assert told == [BusFinding("missing", 0, "frames are missing here: overrun")]
 
 
 @given(st.integers(0, CLEAN - 1), st.integers(0, 10**9))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.observer.finding import Finding
+from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import Observer
 from canopen_proto.sdo.codec import TOGGLE
 from tests.core.block_pair import BlockPair, pattern
@@ -19,7 +19,7 @@ Session = list[tuple[Time, Frame]]
 REQUEST, ANSWER = 0x60C, 0x58C
 
 
-def findings(session: Session) -> list[Finding]:
+def findings(session: Session) -> list[BusFinding]:
     observer = Observer()
     return [finding for now, frame in session for finding in observer.observe(frame, now).findings]
 

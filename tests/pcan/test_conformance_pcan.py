@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from canopen_transports import Transport, open_transport
-from canopen_transports.conformance import Bus, Case, Site, openings
+from canopen_transports.conformance import Site, SiteBus, TransportCase, openings
 from tests.transports.support import cases
 
 
@@ -17,8 +17,8 @@ async def join(place: int) -> Transport:
 
 
 @asynccontextmanager
-async def cabled() -> AsyncIterator[Bus]:
-    yield Bus(join)
+async def cabled() -> AsyncIterator[SiteBus]:
+    yield SiteBus(join)
 
 
 SITE = Site(
@@ -35,5 +35,5 @@ SITE = Site(
 
 @pytest.mark.usefixtures("peak")
 @pytest.mark.parametrize("case", cases(SITE, optional=("many_at_once",)), ids=str)
-def test_conformance(case: Case) -> None:
+def test_conformance(case: TransportCase) -> None:
     case.run(SITE)

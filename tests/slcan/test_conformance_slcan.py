@@ -12,7 +12,7 @@ import pytest
 import trio
 
 from canopen_transports import Transport
-from canopen_transports.conformance import Bus, Case, Site, openings
+from canopen_transports.conformance import Site, SiteBus, TransportCase, openings
 from tests.examples import takes_all
 from tests.transports.support import cases
 
@@ -24,7 +24,7 @@ from tests.slcan.test_slcan import opened
 
 
 @asynccontextmanager
-async def simulated() -> AsyncIterator[Bus]:
+async def simulated() -> AsyncIterator[SiteBus]:
     with tempfile.TemporaryDirectory() as folder:
         simulated = SimulatedBus(Path(folder))
         plugged: dict[int, Adapter] = {}
@@ -37,7 +37,7 @@ async def simulated() -> AsyncIterator[Bus]:
                 return await opened(plugged[place])
 
         try:
-            yield Bus(join)
+            yield SiteBus(join)
         finally:
             simulated.close()
 
@@ -51,5 +51,5 @@ SITE = Site(
 
 
 @pytest.mark.parametrize("case", cases(SITE, optional=("many_at_once",)), ids=str)
-def test_conformance(case: Case) -> None:
+def test_conformance(case: TransportCase) -> None:
     case.run(SITE)

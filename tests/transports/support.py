@@ -13,8 +13,8 @@ import trio.testing
 from canopen_transports import BusStateChanged, Report, Transport
 from canopen_transports.conformance import (
     CASES,
-    Case,
     Site,
+    TransportCase,
     cancelling_cases,
     carrying_cases,
     closing_cases,
@@ -42,7 +42,7 @@ P = ParamSpec("P")
 R = TypeVar("R", bound=Report)
 
 
-def cases(site: Site, *, hears_only: bool = False, optional: tuple[str, ...] = ()) -> list[Case]:
+def cases(site: Site, *, hears_only: bool = False, optional: tuple[str, ...] = ()) -> list[TransportCase]:
     """The cases of the conformance kit that apply to a transport. optional: what it can do besides, by the cases' names."""
     return [
         case

@@ -17,7 +17,7 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_proto.verdict import Result
 from canopen_transports import Transport, TransportError
-from canopen_transports.conformance import CASES, Bus, Case, NotApplicable, Site, Violation, run_all
+from canopen_transports.conformance import CASES, NotApplicable, Site, SiteBus, TransportCase, Violation, run_all
 from canopen_transports.conformance.__main__ import main
 from tests.transports.support import cases
 
@@ -30,24 +30,24 @@ Shown: Any = SHOWN["MyTransport"]
 
 def site(made: Callable[[list[Transport]], Transport], **options: Any) -> Site:
     @asynccontextmanager
-    async def bus() -> AsyncIterator[Bus]:
+    async def bus() -> AsyncIterator[SiteBus]:
         members: list[Transport] = []
 
         async def join(_place: int) -> Transport:
             return made(members)
 
-        yield Bus(join)
+        yield SiteBus(join)
 
     return Site(bus, virtual_time=True, **options)
 
 
 @pytest.mark.parametrize("case", cases(site(Shown)), ids=str)
-def test_the_example_keeps_all_promises(case: Case) -> None:
+def test_the_example_keeps_all_promises(case: TransportCase) -> None:
     case.run(site(Shown))
 
 
 @pytest.mark.parametrize("case", [case for case in CASES if case.name in ("order", "filters")], ids=str)
-def test_the_tests_that_the_chapter_shows_run(case: Case) -> None:
+def test_the_tests_that_the_chapter_shows_run(case: TransportCase) -> None:
     try:
         SHOWN["test_my_transport"](case)
     except pytest.skip.Exception:

@@ -10,15 +10,15 @@ import pytest
 
 from canopen_proto.frame import Frame
 from canopen_transports import Transport, open_transport
-from canopen_transports.conformance import Bus, Case, NotApplicable, Site, at, openings
-from canopen_transports.conformance.bench import Bench
+from canopen_transports.conformance import NotApplicable, Site, SiteBus, TransportCase, at, openings
+from canopen_transports.conformance.bench import TransportBench
 from tests.transports.multicast import free_locator, need_multicast
 from tests.transports.support import cases
 
 VIRTUAL = "pythoncan:virtual:conformance of canopen_transports"
 
 
-class SilentMember(Bus):
+class SilentMember(SiteBus):
     """The member that is tried only listens; another one, of the usual kind, speaks."""
 
     def __init__(self, locator: str) -> None:
@@ -28,7 +28,7 @@ class SilentMember(Bus):
     async def cannot_speak(self, place: int) -> Transport:
         raise NotApplicable("who only listens does not send")
 
-    async def told(self, bench: Bench, frames: Sequence[Frame]) -> Transport:
+    async def hearer(self, bench: TransportBench, frames: Sequence[Frame]) -> Transport:
         speaker = bench.keep(await open_transport(self.locator))
         more = "&" if "?" in self.locator else "?"
         silent = bench.keep(await open_transport(f"{self.locator}{more}listen_only=true"))
@@ -37,18 +37,18 @@ class SilentMember(Bus):
 
 
 @asynccontextmanager
-async def silent_on_virtual() -> AsyncIterator[Bus]:
+async def silent_on_virtual() -> AsyncIterator[SiteBus]:
     yield SilentMember(VIRTUAL)
 
 
 @asynccontextmanager
-async def multicast() -> AsyncIterator[Bus]:
+async def multicast() -> AsyncIterator[SiteBus]:
     async with at(free_locator())() as bus:
         yield bus
 
 
 @asynccontextmanager
-async def silent_on_multicast() -> AsyncIterator[Bus]:
+async def silent_on_multicast() -> AsyncIterator[SiteBus]:
     yield SilentMember(free_locator())
 
 
@@ -80,7 +80,7 @@ APPLY = [
 
 
 @pytest.mark.parametrize(("name", "case"), APPLY, ids=str)
-def test_conformance(name: str, case: Case) -> None:
+def test_conformance(name: str, case: TransportCase) -> None:
     if "multicast" in name:
         need_multicast()
     case.run(SITES[name])

@@ -11,13 +11,13 @@ import pytest
 import trio
 
 from canopen_transports import Transport, open_transport
-from canopen_transports.conformance import Bus, Case, Site, at, openings
+from canopen_transports.conformance import Site, SiteBus, TransportCase, at, openings
 from canopen_transports.tcp import BusServer, serve_bus
 from tests.transports.support import cases
 
 
 @asynccontextmanager
-async def served() -> AsyncIterator[Bus]:
+async def served() -> AsyncIterator[SiteBus]:
     async with trio.open_nursery() as nursery:
         (locator,) = await nursery.start(serve_bus, "127.0.0.1", 0, BusServer())
         async with at(locator)() as bus:
@@ -58,5 +58,5 @@ SITE = Site(
 
 
 @pytest.mark.parametrize("case", cases(SITE, optional=("many_at_once",)), ids=str)
-def test_conformance(case: Case) -> None:
+def test_conformance(case: TransportCase) -> None:
     case.run(SITE)

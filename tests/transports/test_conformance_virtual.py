@@ -11,8 +11,8 @@ import pytest
 
 from canopen_proto.frame import Frame
 from canopen_transports import Transport, open_transport
-from canopen_transports.conformance import Bus, Case, NotApplicable, Site, at, openings
-from canopen_transports.conformance.bench import Bench
+from canopen_transports.conformance import NotApplicable, Site, SiteBus, TransportCase, at, openings
+from canopen_transports.conformance.bench import TransportBench
 from canopen_transports.log_files import log_writer
 from canopen_transports.record import Record
 from canopen_transports.tracing import recording
@@ -45,14 +45,14 @@ RECORDINGS = openings(
 
 
 @asynccontextmanager
-async def recorded() -> AsyncIterator[Bus]:
+async def recorded() -> AsyncIterator[SiteBus]:
     """A virtual bus whose members tell a trace what they hear and say."""
     with tempfile.TemporaryDirectory() as folder, recording(log_writer(Path(folder) / "trace.log")):
         async with at("virtual:recorded")() as bus:
             yield bus
 
 
-class Recording(Bus):
+class Recording(SiteBus):
     """A log file. Nobody can be heard on it but those who spoke long ago."""
 
     def __init__(self, path: Path) -> None:
@@ -62,7 +62,7 @@ class Recording(Bus):
     async def nobody(self, place: int) -> Transport:
         raise NotApplicable("on a recording nobody hears us")
 
-    async def told(self, bench: Bench, frames: Sequence[Frame]) -> Transport:
+    async def hearer(self, bench: TransportBench, frames: Sequence[Frame]) -> Transport:
         writer = log_writer(self.path)
         for number, frame in enumerate((*frames, Frame(0))):  # one is kept back: a recording without frames is none
             writer.write(Record(number * 1_000_000, "can0", frame))
@@ -73,7 +73,7 @@ class Recording(Bus):
 
 
 @asynccontextmanager
-async def replayed() -> AsyncIterator[Bus]:
+async def replayed() -> AsyncIterator[SiteBus]:
     with tempfile.TemporaryDirectory() as folder:
         yield Recording(Path(folder) / "trace.log")
 
@@ -101,5 +101,5 @@ APPLY = [
 
 
 @pytest.mark.parametrize(("name", "case"), APPLY, ids=str)
-def test_conformance(name: str, case: Case) -> None:
+def test_conformance(name: str, case: TransportCase) -> None:
     case.run(SITES[name])

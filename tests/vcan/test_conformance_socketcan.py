@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_transports.conformance import Case, Site, at, openings
+from canopen_transports.conformance import Site, TransportCase, at, openings
 from tests.transports.support import cases
 from tests.vcan.support import needs_vcan
 
@@ -37,5 +37,5 @@ APPLY = [(name, case) for name, site in SITES.items() for case in cases(site, op
 
 
 @pytest.mark.parametrize(("name", "case"), APPLY, ids=str)
-def test_conformance(name: str, case: Case) -> None:
+def test_conformance(name: str, case: TransportCase) -> None:
     case.run(SITES[name])

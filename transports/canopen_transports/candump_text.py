@@ -1,4 +1,4 @@
-"""Parse lines of can-utils' candump: those of its log files, and those that it shows on a screen.
+"""Text of can-utils' candump: read the lines of its log files, and those that it shows on a screen; write its log files.
 
     (1436509053.850870) can0 605#4041600000000000 T                        candump -l, candump -L
       can0  605   [8]  40 41 60 00 00 00 00 00                             candump can0
@@ -10,12 +10,13 @@ A line from a screen has a time only with candump's option -t; without it, the t
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
 from datetime import datetime
-from typing import Final
+from typing import Final, TextIO
 
 from canopen_proto.frame import Frame
 from canopen_transports.error_frames import ErrorReport
-from canopen_transports.record import Record
+from canopen_transports.record import DEFAULT_CHANNEL, LogDamaged, Record, Skip
 
 EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (a line as `candump -L` writes it)"
 
@@ -39,6 +40,19 @@ class NotAFrame(ValueError):
     def __init__(self, text: str, *, is_overrun: bool = False) -> None:
         super().__init__(text)
         self.is_overrun = is_overrun
+
+
+def read_candump(lines: Iterable[str], skip: Skip) -> Iterator[Record]:
+    """Yield the records of lines; empty ones are allowed."""
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            yield parse_line(line.strip())
+        except NotAFrame as reason:
+            skip(str(reason), is_overrun=reason.is_overrun)
+        except ValueError as error:
+            raise LogDamaged(str(error), number, EXAMPLE) from error
 
 
 def parse_line(line: str) -> Record:
@@ -89,3 +103,21 @@ def _check_identifier(identifier: str, data: str) -> None:
         pairs = _BYTES.match(data)
         report = ErrorReport(int(identifier, 16), bytes.fromhex(pairs[0] if pairs else ""))
         raise NotAFrame("an error frame", is_overrun=report.overrun)
+
+
+class CandumpWriter:
+    """Writes `.log`. Each line goes to the system at once, so that a killed process leaves all of them."""
+
+    def __init__(self, file: TextIO) -> None:
+        self.left_out = 0
+        self._file = file
+
+    def write(self, record: Record) -> None:
+        """Add a line."""
+        seconds, fraction = divmod(record.time // 1000, 10**6)
+        direction = "T" if record.sent else "R"
+        self._file.write(f"({seconds:010d}.{fraction:06d}) {record.channel or DEFAULT_CHANNEL} {record.frame} {direction}\n")
+
+    def close(self) -> None:
+        """End the file."""
+        self._file.close()

@@ -24,8 +24,7 @@ import trio
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.locator import parse_locator
-from canopen_transports.log_files import LogWriter
-from canopen_transports.record import Record
+from canopen_transports.record import LogWriter, Record
 from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, PromptTransport, Received, Transport
 
 _trace: Final[ContextVar[Trace | None]] = ContextVar("trace", default=None)
@@ -127,7 +126,7 @@ class _Listener:
         """Nothing is open."""
 
 
-def overheard(transport: Named, heard: Callable[[Record], None]) -> TracingTransport:
+def tapped(transport: Named, heard: Callable[[Record], None]) -> TracingTransport:
     """Return the transport, with each frame that passes through it told to `heard`, which must not raise or block."""
     return Trace(_Listener(heard)).wrap(transport)
 

@@ -120,7 +120,7 @@ class Axis:
             if SET_POINT_OF[mode] in self.node.dictionary:
                 self.select_set_point(mode)
         self._command(objects.CONTROLWORD, *SET_POINT_OF.values())
-        self.node.overhearing.listen(COMMANDS)
+        self.node.foreign_writes.listen(COMMANDS)
         self.node.add_listener(self._on_values, self._on_boot)
 
     @property

@@ -17,11 +17,11 @@ from canopen_proto.dictionary import Key, Variable
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import MAX_AXES, axes_of, dictionary_of_axis, swapped
 from canopen_proto.emcy import EmcyConsumer
+from canopen_proto.foreign_writes import ForeignWrite, ForeignWrites
 from canopen_proto.frame import RoutingKey
 from canopen_proto.machine import LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
 from canopen_proto.nmt import NmtState
-from canopen_proto.overhearing import Overheard, Overhearing
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.objects import ObjectAccess
@@ -41,17 +41,17 @@ class Images(Protocol):
 
 
 class Commands(Protocol):
-    """The commands of other masters; see `Overhearing`."""
+    """The commands of other masters; see `ForeignWrites`."""
 
     @property
     def unknown(self) -> set[RoutingKey]:
-        """See Overhearing."""
+        """See ForeignWrites."""
 
     def listen(self, muxes: Collection[Mux]) -> None:
-        """See Overhearing."""
+        """See ForeignWrites."""
 
-    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = ...) -> Overheard | None:
-        """See Overhearing."""
+    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = ...) -> ForeignWrite | None:
+        """See ForeignWrites."""
 
 
 class AxisNode(ObjectAccess, Protocol):
@@ -70,7 +70,7 @@ class AxisNode(ObjectAccess, Protocol):
         """See RemoteNode."""
 
     @property
-    def overhearing(self) -> Commands:
+    def foreign_writes(self) -> Commands:
         """See RemoteNode."""
 
     @property
@@ -158,7 +158,7 @@ class FurtherAxis:
         self.heard_at: Mapping[Mux, Time] = Swapped(node.heard_at, axis)
         self.commanded: MutableSet[Mux] = SwappedSet(node.commanded, axis)
         self.values = SwappedImages(node.values.store, axis)
-        self.overhearing = SwappedCommands(node.overhearing, axis)
+        self.foreign_writes = SwappedCommands(node.foreign_writes, axis)
         self._news: dict[Collection[Mux], tuple[Mux, ...]] = {}  # the objects of each PDO, translated once
 
     def on_device(self, mux: Mux) -> Mux:
@@ -288,16 +288,16 @@ class SwappedSet(MutableSet[Mux]):
 class SwappedCommands:
     """The writes of other masters to a node, as an axis sees them."""
 
-    def __init__(self, overhearing: Overhearing, axis: int) -> None:
-        self._overhearing = overhearing
+    def __init__(self, foreign_writes: ForeignWrites, axis: int) -> None:
+        self._writes = foreign_writes
         self._axis = axis
 
     @property
     def unknown(self) -> set[RoutingKey]:
-        return self._overhearing.unknown
+        return self._writes.unknown
 
     def listen(self, muxes: Collection[Mux]) -> None:
-        self._overhearing.listen([swapped(each, self._axis) for each in muxes])
+        self._writes.listen([swapped(each, self._axis) for each in muxes])
 
-    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = MappingProxyType({})) -> Overheard | None:
-        return self._overhearing.last(swapped(wanted, self._axis), others)
+    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = MappingProxyType({})) -> ForeignWrite | None:
+        return self._writes.last(swapped(wanted, self._axis), others)

@@ -10,9 +10,9 @@ from canopen_proto.drives.axis.view import RECENT, ForeignCommand, command_text
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import mode_name
 from canopen_proto.drives.cia402.states import COMMAND_BITS, ControlBit
+from canopen_proto.foreign_writes import ForeignWrite
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, key_of_cob_id, routing_key
 from canopen_proto.machine import NEVER, Time
-from canopen_proto.overhearing import Overheard
 from canopen_proto.pdo.described import described_pdos
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.remote_node import RemoteNode
@@ -52,15 +52,15 @@ def foreign_command(
     controlword, mode: as we sent them last, and when; None: we sent none, and nothing can contradict it.
     """
     now = max(node.heard_at.values(), default=-NEVER)
-    others = _described(remote) if node.overhearing.unknown else {}
-    found: list[tuple[Overheard, str]] = []
-    word = node.overhearing.last(objects.CONTROLWORD, others)
+    others = _described(remote) if node.foreign_writes.unknown else {}
+    found: list[tuple[ForeignWrite, str]] = []
+    word = node.foreign_writes.last(objects.CONTROLWORD, others)
     if word is not None and controlword is not None and commanded_at is not None and word.time >= commanded_at:
         if not isinstance(word.value, int):
             found.append((word, "sent it a controlword"))
         elif (word.value ^ controlword) & COMPARED:
             found.append((word, f"commanded {command_text(word.value)}"))
-    selected = node.overhearing.last(objects.MODES_OF_OPERATION, others)
+    selected = node.foreign_writes.last(objects.MODES_OF_OPERATION, others)
     if selected is not None and selected_at is not None and selected.time >= selected_at and selected.value != mode:
         name = mode_name(selected.value) if isinstance(selected.value, int) else "a mode"
         found.append((selected, f"selected {name}"))

@@ -22,11 +22,11 @@ from canopen_cli.shared.screen import Screen
 from canopen_master.plain_text import clean, json_text
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.observer.finding import Finding
-from canopen_proto.observer.meaning import Shown
+from canopen_proto.observer.finding import BusFinding
+from canopen_proto.observer.meaning import ShownObject
 from canopen_proto.observer.observer import Observation, Observer
 from canopen_proto.observer.sequences import Summary
-from canopen_proto.observer.story import Event
+from canopen_proto.observer.story import BusEvent
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.record import Record
 
@@ -74,14 +74,14 @@ class Buses:
         observer = self._observers[record.channel]
         return self.seconds(record.time), observer.observe(record.frame, record.time - self._first)
 
-    def lost(self, text: str, time: Time) -> Finding | None:
+    def lost(self, text: str, time: Time) -> BusFinding | None:
         """Tell the observers that the receiver lost frames of some bus; see `Observer.lost`. None: nothing has come yet."""
         found = None
         for observer in self._observers.values():
             found = observer.lost(text, time - (self._first or 0))
         return found
 
-    def idle(self, time: Time) -> Iterator[tuple[str, tuple[Finding, ...], tuple[Summary, ...]]]:
+    def idle(self, time: Time) -> Iterator[tuple[str, tuple[BusFinding, ...], tuple[Summary, ...]]]:
         """Return what each bus shows by its silence; see `Observer.idle`. time: all frames before it have been observed."""
         for channel, observer in self._observers.items():
             yield channel, *observer.idle(time - (self._first or 0))
@@ -157,7 +157,7 @@ class FrameChoice:
             return False
         return self._last is None or self._has_changed(self._last, record, observation)
 
-    def warns(self, finding: Finding) -> bool:
+    def warns(self, finding: BusFinding) -> bool:
         """Return whether a finding is shown that belongs to no frame."""
         is_free = not (self._numbers or self._names or self._services)
         return is_free and (not self._nodes or finding.node_id in self._nodes)
@@ -261,7 +261,7 @@ class FrameLines:
         wrong = "".join(self._line("! ", finding_text(each), _FINDING) for each in findings)
         return self._line(head, clean(meaning.text), style) + wrong
 
-    def finding(self, seconds: float, time: Time, channel: str, finding: Finding) -> str:
+    def finding(self, seconds: float, time: Time, channel: str, finding: BusFinding) -> str:
         """Return the line for what is wrong because no frame comes. seconds: since the first frame."""
         if self._json:
             return json_text({"time": time, "channel": channel, "findings": [finding._asdict()]}) + "\n"
@@ -297,18 +297,18 @@ class FrameLines:
         return "".join(f"{self._paint(line.rstrip(), style)}\n" for line in lines)
 
 
-def finding_text(finding: Finding) -> str:
+def finding_text(finding: BusFinding) -> str:
     """Return a finding in words, fit for a screen."""
     likely = "" if finding.is_certain else " (likely)"
     return f"{finding.rule}{likely}: {f'node {finding.node_id}: ' if finding.node_id else ''}{clean(finding.text)}"
 
 
-def event_text(event: Event) -> str:
+def event_text(event: BusEvent) -> str:
     """Return an event in words, fit for a screen."""
     return f"{event.kind}: {f'node {event.node_id}: ' if event.node_id else ''}{clean(event.text)}"
 
 
-def _object_json(shown: Shown) -> dict[str, Any]:
+def _object_json(shown: ShownObject) -> dict[str, Any]:
     return {
         "node": shown.node_id,
         "index": shown.index,

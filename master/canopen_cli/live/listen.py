@@ -6,7 +6,7 @@ import click
 import trio
 
 from canopen_cli.bus.doctor import hear, heard_as_json, show_heard, status_of, try_bitrates
-from canopen_cli.live.source import StampClock
+from canopen_cli.live.clocks import StampClock
 from canopen_cli.live.top_view import BusShown, TopView, as_json, plain
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, FiniteRange, Settings, common

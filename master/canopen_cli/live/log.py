@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final
 
 import click
 import trio
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing, event_text, finding_text
-from canopen_cli.live.monitor import Watch
-from canopen_cli.live.source import FILE_OR_INPUT, require_frames, tell_skipped
+from canopen_cli.live.monitor import FrameMonitor
+from canopen_cli.live.source import FILE_OR_INPUT, rate_of, reader_of, require_frames, tell_skipped
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, common
@@ -27,24 +26,16 @@ from canopen_proto.machine import SECOND
 from canopen_proto.observer.observer import LOAD_LIMIT, RULES, Observer
 from canopen_proto.observer.story import KINDS, Story
 from canopen_transports import open_transport
-from canopen_transports.locator import bitrate_text, parse_bitrate
+from canopen_transports.locator import bitrate_text
 from canopen_transports.log_files import LOSSES, LogFileError, LogReader, kind_of, log_writer
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from io import BufferedReader
 
 
 FILE: Final = click.Path(dir_okay=False, path_type=Path)
 MAX_LINES: Final = 10_000
 """Findings that wait for the end of the story. Further ones are counted only."""
-
-
-def _reader(source: Path) -> LogReader:
-    """Return a reader of a log file, or of standard input (-) in candump's form."""
-    if str(source) != "-":
-        return LogReader(source)
-    return LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer))
 
 
 @click.group()
@@ -148,11 +139,8 @@ def replay(settings: Settings, source: Path, speed: str, only_sent: bool) -> Non
 def stats(settings: Settings, source: Path, bitrate: str) -> None:
     """Count the frames of a file: number, rate and bus load of each CAN-ID."""
     screen = settings.screen()
-    try:
-        rate = parse_bitrate(bitrate)
-    except ValueError as error:
-        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
-    reader, observer = _reader(source), Observer()
+    rate = rate_of(bitrate)
+    reader, observer = reader_of(source), Observer()
     frames: Counter[int] = Counter()
     bits: Counter[int] = Counter()
     what: dict[int, tuple[str, str, int]] = {}
@@ -215,7 +203,7 @@ def decode(
     """
     screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
-    watch = Watch(settings, screen, choice, source)
+    watch = FrameMonitor(settings, screen, choice, source)
     run(settings, screen, watch.show, reads=source)
     watch.tell_skipped()
     watch.require_frames()
@@ -248,12 +236,9 @@ def check(settings: Settings, source: Path, bitrate: str, limit: float) -> int:
     canopen log check trace.log -e 5=drive.eds --bitrate 500k
     """
     screen = settings.screen()
-    try:
-        rate = parse_bitrate(bitrate) if bitrate else 0
-    except ValueError as error:
-        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
+    rate = rate_of(bitrate) if bitrate else 0
     files = NodeFiles(settings, screen, read_dictionary(screen))
-    reader, buses = _reader(source), Buses(files, bitrate=rate, load_limit=limit / 100)
+    reader, buses = reader_of(source), Buses(files, bitrate=rate, load_limit=limit / 100)
     stories: dict[str, Story] = {}  # by channel
     counts: Counter[tuple[str, bool]] = Counter()  # by rule, and whether it is certain
     lines: list[str] = []  # of findings, which follow the story

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from canopen_cli.live.frame_clock import FrameClock
+from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.source import LiveSource
 from canopen_cli.shared.screen import counted
 from canopen_transports.errors import BusState

@@ -28,14 +28,15 @@ from typing import IO, TYPE_CHECKING, Final, TypeAlias, cast
 import click
 import trio
 
+from canopen_cli.live.clocks import StampClock, trio_now
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
-from canopen_proto.machine import SECOND, Time
+from canopen_proto.machine import Time
 from canopen_transports import open_transport
 from canopen_transports.errors import BusState, BusStateChanged, ReceiveOverrun, Report
-from canopen_transports.locator import parse_locator
+from canopen_transports.locator import parse_bitrate, parse_locator
 from canopen_transports.log_files import LogFileError, LogReader
 from canopen_transports.receive_test import NO_WIRE, silently
 from canopen_transports.record import Record
@@ -55,10 +56,6 @@ BATCH: Final = 256
 """The most frames that are handed over at once; between two batches other tasks run."""
 AHEAD: Final = 4096
 """Frames that are read from standard input before they are asked for."""
-_DRIFT: Final = 200e-6
-"""The difference of two quartz clocks is smaller: each is within 100 ppm."""
-_STALE: Final = 2 * SECOND
-"""A frame that seems to have waited for longer did not wait: its clock was set back."""
 
 
 class LiveSource(ABC):
@@ -127,7 +124,15 @@ async def open_live_source(settings: Settings, source: Path | None) -> AsyncIter
         await stack.enter_async_context(transport)
         if bus == DEMO:
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
-        yield _Bus(bus, locator, transport)
+        yield _BusSource(bus, locator, transport)
+
+
+def rate_of(text: str) -> int:
+    """Return the bit rate, bit/s, that the option --bitrate gives. Raises Problem."""
+    try:
+        return parse_bitrate(text)
+    except ValueError as error:
+        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
 
 
 def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
@@ -142,7 +147,7 @@ def require_frames(source: LogReader | LiveSource, name: str, frames: int) -> No
         raise Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
 
 
-class _Bus(LiveSource):
+class _BusSource(LiveSource):
     is_live = True
 
     def __init__(self, name: str, locator: str, transport: Transport) -> None:
@@ -154,7 +159,7 @@ class _Bus(LiveSource):
         self._transport = transport
         self._batch = transport if isinstance(transport, BatchTransport) else None
         self._is_replay = parsed.interface == "file"
-        self._clock = StampClock(time.time_ns() - _trio_now())
+        self._clock = StampClock(time.time_ns() - trio_now())
 
     async def take(self) -> list[Heard]:
         received = [await self._transport.receive()] if self._batch is None else await self._batch.receive_many(BATCH)
@@ -162,7 +167,7 @@ class _Bus(LiveSource):
         for each in received:
             if isinstance(each, tuple):
                 frame, stamp = each
-                self._last = self._clock.time_of(stamp, _trio_now())
+                self._last = self._clock.time_of(stamp, trio_now())
                 if self._is_replay and stamp is not None:
                     self._last = stamp  # of another day
                 heard.append(Record(self._last, self._channel, frame))
@@ -174,35 +179,7 @@ class _Bus(LiveSource):
         return heard
 
     def now(self) -> Time:
-        return self._last if self._is_replay else max(self._last, _trio_now() + self._clock.zero)
-
-
-class StampClock:
-    """Turns the time stamps of a transport into times on another clock of ours.
-
-    A frame comes some time after its stamp, never before it. So the shortest such delay is the difference of the two clocks; it
-    is allowed to grow slowly, as one of them is faster. zero: is added to each time.
-    """
-
-    def __init__(self, zero: Time = 0) -> None:
-        self.zero = zero
-        self._least: float | None = None
-        self._seen: Time = 0
-        self._last: Time | None = None
-
-    def time_of(self, stamp: int | None, now: Time) -> Time:
-        """Return when a frame came that is handed over now. Not before the one before it. stamp: None if it has none."""
-        if stamp is None:
-            time = now
-        else:
-            delay = now - stamp
-            if self._least is None or delay - self._least > _STALE:
-                self._least = delay
-            self._least = min(delay, self._least + (now - self._seen) * _DRIFT)
-            self._seen = now
-            time = stamp + round(self._least)
-        self._last = time if self._last is None else max(time, self._last)
-        return self._last + self.zero
+        return self._last if self._is_replay else max(self._last, trio_now() + self._clock.zero)
 
 
 class _Recording(LiveSource):
@@ -297,11 +274,18 @@ def _open_recording(source: Path) -> Iterator[_Recording]:
         stream = open(sys.stdin.fileno(), "rb", closefd=False)  # noqa: SIM115 - the thread may read as long as the process lives
         recording = _Stream(LogReader(Path("standard input"), stream))
     else:
-        recording = _Recording(LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer)))
+        recording = _Recording(reader_of(INPUT))
     try:
         yield recording
     finally:
         recording.close()
+
+
+def reader_of(source: Path) -> LogReader:
+    """Return a reader of a log file; of standard input for -."""
+    if source == INPUT:
+        return LogReader(Path("standard input"), cast("BufferedReader", sys.stdin.buffer))
+    return LogReader(source)
 
 
 def _reader_of_file(source: Path) -> LogReader:
@@ -316,7 +300,3 @@ def _waits(stream: IO[str]) -> bool:
         return not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
     except (OSError, ValueError):  # not a file: a test, a notebook
         return False
-
-
-def _trio_now() -> Time:
-    return round(trio.current_time() * SECOND)

@@ -12,14 +12,14 @@ import click
 import trio
 from rich.console import RenderableType
 
-from canopen_cli.live.frame_clock import FrameClock
+from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.notes import note_source, note_state
 from canopen_cli.live.screen import LiveScreen
-from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source
+from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source, rate_of
 from canopen_cli.live.top_view import SORTS, BusShown, TopView, as_json, picture, plain
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import FiniteRange, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import read_dictionary
@@ -27,7 +27,6 @@ from canopen_proto.machine import Time
 from canopen_proto.observer.bus_view import BusView
 from canopen_proto.observer.observer import Observer
 from canopen_transports.errors import BusState, BusStateChanged
-from canopen_transports.locator import parse_bitrate
 from canopen_transports.log_files import LogFileError
 from canopen_transports.record import Record
 
@@ -59,10 +58,7 @@ def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate:
     ssh gateway candump -L can0 | canopen top -
     """
     screen = settings.screen()
-    try:
-        rate = parse_bitrate(bitrate) if bitrate else 0
-    except ValueError as error:
-        raise usage("CO001", str(error), tries=("--bitrate 500k",)) from None
+    rate = rate_of(bitrate) if bitrate else 0
     is_drawn = screen.out.is_terminal and not screen.out.is_dumb_terminal and not (once or settings.json)
     if source is None and not is_drawn and seconds is None:
         seconds = LISTENING
@@ -70,7 +66,7 @@ def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate:
     run_until_interrupted(settings, screen, partial(command.show, source, seconds, is_drawn))
 
 
-class _Bus:
+class _TopBus:
     """One bus: each in a file has its own observer. last: the time of its last frame."""
 
     def __init__(self, name: str, observer: Observer, view: BusView) -> None:
@@ -87,7 +83,7 @@ class _Top:
         self._settings, self._screen = settings, screen
         self._files = NodeFiles(settings, screen, read_dictionary(screen))
         self._bitrate = bitrate
-        self._buses: dict[str, _Bus] = {}
+        self._buses: dict[str, _TopBus] = {}
         self._sorts = list(SORTS)
         self._sort = self._sorts.index(sort)
         self._chosen = 0
@@ -122,7 +118,7 @@ class _Top:
         now = self._clock.set(record.time)
         if bus is None:
             observer = Observer(self._files.dictionary_of, bitrate=self._bitrate)
-            bus = self._buses[record.channel] = _Bus(record.channel, observer, BusView(bitrate=self._bitrate))
+            bus = self._buses[record.channel] = _TopBus(record.channel, observer, BusView(bitrate=self._bitrate))
         bus.view.add(record.frame, bus.observer.observe(record.frame, now), now)
         bus.last = now
 

@@ -37,7 +37,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import SdoFailed
 from canopen_transports import open_transport
 from canopen_transports.record import Record
-from canopen_transports.tracing import overheard
+from canopen_transports.tracing import tapped
 
 if TYPE_CHECKING:
     from canopen_master.simulation.fleet import Fleet
@@ -142,7 +142,7 @@ async def open_session(
 
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
-        opened = bus if heard is None else overheard(await open_transport(bus), heard)
+        opened = bus if heard is None else tapped(await open_transport(bus), heard)
         master = await stack.enter_async_context(
             open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
         )

@@ -3,19 +3,20 @@
     python -m canopen_transports.conformance virtual:trial        a transport that `open_transport` opens
 
     @asynccontextmanager
-    async def my_bus() -> AsyncIterator[Bus]:                      your own transport: how to make a fresh bus
+    async def my_bus() -> AsyncIterator[SiteBus]:                  your own transport: how to make a fresh bus
         hub = MyHub()
-        yield Bus(lambda place: hub.join())                        and how one more member joins it
+        yield SiteBus(lambda place: hub.join())                    and how one more member joins it
 
     @pytest.mark.parametrize("case", CASES, ids=str)
-    def test_my_transport(case: Case) -> None:
+    def test_my_transport(case: TransportCase) -> None:
         case.run(Site(my_bus))
 
-`canopen_transports.transport` states the promises. No pytest is needed: `run_all` gives a verdict for each case. `Case.run`
-raises `NotApplicable`, or `Violation`: an AssertionError that says what was expected and what was seen.
+`canopen_transports.transport` states the promises. No pytest is needed: `run_all` gives a verdict for each case.
+`TransportCase.run` raises `NotApplicable`, or `Violation`: an AssertionError that says what was expected and what was seen.
 
-    bench.py        Site, Bus: where a transport is tried; Bench: the tools of a case; frames.py: the frames that are sent
-    case.py         Case; expectations.py: how a case states what it expects; leftovers.py: what a closed transport must not hold
+    bench.py        Site, SiteBus: where a transport is tried; TransportBench: the tools of a case
+    frames.py       the frames that are sent, and how a case says which it expects; the rest: canopen_proto/verdict.py
+    case.py         TransportCase; leftovers.py: what a closed transport must not hold
     *_cases.py      the cases, one chapter each; catalogue.py: all of them, `run_all`
 
 **Never run it on a bus with drives.** The cases send frames of every kind as fast as they can, NMT commands among them.
@@ -24,9 +25,9 @@ No case waits to see that nothing comes: a later frame proves that nothing came 
 cannot show whether a frame that a bus took reaches the other end of a real cable.
 """
 
-from canopen_transports.conformance.bench import Bus, Site, at, openings
-from canopen_transports.conformance.case import Case
+from canopen_proto.verdict import NotApplicable, Violation
+from canopen_transports.conformance.bench import Site, SiteBus, at, openings
+from canopen_transports.conformance.case import TransportCase
 from canopen_transports.conformance.catalogue import CASES, run_all
-from canopen_transports.conformance.expectations import NotApplicable, Violation
 
-__all__ = ["CASES", "Bus", "Case", "NotApplicable", "Site", "Violation", "at", "openings", "run_all"]
+__all__ = ["CASES", "NotApplicable", "Site", "SiteBus", "TransportCase", "Violation", "at", "openings", "run_all"]

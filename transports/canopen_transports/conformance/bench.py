@@ -1,4 +1,4 @@
-"""`Site`: how to get a fresh bus. `Bus`: how to join it. `Bench`: the tools that the body of a case works with."""
+"""`Site`: how to get a fresh bus. `SiteBus`: how to join it. `TransportBench`: the tools that the body of a case works with."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Final, TypeAlias, TypeVar
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.conformance.expectations import NotApplicable, Violation, expect
+from canopen_proto.verdict import Violation, does_not_apply, expect
 from canopen_transports.conformance.frames import END, number_of
 from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.opening import open_transport
@@ -34,7 +34,7 @@ Join: TypeAlias = Callable[[int], Awaitable[Transport]]
 Opening: TypeAlias = Callable[[], Awaitable[Transport]]
 
 
-class Bus:
+class SiteBus:
     """One bus, fresh for each case.
 
     join: opens the member at a place: 0, 1 or 2, each a different one. A place is used again only after its member was closed. It
@@ -44,7 +44,7 @@ class Bus:
     def __init__(self, join: Join) -> None:
         self.join = join
 
-    async def told(self, bench: Bench, frames: Sequence[Frame]) -> Transport:
+    async def hearer(self, bench: TransportBench, frames: Sequence[Frame]) -> Transport:
         """Return a member that hears these frames from now on, and no others.
 
         Override it for a transport that can only hear. Something else must then send the frames, perhaps through `bench.say`;
@@ -65,7 +65,7 @@ class Site:
     taken.
     """
 
-    open_bus: Callable[[], AbstractAsyncContextManager[Bus]]
+    open_bus: Callable[[], AbstractAsyncContextManager[SiteBus]]
     unopenable: tuple[Opening, ...] = ()
     virtual_time: bool = False
     burst: int = BURST
@@ -77,27 +77,27 @@ def openings(*locators: str) -> tuple[Opening, ...]:
     return tuple(functools.partial(open_transport, locator) for locator in locators)
 
 
-def at(*locators: str) -> Callable[[], AbstractAsyncContextManager[Bus]]:
+def at(*locators: str) -> Callable[[], AbstractAsyncContextManager[SiteBus]]:
     """Return a bus that exists already: one locator for all its members, or one for each place (adapters that are cabled)."""
 
     async def join(place: int) -> Transport:
         if len(locators) == 1:
             return await open_transport(locators[0])
         if place >= len(locators):
-            raise NotApplicable(f"it needs {place + 1} members of a bus, and {len(locators)} were given")
+            does_not_apply(f"it needs {place + 1} members of a bus, and {len(locators)} were given")
         return await open_transport(locators[place])
 
     @asynccontextmanager
-    async def bus() -> AsyncIterator[Bus]:
-        yield Bus(join)
+    async def bus() -> AsyncIterator[SiteBus]:
+        yield SiteBus(join)
 
     return bus
 
 
-class Bench:
+class TransportBench:
     """A fresh bus of a site. It closes what it opened when the case is over. nursery: for tasks beside the case's own."""
 
-    def __init__(self, site: Site, bus: Bus, stack: AsyncExitStack, nursery: trio.Nursery) -> None:
+    def __init__(self, site: Site, bus: SiteBus, stack: AsyncExitStack, nursery: trio.Nursery) -> None:
         self.site = site
         self.nursery = nursery
         self._bus = bus
@@ -120,9 +120,9 @@ class Bench:
         """Close what was opened so far."""
         await self._stack.aclose()
 
-    async def told(self, frames: Sequence[Frame]) -> Transport:
+    async def hearer(self, frames: Sequence[Frame]) -> Transport:
         """Return a member that hears these frames from others, and no others."""
-        return await self._bus.told(self, frames)
+        return await self._bus.hearer(self, frames)
 
     def say(self, member: Transport, frames: Sequence[Frame]) -> None:
         """Send these frames from now on, in a separate task."""
@@ -164,7 +164,7 @@ class Bench:
             numbers.append(number_of(frame))
         return numbers
 
-    async def account(self, member: Transport, count: int) -> None:
+    async def expect_no_silent_loss(self, member: Transport, count: int) -> None:
         """Take in the frames 0 to count - 1. Some may be lost, if the transport reports the loss before it hands out a later
         frame."""
         heard = told = 0

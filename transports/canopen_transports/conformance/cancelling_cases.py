@@ -9,17 +9,17 @@ from typing import Final
 import trio
 import trio.testing
 
-from canopen_transports.conformance.bench import Bench
+from canopen_proto.verdict import expect
+from canopen_transports.conformance.bench import TransportBench
 from canopen_transports.conformance.case import case
-from canopen_transports.conformance.expectations import expect, expect_numbers
-from canopen_transports.conformance.frames import END, number_of, numbered
+from canopen_transports.conformance.frames import END, expect_numbers, number_of, numbered
 
 SEEDS: Final = (1, 2, 3)
 STORM: Final = 200  # frames
 
 
 @case
-async def cancelled_receive(bench: Bench) -> None:
+async def cancelled_receive(bench: TransportBench) -> None:
     """A cancelled receive has taken no frame."""
     one, other = await bench.members(2)
     count = 50
@@ -44,7 +44,7 @@ async def cancelled_receive(bench: Bench) -> None:
 
 
 @case
-async def cancelled_send(bench: Bench) -> None:
+async def cancelled_send(bench: TransportBench) -> None:
     """A cancelled send has sent nothing; a send that returned has sent, even if it was cancelled meanwhile."""
     one, other = await bench.members(2)
     sent: list[int] = []
@@ -70,10 +70,10 @@ async def cancelled_send(bench: Bench) -> None:
 
 
 @case
-async def storm_on_receive(bench: Bench) -> None:
+async def storm_on_receive(bench: TransportBench) -> None:
     """Receives that are cancelled at random moments lose no frame and take none twice."""
     count = STORM * len(SEEDS)
-    member = await bench.told([numbered(number) for number in range(count)])
+    member = await bench.hearer([numbered(number) for number in range(count)])
     for place, seed in enumerate(SEEDS):
         random = Random(seed)
         heard: list[int] = []
@@ -85,7 +85,7 @@ async def storm_on_receive(bench: Bench) -> None:
 
 
 @case
-async def storm_on_send(bench: Bench) -> None:
+async def storm_on_send(bench: TransportBench) -> None:
     """Sends of several tasks, cancelled at random moments, have sent or not; the frames of each task keep their order."""
     one, other = await bench.members(2)
     tasks = 4

@@ -7,10 +7,10 @@ from typing import Final
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_transports.conformance.bench import Bench
+from canopen_proto.verdict import expect
+from canopen_transports.conformance.bench import TransportBench
 from canopen_transports.conformance.case import case
-from canopen_transports.conformance.expectations import expect, expect_numbers
-from canopen_transports.conformance.frames import END, EVERY_KIND, IMPOSSIBLE, number_of, numbered
+from canopen_transports.conformance.frames import END, EVERY_KIND, IMPOSSIBLE, expect_numbers, number_of, numbered
 from canopen_transports.transport import Transport
 
 PAUSE: Final = 0.05
@@ -20,9 +20,9 @@ MUCH_LATER: Final = 600.0
 
 
 @case
-async def every_kind_of_frame(bench: Bench) -> None:
+async def every_kind_of_frame(bench: TransportBench) -> None:
     """Data and remote frames, with 11 and 29 bits and 0 to 8 bytes, arrive as they were sent."""
-    member = await bench.told(EVERY_KIND)
+    member = await bench.hearer(EVERY_KIND)
     for frame in EVERY_KIND:
         received, stamp = await bench.hear(member)
         expect(type(received) is Frame and type(received.data) is bytes, f"{received!r} is no Frame with bytes")
@@ -32,7 +32,7 @@ async def every_kind_of_frame(bench: Bench) -> None:
 
 
 @case
-async def impossible_frames(bench: Bench) -> None:
+async def impossible_frames(bench: TransportBench) -> None:
     """A frame that classical CAN cannot carry is refused with ValueError, and not sent."""
     one, other = await bench.members(2)
     for reason, frame in IMPOSSIBLE.items():
@@ -47,7 +47,7 @@ async def impossible_frames(bench: Bench) -> None:
 
 
 @case
-async def order(bench: Bench) -> None:
+async def order(bench: TransportBench) -> None:
     """The frames of one task arrive in order, in both directions at once."""
     count = 200
     one, other = await bench.members(2)
@@ -58,12 +58,12 @@ async def order(bench: Bench) -> None:
             bench.say(sender, [numbered(number) for number in numbers])
 
 
-async def _expect_numbers(bench: Bench, member: Transport, numbers: list[int]) -> None:
+async def _expect_numbers(bench: TransportBench, member: Transport, numbers: list[int]) -> None:
     expect_numbers(await bench.numbers(member, len(numbers)), numbers, "order")
 
 
 @case
-async def order_of_each_task(bench: Bench) -> None:
+async def order_of_each_task(bench: TransportBench) -> None:
     """Several tasks may send on one member: the frames of each task arrive in order."""
     one, other = await bench.members(2)
     tasks, count = 5, 40
@@ -81,7 +81,7 @@ async def order_of_each_task(bench: Bench) -> None:
 
 
 @case
-async def no_echo(bench: Bench) -> None:
+async def no_echo(bench: TransportBench) -> None:
     """A member does not receive its own frames."""
     one, other = await bench.members(2)
     for number in range(5):
@@ -93,7 +93,7 @@ async def no_echo(bench: Bench) -> None:
 
 
 @case
-async def three_members(bench: Bench) -> None:
+async def three_members(bench: TransportBench) -> None:
     """Each of three members hears the two others, every frame once and in order."""
     members = await bench.members(3)
     for number in range(30):
@@ -106,7 +106,7 @@ async def three_members(bench: Bench) -> None:
 
 
 @case
-async def one_member_alone(bench: Bench) -> None:
+async def one_member_alone(bench: TransportBench) -> None:
     """A lone member can send; a member that joins later misses what was sent before, but nothing in between."""
     one = await bench.join(0)
     for number in range(3):
@@ -118,7 +118,7 @@ async def one_member_alone(bench: Bench) -> None:
 
 
 @case
-async def who_leaves(bench: Bench) -> None:
+async def who_leaves(bench: TransportBench) -> None:
     """A member that leaves, even just after sending, does not disturb the others."""
     one, other, leaver = await bench.members(3)
     await leaver.send(numbered(1))
@@ -131,7 +131,7 @@ async def who_leaves(bench: Bench) -> None:
 
 
 @case
-async def who_comes_and_goes(bench: Bench) -> None:
+async def who_comes_and_goes(bench: TransportBench) -> None:
     """While members join and leave, the others miss nothing."""
     one, other = await bench.members(2)
     count, comings = 100, 5
@@ -151,7 +151,7 @@ async def who_comes_and_goes(bench: Bench) -> None:
 
 
 @case
-async def time_stamps(bench: Bench) -> None:
+async def time_stamps(bench: TransportBench) -> None:
     """Time stamps are ns on a clock that runs as fast as ours; or there are none."""
     one, other = await bench.members(2)
     stamps = []

@@ -1,7 +1,7 @@
 """A case, and how it ends.
 
-The body of a case gets a `Bench` with a fresh bus and states what it expects by `expect`. The first expectation that is not met
-ends it. A case ends in one of these ways:
+The body of a case gets a `TransportBench` with a fresh bus and states what it expects by `expect` (canopen_proto/verdict.py). The
+first expectation that is not met ends it. A case ends in one of these ways:
 
     it returns              passed
     Violation               failed: the transport broke a promise, or left something behind
@@ -19,19 +19,18 @@ from typing import Final, TypeAlias
 import trio
 import trio.testing
 
-from canopen_proto.verdict import Result, Verdict
+from canopen_proto.verdict import NotApplicable, Result, Verdict, Violation, expect
 from canopen_transports.conformance import leftovers
-from canopen_transports.conformance.bench import Bench, Site
-from canopen_transports.conformance.expectations import NotApplicable, Violation, expect
+from canopen_transports.conformance.bench import Site, TransportBench
 
 LIMIT: Final = 120.0
 """Seconds. In virtual time a case that hangs gets there at once."""
 
-Body: TypeAlias = Callable[[Bench], Awaitable[None]]
+Body: TypeAlias = Callable[[TransportBench], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class TransportCase:
     """One case. name: for programs. title: the promise, in one line."""
 
     name: str
@@ -71,13 +70,13 @@ class Case:
         before = leftovers.held()
         with trio.fail_after(LIMIT):
             async with site.open_bus() as bus, AsyncExitStack() as stack, trio.open_nursery() as nursery:
-                await self.body(Bench(site, bus, stack, nursery))
+                await self.body(TransportBench(site, bus, stack, nursery))
                 nursery.cancel_scope.cancel()
         left = sorted(leftovers.held() - before)
         expect(not left, f"all members are closed, but this is left open: {', '.join(left)}")
 
 
-def case(body: Body) -> Case:
+def case(body: Body) -> TransportCase:
     """Make a case of its body. The body's docstring is the title."""
     title = (body.__doc__ or "").strip().splitlines()[0].rstrip(".")
-    return Case(body.__name__, title, body)
+    return TransportCase(body.__name__, title, body)

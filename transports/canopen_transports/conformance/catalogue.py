@@ -15,14 +15,14 @@ from canopen_transports.conformance import (
     optional_cases,
 )
 from canopen_transports.conformance.bench import Site
-from canopen_transports.conformance.case import Case
+from canopen_transports.conformance.case import TransportCase
 
 CHAPTERS: Final = (opening_cases, carrying_cases, flooding_cases, cancelling_cases, closing_cases, optional_cases)
-CASES: Final = tuple(each for chapter in CHAPTERS for each in vars(chapter).values() if isinstance(each, Case))
+CASES: Final = tuple(each for chapter in CHAPTERS for each in vars(chapter).values() if isinstance(each, TransportCase))
 """All cases: each chapter's in the order in which they are written."""
 
 
-def run_all(site: Site) -> Iterator[tuple[Case, Verdict]]:
+def run_all(site: Site) -> Iterator[tuple[TransportCase, Verdict]]:
     """Run the cases one after the other, each when it is asked for. Call it outside `trio.run`: each case starts its own."""
     for each in CASES:
         yield each, each.verdict(site)

@@ -9,10 +9,10 @@ from typing import Final
 import trio
 import trio.testing
 
-from canopen_transports.conformance.bench import Bench, turns
+from canopen_proto.verdict import Violation
+from canopen_transports.conformance.bench import TransportBench, turns
 from canopen_transports.conformance.case import case
-from canopen_transports.conformance.expectations import Violation, expect_numbers
-from canopen_transports.conformance.frames import END, numbered
+from canopen_transports.conformance.frames import END, expect_numbers, numbered
 from canopen_transports.transport import Transport
 
 TRAFFIC: Final = 50
@@ -53,9 +53,9 @@ async def _close(member: Transport, closes: trio.Event) -> None:
 
 
 @case
-async def closing_wakes_the_receiver(bench: Bench) -> None:
+async def closing_wakes_the_receiver(bench: TransportBench) -> None:
     """Closing a transport wakes its waiting receive with ClosedResourceError."""
-    one = await bench.told(())
+    one = await bench.hearer(())
     async with trio.open_nursery() as nursery:
         nursery.start_soon(_expect_closed, functools.partial(_hear_on, one, lambda: None), "receive, while it was closed,")
         await trio.testing.wait_all_tasks_blocked()
@@ -63,7 +63,7 @@ async def closing_wakes_the_receiver(bench: Bench) -> None:
 
 
 @case
-async def closing_wakes_the_senders(bench: Bench) -> None:
+async def closing_wakes_the_senders(bench: TransportBench) -> None:
     """Closing a transport ends its sends with ClosedResourceError: those under way, and those that wait for room."""
     one, closes = await bench.join(0), trio.Event()
     async with trio.open_nursery() as nursery:
@@ -74,7 +74,7 @@ async def closing_wakes_the_senders(bench: Bench) -> None:
 
 
 @case
-async def closing_amid_traffic(bench: Bench) -> None:
+async def closing_amid_traffic(bench: TransportBench) -> None:
     """Closing amid traffic wakes reader and sender, and the others continue."""
     one, other, third = await bench.members(3)
     flows, closes = trio.Event(), [trio.Event() for _ in range(3)]
@@ -102,7 +102,7 @@ async def closing_amid_traffic(bench: Bench) -> None:
 
 
 @case
-async def what_is_closed_stays_closed(bench: Bench) -> None:
+async def what_is_closed_stays_closed(bench: TransportBench) -> None:
     """After closing, even twice, each send and receive raises ClosedResourceError, even if frames were waiting."""
     one, other = await bench.members(2)
     await other.send(END)
@@ -114,9 +114,9 @@ async def what_is_closed_stays_closed(bench: Bench) -> None:
 
 
 @case
-async def closing_by_two_tasks(bench: Bench) -> None:
+async def closing_by_two_tasks(bench: TransportBench) -> None:
     """Two tasks may close a transport at the same time."""
-    one = await bench.told(())
+    one = await bench.hearer(())
     async with trio.open_nursery() as nursery:
         nursery.start_soon(one.aclose)
         nursery.start_soon(one.aclose)
@@ -124,9 +124,9 @@ async def closing_by_two_tasks(bench: Bench) -> None:
 
 
 @case
-async def cancelled_close(bench: Bench) -> None:
+async def cancelled_close(bench: TransportBench) -> None:
     """A cancelled close still closes the transport."""
-    one = await bench.told(())
+    one = await bench.hearer(())
     with trio.CancelScope() as scope:
         scope.cancel()
         await one.aclose()
@@ -134,7 +134,7 @@ async def cancelled_close(bench: Bench) -> None:
 
 
 @case
-async def opened_again(bench: Bench) -> None:
+async def opened_again(bench: TransportBench) -> None:
     """A member can leave a bus and join it again; it does not hear frames that it left untaken."""
     one, other, third = await bench.members(3)
     for number in range(3):

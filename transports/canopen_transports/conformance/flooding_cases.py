@@ -7,10 +7,10 @@ from typing import Final
 
 import trio
 
-from canopen_transports.conformance.bench import Bench, turns
+from canopen_proto.verdict import expect
+from canopen_transports.conformance.bench import TransportBench, turns
 from canopen_transports.conformance.case import case
-from canopen_transports.conformance.expectations import expect, expect_numbers
-from canopen_transports.conformance.frames import END, number_of, numbered
+from canopen_transports.conformance.frames import END, expect_numbers, number_of, numbered
 
 WAITING: Final = 200
 """Frames that any receive buffer holds."""
@@ -19,26 +19,26 @@ SETTLING: Final = 0.05
 
 
 @case
-async def burst_that_nobody_takes(bench: Bench) -> None:
+async def burst_that_nobody_takes(bench: TransportBench) -> None:
     """A burst that is taken only when it is over loses nothing silently; afterwards frames arrive as before."""
     one, other = await bench.members(2)
     for number in range(bench.site.burst):
         await one.send(numbered(number))
-    await bench.account(other, bench.site.burst)
+    await bench.expect_no_silent_loss(other, bench.site.burst)
     await one.send(END)
     received, _ = await bench.hear(other)
     expect(received == END, f"{received} came instead of {END}, after all frames were accounted for")
 
 
 @case
-async def stream(bench: Bench) -> None:
+async def stream(bench: TransportBench) -> None:
     """A stream that is taken as it comes arrives in order and loses nothing silently."""
-    member = await bench.told([numbered(number) for number in range(bench.site.stream)])
-    await bench.account(member, bench.site.stream)
+    member = await bench.hearer([numbered(number) for number in range(bench.site.stream)])
+    await bench.expect_no_silent_loss(member, bench.site.stream)
 
 
 @case
-async def time_stamps_in_a_stream(bench: Bench) -> None:
+async def time_stamps_in_a_stream(bench: TransportBench) -> None:
     """Time stamps do not run back, and either all frames have one or none has."""
     one, other = await bench.members(2)
     await trio.sleep(SETTLING)
@@ -51,7 +51,7 @@ async def time_stamps_in_a_stream(bench: Bench) -> None:
 
 
 @case
-async def others_run(bench: Bench) -> None:
+async def others_run(bench: TransportBench) -> None:
     """Taking frames that are already there lets other tasks run, and can be cancelled."""
     one, other = await bench.members(2)
     for number in range(WAITING):
@@ -73,10 +73,10 @@ async def others_run(bench: Bench) -> None:
 
 
 @case
-async def two_receivers(bench: Bench) -> None:
+async def two_receivers(bench: TransportBench) -> None:
     """When two tasks receive at once, each frame goes to one of them, or one task is refused with trio.BusyResourceError."""
     count = 100
-    member = await bench.told([numbered(number) for number in range(count)])
+    member = await bench.hearer([numbered(number) for number in range(count)])
     heard: list[int] = []
     refused = 0
 

@@ -1,10 +1,11 @@
-"""The frames that the cases send."""
+"""The frames that the cases send, and those that they expect."""
 
 from __future__ import annotations
 
 from typing import Final
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.verdict import Violation
 
 EVERY_KIND: Final = (
     *(Frame(0x580 + length, bytes(range(length))) for length in range(9)),
@@ -36,3 +37,18 @@ def numbered(number: int) -> Frame:
 def number_of(frame: Frame) -> int:
     """Return the number that a frame carries."""
     return int.from_bytes(frame.data, "little")
+
+
+def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
+    """Raise Violation unless the lists are equal. Its text shows where they differ, and which numbers are missing or surplus."""
+    if seen == expected:
+        return
+    place = next(
+        (at for at, pair in enumerate(zip(seen, expected, strict=False)) if pair[0] != pair[1]), min(len(seen), len(expected))
+    )
+    missing, surplus = sorted(set(expected) - set(seen)), sorted(set(seen) - set(expected))
+    twice = len(seen) - len(set(seen))
+    raise Violation(
+        f"{what}: {len(seen)} frames instead of {len(expected)}; from place {place} on {seen[place : place + 5]} instead of "
+        f"{expected[place : place + 5]}; missing {missing[:5]}, surplus {surplus[:5]}, {twice} more than once"
+    )

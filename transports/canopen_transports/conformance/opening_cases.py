@@ -7,10 +7,10 @@ from typing import Final
 
 import trio
 
+from canopen_proto.verdict import does_not_apply, expect
 from canopen_transports.conformance import leftovers
-from canopen_transports.conformance.bench import Bench
+from canopen_transports.conformance.bench import TransportBench
 from canopen_transports.conformance.case import case
-from canopen_transports.conformance.expectations import NotApplicable, expect
 from canopen_transports.conformance.frames import numbered
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION, TransportError
 
@@ -20,10 +20,10 @@ SEEDS: Final = range(12)
 
 
 @case
-async def what_cannot_be_opened_says_what_to_do(bench: Bench) -> None:
+async def what_cannot_be_opened_says_what_to_do(bench: TransportBench) -> None:
     """Opening a bus that cannot be opened raises TransportError with what was seen, why, and what to do; nothing stays open."""
     if not bench.site.unopenable:
-        raise NotApplicable("the site names nothing that cannot be opened")
+        does_not_apply("the site names nothing that cannot be opened")
     for opening in bench.site.unopenable:
         before = leftovers.held()
         try:
@@ -47,7 +47,7 @@ async def what_cannot_be_opened_says_what_to_do(bench: Bench) -> None:
 
 
 @case
-async def opening_can_be_cancelled(bench: Bench) -> None:
+async def opening_can_be_cancelled(bench: TransportBench) -> None:
     """A cancelled opening leaves nothing open, or returns the member; afterwards the bus can be joined."""
     for seed in SEEDS:
         with trio.CancelScope() as scope:

@@ -11,10 +11,10 @@ import trio
 
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import MILLISECOND
-from canopen_transports.conformance.bench import HEAR_TIME, Bench
+from canopen_proto.verdict import Violation, does_not_apply, expect
+from canopen_transports.conformance.bench import HEAR_TIME, TransportBench
 from canopen_transports.conformance.case import case
-from canopen_transports.conformance.expectations import NotApplicable, Violation, expect, expect_numbers
-from canopen_transports.conformance.frames import END, IMPOSSIBLE, number_of, numbered
+from canopen_transports.conformance.frames import END, IMPOSSIBLE, expect_numbers, number_of, numbered
 from canopen_transports.transport import (
     BatchTransport,
     CyclicTransport,
@@ -33,11 +33,11 @@ KINDS: Final = tuple(Frame.parse(text) for text in ("123#01", "00000123#02", "12
 
 
 @case
-async def eager_send(bench: Bench) -> None:
+async def eager_send(bench: TransportBench) -> None:
     """send_nowait sends at once or says that it did not; it keeps the order, also together with send."""
     one, other = await bench.members(2)
     if not isinstance(one, EagerTransport):
-        raise NotApplicable("it has no send_nowait")
+        does_not_apply("it has no send_nowait")
 
     async def send() -> None:
         for number in range(EAGER):
@@ -55,11 +55,11 @@ async def eager_send(bench: Bench) -> None:
 
 
 @case
-async def many_at_once(bench: Bench) -> None:
+async def many_at_once(bench: TransportBench) -> None:
     """receive_many returns what waits, in order, never more than asked for; cancelled, it takes nothing."""
     one, other = await bench.members(2)
     if not isinstance(other, BatchTransport):
-        raise NotApplicable("it has no receive_many")
+        does_not_apply("it has no receive_many")
     bench.say(one, [numbered(number) for number in range(EAGER)])
     heard: list[int] = []
     calls = 0
@@ -81,11 +81,11 @@ async def many_at_once(bench: Bench) -> None:
 
 
 @case
-async def what_has_come(bench: Bench) -> None:
+async def what_has_come(bench: TransportBench) -> None:
     """receive_nowait returns what has come, in order, never more than asked for, also in turn with receive."""
     one, other = await bench.members(2)
     if not isinstance(other, PromptTransport):
-        raise NotApplicable("it has no receive_nowait")
+        does_not_apply("it has no receive_nowait")
     expect(not other.receive_nowait(1), "receive_nowait returned something before anything was sent")
     heard: list[int] = []
     for number in range(100):
@@ -104,11 +104,11 @@ async def what_has_come(bench: Bench) -> None:
 
 
 @case
-async def pushed_frames(bench: Bench) -> None:
+async def pushed_frames(bench: TransportBench) -> None:
     """push_to hands over each frame once and in order, after the waiting frames, which come by receive, until it is ended."""
     one, other = await bench.members(2)
     if not isinstance(other, PushingTransport):
-        raise NotApplicable("it has no push_to")
+        does_not_apply("it has no push_to")
     pushed: list[int] = []
 
     async def send(numbers: range) -> None:
@@ -130,11 +130,11 @@ async def pushed_frames(bench: Bench) -> None:
 
 
 @case
-async def filters(bench: Bench) -> None:
+async def filters(bench: TransportBench) -> None:
     """A filter lets through the frames that it names, by 11 or 29 bits and data or remote, until it is changed or removed."""
     one, other = await bench.members(2)
     if not (isinstance(other, FilteringTransport) and other.filtered):
-        raise NotApplicable("it does not filter")
+        does_not_apply("it does not filter")
     for wanted in ({0}, {1, 4}, {2, 3}, set(), {0, 1, 2, 3, 4}):
         filtered = other.set_filters([END.key, *(KINDS[place].key for place in wanted)])
         expected = [frame for place, frame in enumerate(KINDS) if place in wanted or not filtered]
@@ -145,7 +145,7 @@ async def filters(bench: Bench) -> None:
     await _expect_heard(bench, one, other, list(KINDS), "without filters")
 
 
-async def _expect_heard(bench: Bench, one: Transport, other: Transport, expected: list[Frame], when: str) -> None:
+async def _expect_heard(bench: TransportBench, one: Transport, other: Transport, expected: list[Frame], when: str) -> None:
     for frame in (*KINDS, END):
         await one.send(frame)
     heard = []
@@ -155,11 +155,11 @@ async def _expect_heard(bench: Bench, one: Transport, other: Transport, expected
 
 
 @case
-async def cyclic_frames(bench: Bench) -> None:
+async def cyclic_frames(bench: TransportBench) -> None:
     """Cyclic frames are sent in turn, to us as to the others, until they are stopped; they may be started again."""
     one, other = await bench.members(2)
     if not (isinstance(one, CyclicTransport) and one.sends_sync):
-        raise NotApplicable("it sends no cyclic frames")
+        does_not_apply("it sends no cyclic frames")
     for round_ in range(2):
         frames = [numbered(10 * round_ + each) for each in range(3)]
         expected = [10 * round_ + each for each in (0, 1, 2, 0, 1, 2, 0)]

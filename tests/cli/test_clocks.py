@@ -5,7 +5,7 @@ from __future__ import annotations
 import trio
 from trio.testing import MockClock
 
-from canopen_cli.live.frame_clock import FrameClock
+from canopen_cli.live.clocks import FrameClock
 from canopen_cli.live.notes import note_source, note_state
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_transports.errors import BusState

@@ -1,4 +1,4 @@
-"""`Overhearing`: commands of other masters to one node: objects that somebody else writes by SDO or by an RPDO.
+"""`ForeignWrites`: commands of other masters to one node: objects that somebody else writes by SDO or by an RPDO.
 
 A participant does not receive its own frames. So an SDO request to the node, or an RPDO of it, that comes at all is another
 master's. Only these frames are received here. The last write of each object that matters is kept; of an RPDO the last frame is,
@@ -20,18 +20,15 @@ from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import RPDO1, RPDO2, RPDO3, RPDO4, SDO_CLIENT_TO_SERVER, Frame, RoutingKey
 from canopen_proto.machine import Machine, Outbox, Time
-from canopen_proto.multiplexer import Mux, mux, split_mux
+from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.sdo.codec import REQUESTS, SIZE_BIT, SdoFrame, expedited_data, mux_in
 
-_SPECIFIER: Final = 0xE0
-_INITIATE_DOWNLOAD: Final = 0x20
-_EXPEDITED: Final = 0x02
-_SIZE_SHOWN: Final = 0x01
 _NONE: Final[dict[RoutingKey, PdoMapping]] = {}
 
 
-class Overheard(NamedTuple):
+class ForeignWrite(NamedTuple):
     """A write by another master. time: when it came. key: of its frame. value: None if what it wrote is not known."""
 
     time: Time
@@ -39,7 +36,7 @@ class Overheard(NamedTuple):
     value: Value | None
 
 
-class Overhearing(Machine):
+class ForeignWrites(Machine):
     """Hears the commands of other masters to one node; see this module's text. Hears nothing until `listen`."""
 
     __slots__ = ("_dictionary", "_node_id", "_pdos", "_rpdos", "_sdo_key", "_wanted", "_written")
@@ -52,7 +49,7 @@ class Overhearing(Machine):
         self._rpdos = rpdos
         self._sdo_key = RoutingKey(SDO_CLIENT_TO_SERVER + node_id)
         self._wanted: set[Mux] = set()
-        self._written: dict[Mux, Overheard] = {}
+        self._written: dict[Mux, ForeignWrite] = {}
         self._pdos: dict[RoutingKey, tuple[Time, bytes]] = {}
 
     def listen(self, muxes: Collection[Mux]) -> None:
@@ -70,7 +67,7 @@ class Overhearing(Machine):
         """The keys of RPDOs that were heard, and that we do not send ourselves."""
         return self._pdos.keys() - {producer.key for producer in self._rpdos.values()}
 
-    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = _NONE) -> Overheard | None:
+    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = _NONE) -> ForeignWrite | None:
         """Return the last write of an object; None if there was none.
 
         others: the mappings of RPDOs that we do not send. An RPDO of unknown mapping is left out: any device may send PDOs to it.
@@ -83,9 +80,9 @@ class Overhearing(Machine):
             if mapping is None or position is None or (found is not None and found.time > time):
                 continue
             try:
-                found = Overheard(time, key, mapping.unpack(data)[position])
+                found = ForeignWrite(time, key, mapping.unpack(data)[position])
             except ValueRangeError:
-                found = Overheard(time, key, None)
+                found = ForeignWrite(time, key, None)
         return found
 
     def can_ids(self) -> Iterable[RoutingKey]:
@@ -99,17 +96,18 @@ class Overhearing(Machine):
         data = frame.data
         if frame.key != self._sdo_key:
             self._pdos[frame.key] = now, data
-        elif len(data) == 8 and data[0] & _SPECIFIER == _INITIATE_DOWNLOAD:
-            which = mux(data[1] | data[2] << 8, data[3])
+        elif len(data) == 8 and REQUESTS[data[0]] is SdoFrame.DOWNLOAD:
+            which = mux_in(data)
             if which in self._wanted:
-                self._written[which] = Overheard(now, frame.key, self._value(which, data))
+                self._written[which] = ForeignWrite(now, frame.key, self._value(which, data))
 
-    def _value(self, which: Mux, data: bytes) -> Value | None:
-        variable = self._dictionary.get(*split_mux(which))
-        if variable is None or not data[0] & _EXPEDITED:
+    def _value(self, which: Mux, request: bytes) -> Value | None:
+        variable, data = self._dictionary.get(*split_mux(which)), expedited_data(request)
+        if variable is None or data is None:
             return None
-        unused = data[0] >> 2 & 3 if data[0] & _SIZE_SHOWN else 4 - (variable.bit_length or 32) // 8
+        if not request[0] & SIZE_BIT:
+            data = data[: (variable.bit_length or 32) // 8]
         try:
-            return variable.decode(data[4 : 8 - unused])
+            return variable.decode(data)
         except ValueRangeError:
             return None
