@@ -13,8 +13,8 @@ from canopen_proto.drives.cia402.states import COMMAND_BITS, ControlBit
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, key_of_cob_id, routing_key
 from canopen_proto.machine import NEVER, Time
 from canopen_proto.overhearing import Overheard
-from canopen_proto.pdo.described import described_pdos
 from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.pdo.slots import described_pdos
 from canopen_proto.remote_node import RemoteNode
 
 COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
