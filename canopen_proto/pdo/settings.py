@@ -25,7 +25,7 @@ from canopen_proto import indices
 from canopen_proto.datatypes import DataType, encode
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.dictionary.download_order import Write
-from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RoutingKey, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1, RoutingKey, key_of_cob_id
 from canopen_proto.machine import MICROSECOND, MILLISECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mapped, mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError
@@ -43,6 +43,12 @@ SYNC_START: Final = 6
 """TPDOs only."""
 
 INHIBIT_UNIT: Final = 100 * MICROSECOND
+
+PREDEFINED: Final = {
+    Direction.RPDO: tuple(range(RPDO1, RPDO1 + 0x400, 0x100)),
+    Direction.TPDO: tuple(range(TPDO1, TPDO1 + 0x400, 0x100)),
+}
+"""The CAN-IDs of PDO 1 to 4 in the predefined connection set, without the node-ID. CiA 301 v4.2.0, 7.3.3."""
 
 EACH_SYNC: Final = 1
 CYCLIC_TYPES: Final = range(1, 241)

@@ -2,7 +2,7 @@
 
 A file says it all before anything is sent: which PDO records there are, which of their objects can be written, which objects a
 PDO may carry, and which CAN-IDs are in use. An EDS says it by its defaults, a DCF by its configured values. `pdos_of` reads the
-settings, `slots_of` and `described_pdos` what may become of them; `existing` and `remapped` give the settings of a PDO for use.
+settings, `slots_of` and `described_pdos` what can be used of them; `PdoSlots` gives the settings of a PDO for use.
 
 `choose_pdos` takes the useful ones: every TPDO that carries something we want to hear, and as few RPDOs as are needed to carry
 our commands. An RPDO also carries all else that is mapped into it; two RPDOs with the same object could contradict each other.
@@ -27,7 +27,7 @@ from canopen_proto import indices
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
-from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, TPDO1
 from canopen_proto.multiplexer import Mux, mapped, mapping_entry, mux, mux_text, split_mux
 from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.multiplexed import MAPPABLE
@@ -36,6 +36,7 @@ from canopen_proto.pdo.settings import (
     CYCLIC_TYPES,
     EACH_SYNC,
     EVENT_DRIVEN,
+    PREDEFINED,
     TRANSMISSION_TYPE,
     PdoSettings,
     communication_index,
@@ -44,8 +45,6 @@ from canopen_proto.pdo.settings import (
     places_of,
 )
 
-_FIRST_CAN_ID: Final = {Direction.RPDO: RPDO1, Direction.TPDO: TPDO1}
-_PREDEFINED: Final = range(1, 5)  # the numbers of the PDOs that have a predefined CAN-ID
 _PDO_CAN_IDS: Final = range(TPDO1 + 1, 0x580)
 _CAN_ID: Final = 0x1FFF_FFFF
 
@@ -130,27 +129,69 @@ def choose_pdos(
     return chosen, missing
 
 
-def existing(slots: Sequence[PdoSlot], direction: Direction, *, has_sync: bool) -> list[PdoSettings]:
-    """Return the PDOs of one direction that can be used as the file has them: valid, ours, with a CAN-ID that no other one has,
-    and of a transmission type that acts: at each n-th SYNC if the device listens to SYNC (`has_sync`), or event-driven.
+class PdoSlots:
+    """The PDOs of one device, and what can be made of them. all: RPDOs first. listens: the device listens to SYNC."""
 
-    slots: all PDOs of the device.
-    """
-    can_ids = [slot.pdo.cob_id & _CAN_ID for slot in slots if slot.pdo.is_valid]
-    return [
-        slot.pdo
-        for slot in slots
-        if slot.pdo.direction is direction
-        and slot.is_described
-        and slot.is_ours
-        and can_ids.count(slot.pdo.cob_id & _CAN_ID) == 1
-        and (slot.pdo.transmission_type in EVENT_DRIVEN or (has_sync and slot.pdo.transmission_type in CYCLIC_TYPES))
-    ]
+    def __init__(self, dictionary: ObjectDictionary, node_id: int) -> None:
+        """node_id: 1..127. Nothing is kept of the dictionary."""
+        self.all = slots_of(dictionary, node_id)
+        self.listens = has_sync(dictionary)
+        self._node_id = node_id
 
+    def existing(self, direction: Direction) -> list[PdoSettings]:
+        """Return the PDOs of one direction that can be used as the file has them: valid, ours, with a CAN-ID that no other one
+        has, and of a transmission type that acts: at each n-th SYNC if the device listens to SYNC, or event-driven."""
+        kinds = (*EVENT_DRIVEN, *(CYCLIC_TYPES if self.listens else ()))
+        can_ids = [slot.pdo.cob_id & _CAN_ID for slot in self.all if slot.pdo.is_valid]
+        usable = [slot.pdo for slot in self.all if slot.is_described and slot.is_ours and slot.pdo.transmission_type in kinds]
+        return [pdo for pdo in usable if pdo.direction is direction and can_ids.count(pdo.cob_id & _CAN_ID) == 1]
 
-def foreign(slots: Iterable[PdoSlot]) -> list[PdoSlot]:
-    """Return the valid PDOs that would disturb, or obey, another node."""
-    return [slot for slot in slots if slot.pdo.is_valid and not slot.is_ours]
+    def foreign(self) -> list[PdoSlot]:
+        """Return the valid PDOs that would disturb, or obey, another node."""
+        return [slot for slot in self.all if slot.pdo.is_valid and not slot.is_ours]
+
+    def remapped(
+        self,
+        direction: Direction,
+        wanted: Sequence[int],
+        among: Iterable[PdoSlot],
+        *,
+        is_synchronous: bool,
+        beside: Iterable[PdoSettings] = (),
+    ) -> tuple[PdoSettings | None, list[str]]:
+        """Return the settings of the PDO that can best be given these entries (None: there is none), and why others cannot.
+
+        among: the PDOs that may be remapped. beside: PDOs that are going to be used too, whose CAN-IDs are taken.
+
+        The best one loses nothing: all that it carries by the file is wanted, as much as possible. Else a PDO that the file does
+        not use is taken, else one with another node's CAN-ID, else the first one.
+        """
+        objects, obstacles = muxes_of(wanted), []
+        candidates: list[tuple[tuple[int, int, int], PdoSettings]] = []
+        for slot in among:
+            pdo = slot.pdo
+            if pdo.direction is not direction:
+                continue
+            if slot.capacity < len(wanted):
+                has = f"has room for {slot.capacity} objects" if slot.capacity else "has a fixed mapping"
+                obstacles.append(f"{pdo.name} {has}")
+                continue
+            cob_id = _own_cob_id(slot, self._node_id)
+            others = {other.pdo.cob_id & _CAN_ID for other in self.all if other is not slot and other.pdo.is_valid}
+            others |= {other.cob_id & _CAN_ID for other in beside}
+            if cob_id is None:
+                obstacles.append(f"{pdo.name} has no CAN-ID that it may have on this node")
+                continue
+            if cob_id & _CAN_ID in others:
+                obstacles.append(f"{pdo.name} cannot have CAN-ID 0x{cob_id & _CAN_ID:X}: another one has it")
+                continue
+            event_type = pdo.transmission_type if pdo.transmission_type in EVENT_DRIVEN else EVENT_DRIVEN[-1]
+            kind = EACH_SYNC if is_synchronous else event_type
+            is_lossless = pdo.muxes <= objects or not pdo.is_valid
+            rank = 0 if is_lossless else 1 if not slot.is_ours else 2
+            settings = replace(pdo, cob_id=cob_id, transmission_type=kind, entries=tuple(wanted))
+            candidates.append(((rank, -len(pdo.muxes & objects), pdo.number), settings))
+        return (min(candidates)[1] if candidates else None), obstacles
 
 
 def spare_tpdos(chosen: Iterable[PdoSettings], own: Iterable[PdoSlot], welcome: Collection[Mux]) -> list[PdoSettings]:
@@ -171,52 +212,6 @@ def spare_tpdos(chosen: Iterable[PdoSettings], own: Iterable[PdoSlot], welcome: 
             told.pop(pdo.number, None)
             spare.append(pdo)
     return sorted(spare, key=lambda pdo: pdo.number)
-
-
-def remapped(
-    slots: Sequence[PdoSlot],
-    direction: Direction,
-    node_id: int,
-    wanted: Sequence[int],
-    *,
-    is_synchronous: bool,
-    beside: Collection[PdoSettings] = (),
-    among: Collection[PdoSlot] | None = None,
-) -> tuple[PdoSettings | None, list[str]]:
-    """Return the settings of the PDO that can best be given these entries (None: there is none), and why others cannot.
-
-    slots: all PDOs of the device. beside: PDOs that are going to be used too, whose CAN-IDs are taken.
-    among: the PDOs that may be remapped; None: all.
-
-    The best one loses nothing: all that it carries by the file is wanted, as much as possible. Else a PDO that the file does not
-    use is taken, else one with another node's CAN-ID, else the first one.
-    """
-    objects, obstacles = muxes_of(wanted), []
-    candidates: list[tuple[tuple[int, int, int], PdoSettings]] = []
-    for slot in slots if among is None else among:
-        pdo = slot.pdo
-        if pdo.direction is not direction:
-            continue
-        if slot.capacity < len(wanted):
-            has = f"has room for {slot.capacity} objects" if slot.capacity else "has a fixed mapping"
-            obstacles.append(f"{pdo.name} {has}")
-            continue
-        cob_id = _own_cob_id(slot, node_id)
-        others = {other.pdo.cob_id & _CAN_ID for other in slots if other is not slot and other.pdo.is_valid}
-        others |= {other.cob_id & _CAN_ID for other in beside}
-        if cob_id is None:
-            obstacles.append(f"{pdo.name} has no CAN-ID that it may have on this node")
-            continue
-        if cob_id & _CAN_ID in others:
-            obstacles.append(f"{pdo.name} cannot have CAN-ID 0x{cob_id & _CAN_ID:X}: another one has it")
-            continue
-        event_type = pdo.transmission_type if pdo.transmission_type in EVENT_DRIVEN else EVENT_DRIVEN[-1]
-        kind = EACH_SYNC if is_synchronous else event_type
-        is_lossless = pdo.muxes <= objects or not pdo.is_valid
-        rank = 0 if is_lossless else 1 if not slot.is_ours else 2
-        settings = replace(pdo, cob_id=cob_id, transmission_type=kind, entries=tuple(wanted))
-        candidates.append(((rank, -len(pdo.muxes & objects), pdo.number), settings))
-    return (min(candidates)[1] if candidates else None), obstacles
 
 
 def entry_of(dictionary: ObjectDictionary, key: Mux, direction: Direction) -> tuple[int | None, str]:
@@ -300,7 +295,6 @@ def _own_cob_id(slot: PdoSlot, node_id: int) -> int | None:
     direction, number = slot.pdo.place
     if slot.is_ours:
         return slot.pdo.cob_id & ~COB_ID_INVALID
-    if number not in _PREDEFINED or not slot.can_move:
+    if number > len(PREDEFINED[direction]) or not slot.can_move:
         return None
-    flags = COB_ID_NO_RTR if direction is Direction.TPDO else 0
-    return (_FIRST_CAN_ID[direction] + 0x100 * (number - 1) + node_id) | flags
+    return (PREDEFINED[direction][number - 1] + node_id) | (COB_ID_NO_RTR if direction is Direction.TPDO else 0)

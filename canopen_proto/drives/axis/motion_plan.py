@@ -64,18 +64,14 @@ from canopen_proto.pdo.settings import (
     muxes_of,
 )
 from canopen_proto.pdo.slots import (
-    PdoSlot,
+    PdoSlots,
     as_fit,
     choose_pdos,
     entry_of,
-    existing,
-    foreign,
     has_sync,
     is_ours,
     number_in,
-    remapped,
     shown_entries,
-    slots_of,
     spare_tpdos,
 )
 from canopen_proto.procedures.objects import read_if_present
@@ -258,8 +254,8 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
     """Exchange the PDOs of a plan with its node; the node's settings are written where they differ.
 
     A PDO that shall be destroyed is left alone if the node itself has another CAN-ID than the file. A spare TPDO that the node
-    refuses to switch off goes on. An event-driven RPDO is sent
-    at each SYNC, but for a slow plan. The node should be Pre-operational. Raises as `exchange_pdos`.
+    refuses to switch off goes on. An event-driven RPDO is sent at each SYNC, but for a slow plan. The node should be
+    Pre-operational. Raises as `exchange_pdos`.
     """
     for step in (yield from _steps_to_destroy(node, plan)):
         yield from download(node.sdo, *step)
@@ -371,10 +367,9 @@ class _PdoChoice:
         self._node_id = node_id
         self._axis = axis
         self.dictionary = dictionary_of_axis(dictionary, axis)
-        self._listens = has_sync(self.dictionary)
-        self._slots = slots_of(self.dictionary, node_id)
+        self._slots = PdoSlots(self.dictionary, node_id)
         several = len(axes_of(dictionary)) > 1
-        self._own = [slot for slot in self._slots if not several or self._belongs(slot.pdo)]
+        self._own = [slot for slot in self._slots.all if not several or self._belongs(slot.pdo)]
 
     def _belongs(self, pdo: PdoSettings) -> bool:
         """Return whether a PDO of a device with several axes is this axis's alone; see this module's text."""
@@ -389,7 +384,7 @@ class _PdoChoice:
     def _rpdos_for(self, mode: Mode) -> list[PdoSettings] | str:
         commands = (objects.CONTROLWORD, SET_POINT_OF[mode])
         is_cyclic = mode is not Mode.PROFILE_POSITION
-        present = existing(self._slots, Direction.RPDO, has_sync=self._listens)
+        present = self._slots.existing(Direction.RPDO)
         if is_cyclic:  # one set-point each SYNC; an event-driven RPDO can be sent at each SYNC
             present = [pdo for pdo in present if pdo.transmission_type in (EACH_SYNC, *EVENT_DRIVEN)]
         chosen, missing = choose_pdos(present, commands, ())
@@ -399,7 +394,7 @@ class _PdoChoice:
         wanted, lacking = self._entries(commands, Direction.RPDO)
         carries_set_point = SET_POINT_OF[mode] in muxes_of(wanted)
         if carries_set_point or (wanted and not is_cyclic and objects.CONTROLWORD in missing):
-            settings, obstacles = self._remapped(Direction.RPDO, wanted, self._own, is_synchronous=is_cyclic)
+            settings, obstacles = self._slots.remapped(Direction.RPDO, wanted, self._own, is_synchronous=is_cyclic)
             if settings is not None:
                 return [settings]
         else:
@@ -411,13 +406,13 @@ class _PdoChoice:
     def _tpdos_beside(self, rpdos: list[PdoSettings]) -> list[PdoSettings]:
         """Return the TPDOs that tell something; one gets another mapping if statusword and position are not among them at
         SYNCs."""
-        present, _ = choose_pdos(existing(self._slots, Direction.TPDO, has_sync=self._listens), (), FEEDBACK)
-        at_syncs = [pdo for pdo in present if not self._listens or pdo.transmission_type in CYCLIC_TYPES]
+        present, _ = choose_pdos(self._slots.existing(Direction.TPDO), (), FEEDBACK)
+        at_syncs = [pdo for pdo in present if not self._slots.listens or pdo.transmission_type in CYCLIC_TYPES]
         wanted, _ = self._entries(FEEDBACK, Direction.TPDO)
         missing = set(NEEDED) - carried_by(at_syncs, Direction.TPDO)
         if not missing & muxes_of(wanted):
             return present
-        settings, _ = self._remapped(Direction.TPDO, wanted, self._own, is_synchronous=self._listens, beside=rpdos)
+        settings, _ = self._slots.remapped(Direction.TPDO, wanted, self._own, is_synchronous=self._slots.listens, beside=rpdos)
         return present if settings is None else [settings, *(pdo for pdo in present if pdo.number != settings.number)]
 
     def add_feed_forward(self, pdos: list[PdoSettings], mode: Mode) -> list[str]:
@@ -428,7 +423,7 @@ class _PdoChoice:
         wanted, lacking = self._entries([key for key in FED[mode] if key not in carried], Direction.RPDO)
         places = [pdo.place for pdo in pdos]
         free = [slot for slot in self._own if slot.pdo.place not in places]
-        more, obstacles = self._remapped(Direction.RPDO, wanted, free, is_synchronous=True, beside=pdos)
+        more, obstacles = self._slots.remapped(Direction.RPDO, wanted, free, is_synchronous=True, beside=pdos)
         if more is not None and wanted:
             pdos.append(more)
             obstacles = []
@@ -441,17 +436,6 @@ class _PdoChoice:
         entries = {key: entry_of(self.dictionary, key, direction) for key in keys}
         lacking = {key: why for key, (entry, why) in entries.items() if entry is None}
         return as_fit(entry for entry, _ in entries.values() if entry is not None), lacking
-
-    def _remapped(
-        self,
-        direction: Direction,
-        wanted: Sequence[int],
-        among: list[PdoSlot],
-        *,
-        is_synchronous: bool,
-        beside: Sequence[PdoSettings] = (),
-    ) -> tuple[PdoSettings | None, list[str]]:
-        return remapped(self._slots, direction, self._node_id, wanted, is_synchronous=is_synchronous, beside=beside, among=among)
 
     def plan(
         self,
@@ -468,8 +452,8 @@ class _PdoChoice:
         off = [pdo.place for pdo in spare]
         pdos = [pdo for pdo in pdos if pdo.place not in off]
         places = [pdo.place for pdo in pdos]
-        described = [slot.pdo for slot in self._slots if slot.is_described]
-        unwanted = [slot for slot in foreign(self._slots) if slot.pdo.place not in places]
+        described = [slot.pdo for slot in self._slots.all if slot.is_described]
+        unwanted = [slot for slot in self._slots.foreign() if slot.pdo.place not in places]
         stuck = [slot.pdo for slot in unwanted if not slot.can_move]
         stays = [f"{pdo.name} has CAN-ID {pdo.can_id_text} of another node, and cannot change it" for pdo in stuck]
         return MotionPlan(

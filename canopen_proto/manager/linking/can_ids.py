@@ -19,27 +19,11 @@ from typing import Final
 from canopen_proto import indices
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction
-from canopen_proto.frame import (
-    COB_ID_EXTENDED,
-    COB_ID_INVALID,
-    EMCY,
-    MAX_NODE_ID,
-    RPDO1,
-    RPDO2,
-    RPDO3,
-    RPDO4,
-    SYNC,
-    TIME,
-    TPDO1,
-    TPDO2,
-    TPDO3,
-    TPDO4,
-)
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, EMCY, MAX_NODE_ID, SYNC, TIME
 from canopen_proto.manager.linking.model import KnownNode, LinkedPdo
-from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.pdo.settings import PREDEFINED, PdoSettings
 from canopen_proto.pdo.slots import number_in
 
-_PREDEFINED: Final = {Direction.TPDO: (TPDO1, TPDO2, TPDO3, TPDO4), Direction.RPDO: (RPDO1, RPDO2, RPDO3, RPDO4)}
 _WITHOUT_SERVICE: Final = range(0x680, 0x6E0)
 _CAN_ID: Final = 0x7FF
 _BROADCASTS: Final = (indices.COB_ID_SYNC, indices.COB_ID_TIME_STAMP)
@@ -89,7 +73,7 @@ class CanIds:
     def _candidates(self, owner: LinkedPdo) -> Iterator[int]:
         slot, node_id = owner.slot, owner.member.node_id
         direction, number = slot.pdo.place
-        bases = _PREDEFINED[direction]
+        bases = PREDEFINED[direction]
         if number <= len(bases):
             yield bases[number - 1] + node_id
         if slot.pdo.is_valid and slot.is_ours and not slot.pdo.cob_id & COB_ID_EXTENDED:
@@ -102,7 +86,7 @@ class CanIds:
 
     def _predefined(self, node_id: int, first: Direction) -> Iterator[int]:
         for direction in (first, *(other for other in Direction if other is not first)):
-            yield from (base + node_id for base in _PREDEFINED[direction])
+            yield from (base + node_id for base in PREDEFINED[direction])
 
 
 def _services(member: KnownNode) -> Iterator[tuple[str, int]]:
