@@ -45,11 +45,9 @@ from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
-from canopen_proto.pdo.held import HeldRpdos
 from canopen_proto.pdo.mapping import Mapping
-from canopen_proto.pdo.multiplexed import MpdoReceived, destination_frame, suits_mpdo
-from canopen_proto.pdo.multiplexed_listener import MpdoListener
-from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.pdo.multiplexed import MpdoListener, MpdoReceived, destination_frame, suits_mpdo
+from canopen_proto.pdo.producer import HeldRpdos, PdoProducer
 from canopen_proto.pdo.settings import MAX_PDOS
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.transfer import Channel

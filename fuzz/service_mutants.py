@@ -233,7 +233,7 @@ SERVICE_MUTANTS: Final = tuple(
         ),
         (
             "heard_sync_is_present",
-            "pdo/held.py",
+            _PRODUCER,
             "now - SYNC_TRANSIT if heard else now",
             "now",
             "a SYNC that passed before an RPDO, and was heard late, counts as the one that takes it",

@@ -170,6 +170,13 @@ class Variable:
                 limits = f"{'' if low is None else low}..{'' if high is None else high}"
                 raise ValueRangeError(f"{self.label}: {value} is outside {limits} (limits of this object)")
 
+    def may_be(self, value: int) -> bool:
+        """Return whether a number is within low_limit..high_limit. Limits that exclude each other are no limits."""
+        low, high = self.low_limit, self.high_limit
+        if low is not None and high is not None and low > high:
+            return True
+        return (low is None or low <= value) and (high is None or value <= high)
+
     def __str__(self) -> str:
         return self.label
 

@@ -1,8 +1,8 @@
 """Process data: the bits of a PDO (`mapping`), receiving and sending one (`consumer`, `producer`), a device's own PDOs
-(`parameters`, by the `rules`), the places of its parameters (`settings`), and multiplexed PDOs (`multiplexed`).
+(`parameters`, by the `rules`), and multiplexed PDOs (`multiplexed`).
 
-Procedures for the PDOs of another node: `configure` writes one, `described` exchanges those of the node's file, `of_device` those
-that the node has set up; `slots` finds places for further ones."""
+The PDOs of another node: `settings` says what one carries and when it is sent, `slots` reads and chooses them from the node's
+file, `configure` has the procedures that bring the node to them and exchange them."""
 
 from canopen_proto.pdo.consumer import PdoConsumer as PdoConsumer
 from canopen_proto.pdo.consumer import PdoLengthError as PdoLengthError
@@ -22,8 +22,5 @@ from canopen_proto.pdo.producer import PdoNotSent as PdoNotSent
 from canopen_proto.pdo.producer import PdoPeriodsSkipped as PdoPeriodsSkipped
 from canopen_proto.pdo.producer import PdoProducer as PdoProducer
 from canopen_proto.pdo.settings import PdoSettings as PdoSettings
-from canopen_proto.pdo.settings import RemapStep as RemapStep
 from canopen_proto.pdo.settings import communication_index as communication_index
 from canopen_proto.pdo.settings import mapping_index as mapping_index
-from canopen_proto.pdo.settings import objects_to_read as objects_to_read
-from canopen_proto.pdo.settings import remap_steps as remap_steps

@@ -1,23 +1,50 @@
-"""Change the settings of a device's PDO: the manual's `definePDO`, which the manual marks as not implemented yet.
+"""Bring the PDOs of a device to the settings that are wanted, and exchange them; or exchange them as the device has set them up.
 
-The sequence is that of CiA 301 v4.2.0, 7.5.2.36: destroy the PDO, disable its mapping, write the entries, their number and the
-transmission type, create the PDO. The old settings are read first. If a step is refused, or the procedure is cancelled, the old
-settings are written back by the same sequence, so that no device is left half mapped. If that fails too, the error says so; the
-PDO is then at worst destroyed, which is the safe state.
+    exchange_pdos          PDOs that somebody has chosen (their layout): each is compared, written where it differs, and exchanged
+    define_pdo             a PDO of PDOs.csv: the manual's `definePDO`, which the manual marks as not implemented yet
+    use_device_pdo         one PDO, as the device has it
+    exchange_device_pdos   all PDOs, as the device has them. Its mapping decides what the bytes of a PDO mean: if its file says
+                           something else, values would be wrong and nobody would notice. So each difference is returned
+
+`configure_pdo` is the one that writes, in the sequence of CiA 301 v4.2.0, 7.5.2.36: destroy the PDO, disable its mapping, write
+the entries, their number and the transmission type, create the PDO. The old settings are read first. If a step is refused, or the
+procedure is cancelled, the old settings are written back by the same sequence, so that no device is left half mapped. If that
+fails too, the error says so; the PDO is then at worst destroyed, which is the safe state.
+
+Source: CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, PdoDescription
-from canopen_proto.frame import COB_ID_INVALID, RoutingKey, key_of_cob_id
-from canopen_proto.machine import LocalProtocolError, Time
-from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError
-from canopen_proto.pdo.settings import PdoSettings, RemapStep, objects_to_read
-from canopen_proto.procedures.objects import ObjectAccess, UnexpectedLength
+from canopen_proto.dictionary.download_order import Write
+from canopen_proto.frame import RoutingKey
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
+from canopen_proto.multiplexer import Mux, mapped, split_mux
+from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError, entries_of
+from canopen_proto.pdo.settings import (
+    COB_ID,
+    CYCLIC_TYPES,
+    EACH_SYNC,
+    EVENT_TIMER,
+    INHIBIT_TIME,
+    INHIBIT_UNIT,
+    TRANSMISSION_TYPE,
+    PdoSettings,
+    cob_id_step,
+    communication_index,
+    mapping_index,
+    places_of,
+    step_text,
+)
+from canopen_proto.pdo.slots import described_pdos
+from canopen_proto.procedures.objects import ABSENT, ObjectAccess, UnexpectedLength, read_if_present
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, act, download, upload
 from canopen_proto.sdo.client import SdoClient
 
@@ -39,6 +66,26 @@ class PdoRefused(ProcedureError):
         self.restored = restored
 
 
+@dataclass(frozen=True, slots=True)
+class PdoDifference:
+    """A PDO whose settings in the device differ from its dictionary's. None: not valid, or not there."""
+
+    direction: Direction
+    number: int
+    described: PdoSettings | None
+    present: PdoSettings | None
+
+    def __str__(self) -> str:
+        return f"{self.direction} {self.number} is {_text(self.present)}; the file says {_text(self.described)}"
+
+
+def _text(settings: PdoSettings | None) -> str:
+    if settings is None:
+        return "not in use"
+    objects = ", ".join(f"{index:04X}:{subindex:02X}/{bits}" for index, subindex, bits in map(mapped, settings.entries))
+    return f"{settings.can_id_text} with {objects}"
+
+
 class PdoNode(ObjectAccess, Protocol):
     """A node whose PDOs can be read, written and exchanged: a RemoteNode, which stands above this room."""
 
@@ -54,46 +101,52 @@ class PdoNode(ObjectAccess, Protocol):
         """See RemoteNode."""
 
 
+# ---- reading and writing ----
+
+
 def read_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
-    """Read the present settings of a PDO of the device.
+    """Read the present settings of a PDO of the device (number: 1..512), without its times.
 
     Raises SdoFailed if the device has no such PDO; StrangePdo or UnexpectedLength if its settings are impossible.
     """
-    answers: dict[tuple[int, int], bytes] = {}
-    fixed = objects_to_read(number, direction)
-    sizes = dict(zip(fixed, (4, 1, 1), strict=True))  # COB-ID, transmission type, number of mapped objects
-    for index, subindex in fixed:
-        answers[index, subindex] = yield from _upload(node, index, subindex, sizes[index, subindex])
-    count = min(answers[fixed[-1]][0], MAX_ENTRIES + 1)  # from_read refuses too many
-    if count <= MAX_ENTRIES:
-        for index, subindex in objects_to_read(number, direction, count)[len(fixed) :]:
-            answers[index, subindex] = yield from _upload(node, index, subindex, 4)
-    try:
-        return PdoSettings.from_read(number, direction, answers)
-    except MappingError as error:
-        raise StrangePdo(f"a PDO of node {node.node_id} makes no sense: {error}") from error
+    communication, mapping = communication_index(direction, number), mapping_index(direction, number)
+    cob_id = yield from _number(node, communication, COB_ID, 4)
+    transmission_type = yield from _number(node, communication, TRANSMISSION_TYPE, 1)
+    count = yield from _number(node, mapping, 0, 1)
+    if count > MAX_ENTRIES:
+        text = f"{direction} {number}: {count} mapped objects; a PDO has {MAX_ENTRIES} at most"
+        raise StrangePdo(f"a PDO of node {node.node_id} makes no sense: {text}")
+    entries: tuple[int, ...] = ()
+    for subindex in range(1, count + 1):
+        entries = (*entries, (yield from _number(node, mapping, subindex, 4)))
+    return PdoSettings(number, direction, cob_id, transmission_type, entries)
 
 
-def _upload(node: PdoNode, index: int, subindex: int, size: int) -> Procedure[bytes]:
+def _number(node: PdoNode, index: int, subindex: int, size: int) -> Procedure[int]:
     data = yield from upload(node.sdo, index, subindex)
     if len(data) != size:
         raise UnexpectedLength(f"node {node.node_id}: 0x{index:04X}:{subindex:02X} came with {len(data)} bytes, not {size}")
-    return data
+    return int.from_bytes(data, "little")
 
 
 def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings]:
-    """Write the settings of a PDO to the device; return its old settings. The node must be Pre-operational for most devices.
+    """Write the settings of a PDO to the device; return its old settings, with those times that were written.
 
-    Raises PdoRefused, which names the step, the abort and the settings in force now; or, as `read_pdo` does, an error while
-    reading the old settings: nothing was written then.
+    The node must be Pre-operational for most devices. Raises PdoRefused, which names the step, the abort and the settings in
+    force now; or, as `read_pdo` does, an error while reading the old settings: nothing was written then.
     """
-    before = yield from read_pdo(node, settings.direction, settings.number)
+    before = yield from read_pdo(node, *settings.place)
+    index = communication_index(*settings.place)
+    if settings.inhibit_time is not None:
+        before = replace(before, inhibit_time=(yield from _number(node, index, INHIBIT_TIME, 2)) * INHIBIT_UNIT)
+    if settings.event_time is not None:
+        before = replace(before, event_time=(yield from _number(node, index, EVENT_TIMER, 2)) * MILLISECOND)
     steps = settings.steps(before.cob_id)
-    name = f"{settings.direction} {settings.number} of node {node.node_id}"
+    name = f"{settings.name} of node {node.node_id}"
     done = 0
     try:
-        for index, subindex, data in steps:
-            yield from download(node.sdo, index, subindex, data)
+        for step in steps:
+            yield from download(node.sdo, *step)
             done += 1
     except Cancelled:
         try:
@@ -103,7 +156,8 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
             raise PdoRefused(message, step=done + 1, restored=False) from failed
         raise
     except _FAILURES as refused:
-        message = f"{name} could not be set up: step {done + 1} of {len(steps)} ({_what(steps[done])}): {refused}"
+        what = " = ".join(step_text(steps[done]))
+        message = f"{name} could not be set up: step {done + 1} of {len(steps)} ({what}): {refused}"
         in_doubt = isinstance(refused, SdoFailed) and refused.origin is not AbortOrigin.PEER
         if done or in_doubt:  # else nothing has changed
             try:
@@ -118,8 +172,55 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
 def _put_back(node: PdoNode, before: PdoSettings, settings: PdoSettings, done: int, count: int) -> Procedure[None]:
     """Write the old settings. The step after the `done` ones may have been executed: an answer may have been lost."""
     standing = settings.cob_id if done == count - 1 else before.cob_id  # a strict device wants this COB-ID when it is destroyed
-    for index, subindex, data in before.steps(standing):
-        yield from download(node.sdo, index, subindex, data)
+    for step in before.steps(standing):
+        yield from download(node.sdo, *step)
+
+
+def steps_to(node: PdoNode, settings: PdoSettings) -> Procedure[list[Write]]:
+    """Return the downloads that `exchange_pdos` would make for a PDO now. The node is only read. Raises as `read_pdo`."""
+    present = yield from read_pdo(node, *settings.place)
+    return [] if settings.are_in(present) else settings.steps(present.cob_id)
+
+
+def steps_to_destroy(
+    node: PdoNode, pdos: Iterable[PdoSettings], which: Callable[[int], bool] = lambda cob_id: True
+) -> Procedure[list[Write]]:
+    """Return the downloads that destroy those of these PDOs that are valid in the device itself, which may lack some.
+
+    which: by their COB-IDs in the device. Raises SdoFailed if it does not answer.
+    """
+    steps = []
+    for pdo in pdos:
+        try:
+            data = yield from upload(node.sdo, communication_index(*pdo.place), COB_ID)
+        except SdoFailed as failed:
+            if failed.abort_code not in ABSENT:
+                raise
+            continue
+        present = replace(pdo, cob_id=int.from_bytes(data, "little"))
+        if present.is_valid and which(present.cob_id):
+            steps.append(cob_id_step(present.destroyed))
+    return steps
+
+
+# ---- exchanging ----
+
+
+def exchange_pdos(node: PdoNode, pdos: Iterable[PdoSettings], *, sends_at_sync: bool = True) -> Procedure[None]:
+    """Exchange these PDOs with the node; each is configured first if the node's settings differ. So a device that was configured
+    before is only read.
+
+    The node should be Pre-operational: most devices accept new settings only then. An RPDO is not sent before
+    `RemoteNode.enable_rpdo`. sends_at_sync: an event-driven RPDO (types 254 and 255), which acts as soon as it comes, is sent at
+    each SYNC too; else only when it is triggered. Raises StrangePdo, with nothing sent, if the node's dictionary lacks an object;
+    SdoFailed, StrangePdo or UnexpectedLength if the node's settings cannot be read; PdoRefused if the node refuses these.
+    """
+    for settings in pdos:
+        mapping = _mapping_of(node, settings)
+        present = yield from read_pdo(node, *settings.place)
+        if not settings.are_in(present):
+            yield from configure_pdo(node, settings)
+        yield from _exchange(node, settings, mapping, sends_at_sync=sends_at_sync)
 
 
 def define_pdo(
@@ -143,28 +244,84 @@ def use_device_pdo(node: PdoNode, direction: Direction, number: int) -> Procedur
     Raises SdoFailed; StrangePdo if its settings are impossible, or if the node's dictionary lacks an object that it maps.
     """
     settings = yield from read_pdo(node, direction, number)
-    if settings.cob_id & COB_ID_INVALID or not settings.entries:
+    if not settings.is_valid or not settings.entries:
         return None
-    try:
-        mapping = Mapping.from_parameters(settings.entries, node.dictionary)
-    except MappingError as error:
-        raise StrangePdo(f"{direction} {number} of node {node.node_id}: {error}") from error
-    check_rpdo(node, settings)
-    key = key_of_cob_id(settings.cob_id)
-    if direction is Direction.TPDO:
-        yield from act(lambda now: node.add_tpdo(number, key, mapping, now))
-    else:
-        yield from act(lambda now: node.add_rpdo(number, key, mapping, settings.transmission_type))
+    mapping = _mapping_of(node, settings)
+    yield from _exchange(node, settings, mapping, sends_at_sync=False)
     return mapping
+
+
+def exchange_device_pdos(node: PdoNode) -> Procedure[tuple[PdoDifference, ...]]:
+    """Exchange the PDOs that the dictionary has records for, with the device's settings; return where the dictionary differs.
+
+    A TPDO is received from now on. For an RPDO, the present values of its objects are read first, so that it sends these once it
+    is enabled (`RemoteNode.enable_rpdo`); until then it is not sent. A PDO that maps objects which the dictionary lacks is
+    exchanged too; they become unsigned numbers. MPDOs are left out. Raises SdoFailed if the device does not answer; StrangePdo,
+    UnexpectedLength.
+    """
+    described = {pdo.place: pdo for pdo in described_pdos(node.dictionary, node.node_id)}
+    differences = []
+    for direction, number in places_of(node.dictionary.objects):
+        present: PdoSettings | None = None
+        try:
+            read = yield from read_pdo(node, direction, number)
+            present = read if read.is_valid and read.entries else None
+        except SdoFailed as failed:
+            if failed.abort_code not in ABSENT:
+                raise
+        except StrangePdo:
+            continue  # an MPDO, or impossible settings: there is no mapping to use
+        wanted = described.get((direction, number))
+        if _key_and_objects(present) != _key_and_objects(wanted):
+            differences.append(PdoDifference(direction, number, wanted, present))
+        if present is not None:
+            mapping = _mapping_of(node, present, lacks_objects=True)
+            if direction is Direction.RPDO:
+                yield from read_commanded(node, mapping.muxes)
+            yield from _exchange(node, present, mapping, sends_at_sync=True)
+    return tuple(differences)
+
+
+def _key_and_objects(settings: PdoSettings | None) -> object:
+    return None if settings is None else (settings.key, settings.entries)
+
+
+def read_commanded(node: PdoNode, keys: Iterable[Mux]) -> Procedure[None]:
+    """Read the present values of objects that an RPDO is going to carry, so that it sends these. 0 is sent for an object that
+    cannot be read, such as a write-only command. Call it before the RPDO is exchanged. Raises SdoFailed if nobody answers."""
+    for key in keys:
+        try:
+            yield from read_if_present(node, split_mux(key))
+        except SdoFailed as failed:
+            if failed.origin is not AbortOrigin.PEER:
+                raise
+
+
+def _mapping_of(node: PdoNode, settings: PdoSettings, *, lacks_objects: bool = False) -> Mapping:
+    """Return the mapping of a PDO by the node's dictionary, which may lack objects. Raises StrangePdo."""
+    try:
+        if lacks_objects:
+            mapping = Mapping(entries_of(settings.entries, node.dictionary))
+        else:
+            mapping = Mapping.from_parameters(settings.entries, node.dictionary)
+    except MappingError as error:
+        raise StrangePdo(f"{settings.name} of node {node.node_id}: {error}") from error
+    check_rpdo(node, settings)
+    return mapping
+
+
+def _exchange(node: PdoNode, settings: PdoSettings, mapping: Mapping, *, sends_at_sync: bool) -> Procedure[None]:
+    """Exchange a PDO on our side. sends_at_sync: see `exchange_pdos`."""
+    kind = settings.transmission_type
+    if settings.direction is Direction.TPDO:
+        yield from act(lambda now: node.add_tpdo(settings.number, settings.key, mapping, now))
+    else:
+        kind = EACH_SYNC if sends_at_sync and kind not in CYCLIC_TYPES else kind
+        yield from act(lambda now: node.add_rpdo(settings.number, settings.key, mapping, kind))
 
 
 def check_rpdo(node: PdoNode, settings: PdoSettings) -> None:
     """Raise StrangePdo if these settings of a device would have us send an RPDO on the CAN-ID of another service: 0 is NMT."""
     if settings.direction is Direction.RPDO and check_can_id(settings.cob_id) is not None:
         text = f"its COB-ID 0x{settings.cob_id:X} has a CAN-ID that no PDO may have; nothing is sent there"
-        raise StrangePdo(f"{settings.direction} {settings.number} of node {node.node_id}: {text}")
-
-
-def _what(step: RemapStep) -> str:
-    index, subindex, data = step
-    return f"0x{index:04X}:{subindex:02X} = 0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
+        raise StrangePdo(f"{settings.name} of node {node.node_id}: {text}")

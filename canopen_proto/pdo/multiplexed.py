@@ -22,6 +22,10 @@ The inhibit time of a producer in source address mode is the least time between 
 meanwhile wait, each once, and are sent with the values of that moment. With an event time, the producer also sends the next
 object of its list if it sent nothing for that long. Frames in destination address mode are sent at once.
 
+`MpdoListener` receives the MPDOs of another node in source address mode, as a master, a service tool or a bus monitor does. It
+needs no dispatching list: the frame names the producer's object, and the listener updates its image of that object. It ignores
+frames in destination address mode, which are for their consumer; `destination_frame` makes such frames.
+
 MPDOs exist in NMT state Operational only, like all PDOs.
 """
 
@@ -220,10 +224,7 @@ class MpdoConsumer(Machine):
             return
         key, data = frame.key, frame.data
         for number, mode in self._routes.get(key, ()):
-            if len(data) < MPDO.size:
-                stamp = self.out.timestamp
-                error = PdoLengthError(self.node_id, number, key, MPDO.size, len(data), EMCY_PDO_NOT_PROCESSED, stamp)
-                self.out.events.append(error)
+            if not _is_whole(self, number, key, data):
                 continue
             address, index, subindex, content = MPDO.unpack(data)
             node_id = address & ~DESTINATION_MODE
@@ -251,6 +252,64 @@ class MpdoConsumer(Machine):
         stamp = self.out.timestamp
         self.out.events.append(MpdoReceived(self.node_id, number, key, producer, index, subindex, value, stamp))
         return True
+
+
+class MpdoListener(Machine):
+    """Receives the TPDOs of one node that are MPDOs in source address mode; see this module's text."""
+
+    __slots__ = ("_keys", "_values", "node_id")
+
+    def __init__(self, out: Outbox, node_id: int, values: Values) -> None:
+        """node_id: of the producer, 1..127. values: our image of its objects, which received values update."""
+        super().__init__(out)
+        self.node_id = check_node_id(node_id)
+        self._values = values
+        self._keys: dict[int, RoutingKey] = {}  # TPDO number -> key
+
+    def can_ids(self) -> Iterable[RoutingKey]:
+        return tuple(self._keys.values())
+
+    def set_pdo(self, number: int, key: RoutingKey | None) -> None:
+        """Receive the node's TPDO `number` by this key; None = stop."""
+        self._keys.pop(number, None)
+        if key is not None:
+            self._keys[number] = key
+        self._reroute()
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        """Take the value of an MPDO of this node. An MPDO of another producer on the same CAN-ID is ignored.
+
+        Events: MpdoReceived; PdoLengthError for less than eight bytes; FrameIgnored for the other address mode, and for an object
+        that is not in the node's dictionary or that no TPDO can carry.
+        """
+        key, data = frame.key, frame.data
+        number = next(each for each, its_key in self._keys.items() if its_key == key)
+        if not _is_whole(self, number, key, data):
+            return
+        address, index, subindex, content = MPDO.unpack_from(data)
+        if address & DESTINATION_MODE:
+            self.out.events.append(FrameIgnored(self.node_id, frame, f"TPDO {number} is an MPDO in source address mode"))
+            return
+        if address != self.node_id:
+            return
+        variable = self._values.dictionary.get(index, subindex)
+        if variable is None or not suits_mpdo(variable, Direction.TPDO):
+            reason = f"an MPDO with object 0x{index:04X}:{subindex:02X}, which no TPDO can carry"
+            self.out.events.append(FrameIgnored(self.node_id, frame, reason))
+            return
+        value = variable.decode(content[: variable.size])
+        self._values.store[variable.mux] = value
+        report = MpdoReceived(self.node_id, number, key, address, index, subindex, value, self.out.timestamp)
+        self.out.events.append(report)
+
+
+def _is_whole(receiver: MpdoConsumer | MpdoListener, number: int, key: RoutingKey, data: bytes) -> bool:
+    """Return whether an MPDO has eight bytes at least; report PdoLengthError if not."""
+    is_whole = len(data) >= MPDO.size
+    if not is_whole:
+        code, stamp = EMCY_PDO_NOT_PROCESSED, receiver.out.timestamp
+        receiver.out.events.append(PdoLengthError(receiver.node_id, number, key, MPDO.size, len(data), code, stamp))
+    return is_whole
 
 
 class MpdoProducer(Machine):

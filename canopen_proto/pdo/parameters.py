@@ -33,19 +33,19 @@ from canopen_proto.pdo.consumer import EVENT_DRIVEN, PdoConsumer
 from canopen_proto.pdo.mapping import Mapping, MappingError, number_at
 from canopen_proto.pdo.multiplexed import DISPATCHER_LISTS, SCANNER_LISTS, MpdoConsumer, MpdoMode, MpdoProducer
 from canopen_proto.pdo.producer import FIRST_EVENT_DRIVEN, PdoProducer
-from canopen_proto.pdo.rules import PdoRules
+from canopen_proto.pdo.rules import PdoWriteRules
 from canopen_proto.pdo.settings import (
     COB_ID,
     EVENT_TIMER,
     INHIBIT_TIME,
+    INHIBIT_UNIT,
     SYNC_START,
     TRANSMISSION_TYPE,
     communication_index,
     mapping_index,
     place_of,
+    places_of,
 )
-
-INHIBIT_UNIT: Final = 100 * MICROSECOND
 
 MAX_TIME: Final = 0xFFFF_FFFF
 """The greatest value of a time, in its own unit: only a faulty file has more than UNSIGNED32, and it must not reach NEVER."""
@@ -84,20 +84,17 @@ class DevicePdos(Owner):
         self.mpdo_consumer = MpdoConsumer(out, node_id, values)
         self.mpdo_producer = MpdoProducer(out, node_id, values)
         self.faults: dict[int, str] = {}
-        self._rules = PdoRules(values, self.faults)
+        self._rules = PdoWriteRules(values, self.faults)
         self._triggers: dict[int, list[PdoProducer]] = {}  # by the muxes that they carry
         self._synchronous: tuple[PdoConsumer | PdoProducer, ...] = ()  # producers first
-        for index in values.dictionary.objects:
-            place = place_of(index)
-            if place is None or place.is_mapping:
-                continue
+        for direction, number in places_of(values.dictionary.objects):
+            index = communication_index(direction, number)
             if values.dictionary.get(index, COB_ID) is None:
                 self.faults[index] = f"it has no COB-ID (subindex {COB_ID})"
-                continue
-            if place.direction == Direction.RPDO:
-                self.consumers[place.number] = PdoConsumer(out, node_id, place.number, None, _NOTHING, values.store)
+            elif direction == Direction.RPDO:
+                self.consumers[number] = PdoConsumer(out, node_id, number, None, _NOTHING, values.store)
             else:
-                self.producers[place.number] = PdoProducer(out, node_id, place.number, None, _NOTHING, values.store)
+                self.producers[number] = PdoProducer(out, node_id, number, None, _NOTHING, values.store)
         self.reload(0)
 
     @property
@@ -168,7 +165,7 @@ class DevicePdos(Owner):
         self._sort()
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
-        """Return the abort code that refuses a write, or None. value: checked for type and limits. See `PdoRules`."""
+        """Return the abort code that refuses a write, or None. value: checked for type and limits. See `PdoWriteRules`."""
         return self._rules.check_write(index, subindex, value)
 
     def apply(self, index: int, subindex: int, now: Time) -> None:

@@ -20,7 +20,7 @@ The inhibit time is the least time between two event-driven transmissions. After
 the time is over, with the values of that moment. A late event timer sends once and reports the periods that it skipped.
 
 `send` sends at once, whatever the type: a master sends its RPDOs by its own cycle. `sent_at` is the time of the last transmission
-of any kind; None = never.
+of any kind; None = never. `HeldRpdos` tells which of them a device may still hold for its next SYNC.
 
 PDOs exist in NMT state Operational only. The owner sets it by `set_enabled`, which starts the event timer and the count of SYNCs.
 A PDO that is not valid, or whose mapping is empty, is never sent.
@@ -35,7 +35,7 @@ from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import PdoDescription
 from canopen_proto.frame import REMOTE, Frame, RoutingKey, can_id_of, flags_of, frame_for_key, routing_key
-from canopen_proto.machine import NEVER, Event, Machine, Outbox, Time, check_node_id
+from canopen_proto.machine import MILLISECOND, NEVER, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, LAST_SYNCHRONOUS
 from canopen_proto.pdo.mapping import Mapping
@@ -43,6 +43,9 @@ from canopen_proto.pdo.mapping import Mapping
 SYNCHRONOUS_ON_REQUEST: Final = 252
 ON_REQUEST: Final = 253
 FIRST_EVENT_DRIVEN: Final = 254
+
+SYNC_TRANSIT: Final = 100 * MILLISECOND
+"""Adapters delay frames both ways by 16 ms and more, and so does a busy process."""
 
 
 class PdoPeriodsSkipped(Event):
@@ -322,3 +325,45 @@ class PdoProducer(Machine):
         timed = self.is_live and self.is_event_driven and self.event_time
         self._event_due = now + self.event_time if timed else NEVER
         self._arm(self._event_due)
+
+
+class HeldRpdos:
+    """The RPDOs that one device may hold for its next SYNC, as far as their sender can tell.
+
+    The data of a synchronous RPDO wait in the device for a SYNC (CiA 301 v4.2.0, 7.5.2.35). They then overwrite what SDO wrote in
+    the meantime. No frame tells whether they still wait. The sender knows when it sent them, and when a SYNC passed. A SYNC of
+    its own comes after all frames that it sent before. A SYNC that it receives may have been on its way for SYNC_TRANSIT.
+    """
+
+    __slots__ = ("_by_hand", "_since")
+
+    def __init__(self) -> None:
+        self._by_hand: set[PdoProducer] = set()
+        self._since: Time = -NEVER  # the device no longer holds an RPDO that was sent before this time
+
+    def sent_by_hand(self, producer: PdoProducer) -> None:
+        """Note an RPDO that was sent once by hand. The `rpdos` of `carrying` do not have it."""
+        self._by_hand.add(producer)
+
+    def on_sync(self, now: Time, heard: bool) -> None:
+        """Note a SYNC. heard: it was received, not sent."""
+        self._since = max(self._since, now - SYNC_TRANSIT if heard else now)
+        if self._by_hand:
+            self._by_hand = {each for each in self._by_hand if self._may_be_held(each)}
+
+    def on_boot(self, now: Time) -> None:
+        """Note that the device has booted: it holds nothing."""
+        self._since = now
+        self._by_hand.clear()
+
+    def forget(self, number: int) -> None:
+        """Forget RPDO `number`: it is no longer exchanged, or gets other settings."""
+        self._by_hand = {each for each in self._by_hand if each.number != number}
+
+    def carrying(self, mux: Mux, rpdos: Iterable[PdoProducer]) -> list[PdoProducer]:
+        """Return the RPDOs with an object that the device may hold. rpdos: those that are exchanged."""
+        return [each for each in (*rpdos, *self._by_hand) if self._may_be_held(each) and mux in each.mapping.muxes]
+
+    def _may_be_held(self, producer: PdoProducer) -> bool:
+        sent_at = producer.sent_at
+        return producer.is_synchronous and sent_at is not None and sent_at >= self._since

@@ -1,7 +1,7 @@
 """The rules for writes to the PDO parameters of a device (CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.40).
 
-`PdoRules.check_write` is called before a value is stored. It changes nothing, and returns None or the abort code with which the
-device refuses. Type and limits of the value have been checked before.
+`PdoWriteRules.check_write` is called before a value is stored. It changes nothing, and returns None or the abort code with which
+the device refuses. Type and limits of the value have been checked before.
 
     COB-ID               while the PDO is valid, its CAN-ID may not change: 0x08000022. A restricted CAN-ID, or more than 11 bits
                          without the frame bit: 0x06090030. An invalid mapping: 0x06040043
@@ -62,7 +62,7 @@ from canopen_proto.pdo.settings import (
 _LISTS: Final = {Direction.RPDO: DISPATCHER_LISTS, Direction.TPDO: SCANNER_LISTS}
 
 
-class PdoRules:
+class PdoWriteRules:
     """The rules of one device. faults: the indices of its invalid mappings."""
 
     __slots__ = ("_faults", "_values")

@@ -1,7 +1,14 @@
-"""The places for PDOs in a device's dictionary: which PDOs can be used as they are, and which can be given another mapping.
+"""The PDOs in a device's own file: which there are, which can be used as they are, and which can be given another mapping.
 
 A file says it all before anything is sent: which PDO records there are, which of their objects can be written, which objects a
-PDO may carry, and which CAN-IDs are in use. `slots_of` reads that, `existing` and `remapped` give the settings of a PDO for use.
+PDO may carry, and which CAN-IDs are in use. An EDS says it by its defaults, a DCF by its configured values. `pdos_of` reads the
+settings, `slots_of` and `described_pdos` what can be used of them; `PdoSlots` gives the settings of a PDO for use.
+
+`choose_pdos` takes the useful ones: every TPDO that carries something we want to hear, and as few RPDOs as are needed to carry
+our commands. An RPDO also carries all else that is mapped into it; two RPDOs with the same object could contradict each other.
+
+Impossible PDOs of a file (an object that does not exist, more than 64 bits, a COB-ID that no PDO may have) are not described:
+lint reports them.
 
 **CAN-IDs.** A PDO is ours if its CAN-ID belongs to this node in the predefined connection set, or to no node. Some files have the
 CAN-IDs of the node-ID that they were exported from. Two drives with such a file would send with one CAN-ID, so these PDOs count
@@ -13,180 +20,198 @@ Source: CiA 301 v4.2.0, 7.3.3 (predefined connection set), 7.5.2.35 to 7.5.2.38 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from canopen_proto import indices
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
-from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1, key_of_cob_id
+from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, TPDO1
 from canopen_proto.multiplexer import Mux, mapped, mapping_entry, mux, mux_text, split_mux
-from canopen_proto.pdo.described import CYCLIC_TYPES, EACH_SYNC, described_pdos, muxes_of
-from canopen_proto.pdo.mapping import MAX_BITS
+from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.multiplexed import MAPPABLE
-from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, PdoSettings, mapping_index, place_of
+from canopen_proto.pdo.settings import (
+    COB_ID,
+    CYCLIC_TYPES,
+    EACH_SYNC,
+    EVENT_DRIVEN,
+    PREDEFINED,
+    TRANSMISSION_TYPE,
+    PdoSettings,
+    communication_index,
+    mapping_index,
+    muxes_of,
+    places_of,
+)
 
-EVENT_DRIVEN: Final = (254, 255)
-"""Transmission types of PDOs that are sent, and act, at once. 255 is the one that a device profile defines."""
-
-_FIRST_CAN_ID: Final = {Direction.RPDO: RPDO1, Direction.TPDO: TPDO1}
-_PREDEFINED: Final = range(1, 5)  # the numbers of the PDOs that have a predefined CAN-ID
 _PDO_CAN_IDS: Final = range(TPDO1 + 1, 0x580)
 _CAN_ID: Final = 0x1FFF_FFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Slot:
-    """One PDO of a dictionary. cob_id, transmission_type, entries: as the file gives them; entries are empty if it has none, or
-    impossible ones. capacity: how many objects can be mapped into it; 0: its mapping is fixed. is_described: it can be used as
-    the file has it. is_ours: see this module's text. can_move: its CAN-ID can be written."""
+class PdoSlot:
+    """One PDO of a dictionary. pdo: its settings as the file has them; without entries if they are impossible. capacity: how many
+    objects can be mapped into it, 0..64; 0: its mapping is fixed. is_described: it can be used as the file has it. is_ours: see
+    this module's text. can_move: its CAN-ID can be written."""
 
-    direction: Direction
-    number: int
-    cob_id: int
-    transmission_type: int
-    entries: tuple[int, ...]
+    pdo: PdoSettings
     capacity: int
     is_described: bool
     is_ours: bool
     can_move: bool
 
-    @property
-    def is_valid(self) -> bool:
-        """Whether the PDO exists when the device starts: bit 31 of its COB-ID is 0."""
-        return not self.cob_id & COB_ID_INVALID
 
-    @property
-    def muxes(self) -> set[Mux]:
-        """The objects that it carries by the file."""
-        return muxes_of(self.entries)
-
-    @property
-    def name(self) -> str:
-        """The PDO for people: "RPDO 2"."""
-        return f"{self.direction} {self.number}"
-
-    @property
-    def settings(self) -> PdoSettings:
-        """Its settings as the file has them."""
-        return PdoSettings(self.number, self.direction, self.cob_id, self.transmission_type, self.entries)
+def number_in(dictionary: ObjectDictionary, index: int, subindex: int, node_id: int) -> int | None:
+    """Return the number that an object of a device has when it starts, as 0x1400:01; None if the file gives none."""
+    variable = dictionary.get(index, subindex)
+    value = None if variable is None else variable.initial_of(node_id)
+    return value if isinstance(value, int) else None
 
 
-def slots_of(dictionary: ObjectDictionary, node_id: int) -> list[Slot]:
-    """Return the PDOs for which a device with this dictionary has both records, RPDOs first."""
-    described = {(pdo.direction, pdo.number): pdo for pdo in described_pdos(dictionary, node_id)}
+def pdos_of(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
+    """Return the PDOs for which a device with this dictionary has both records, as the file has them, RPDOs first.
+
+    One without a COB-ID is not valid. An entry that is missing is 0. The entries of an MPDO mean nothing.
+    """
     found = []
-    for index in dictionary.objects:
-        place = place_of(index)
-        if place is None or place.is_mapping or mapping_index(place.direction, place.number) not in dictionary.objects:
+    for direction, number in places_of(dictionary.objects):
+        communication, mapping = communication_index(direction, number), mapping_index(direction, number)
+        if mapping not in dictionary.objects:
             continue
-        cob_id, kind = (_initial(dictionary.get(index, subindex), node_id) for subindex in (COB_ID, TRANSMISSION_TYPE))
-        pdo = described.get((place.direction, place.number))
+        cob_id = number_in(dictionary, communication, COB_ID, node_id)
+        kind = number_in(dictionary, communication, TRANSMISSION_TYPE, node_id) or 0
+        count = min(number_in(dictionary, mapping, 0, node_id) or 0, 0xFF)
+        entries = tuple(number_in(dictionary, mapping, subindex, node_id) or 0 for subindex in range(1, count + 1))
+        found.append(PdoSettings(number, direction, COB_ID_INVALID if cob_id is None else cob_id, kind & 0xFF, entries))
+    return found
+
+
+def slots_of(dictionary: ObjectDictionary, node_id: int) -> list[PdoSlot]:
+    """Return the PDOs for which a device with this dictionary has both records, RPDOs first. node_id: 1..127."""
+    found = []
+    for pdo in pdos_of(dictionary, node_id):
+        communication, mapping = communication_index(*pdo.place), mapping_index(*pdo.place)
+        is_described = pdo.is_valid and check_can_id(pdo.cob_id) is None and _is_possible(pdo.entries, dictionary)
         found.append(
-            Slot(
-                place.direction,
-                place.number,
-                COB_ID_INVALID if cob_id is None else cob_id,
-                (kind or 0) & 0xFF,
-                () if pdo is None else pdo.entries,
-                _capacity(dictionary, index, mapping_index(place.direction, place.number)),
-                pdo is not None,
-                cob_id is not None and is_ours(cob_id, node_id),
-                _is_writable(dictionary.get(index, COB_ID)),
+            PdoSlot(
+                pdo if is_described else replace(pdo, entries=()),
+                _capacity(dictionary, communication, mapping),
+                is_described,
+                is_ours(pdo.cob_id, node_id),
+                _is_writable(dictionary.get(communication, COB_ID)),
             )
         )
     return found
 
 
-def existing(slots: Sequence[Slot], direction: Direction, *, has_sync: bool) -> list[PdoSettings]:
-    """Return the PDOs of one direction that can be used as the file has them: valid, ours, with a CAN-ID that no other one has,
-    and of a transmission type that acts: at each n-th SYNC if the device listens to SYNC (`has_sync`), or event-driven.
-
-    slots: all PDOs of the device.
-    """
-    can_ids = [slot.cob_id & _CAN_ID for slot in slots if slot.is_valid]
-    return [
-        slot.settings
-        for slot in slots
-        if slot.direction is direction
-        and slot.is_described
-        and slot.is_ours
-        and can_ids.count(slot.cob_id & _CAN_ID) == 1
-        and (slot.transmission_type in EVENT_DRIVEN or (has_sync and slot.transmission_type in CYCLIC_TYPES))
-    ]
+def described_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
+    """Return the valid PDOs that the dictionary's records describe for a device with this node-ID (1..127), RPDOs first."""
+    return [slot.pdo for slot in slots_of(dictionary, node_id) if slot.is_described]
 
 
-def foreign(slots: Iterable[Slot]) -> list[Slot]:
-    """Return the valid PDOs that would disturb, or obey, another node."""
-    return [slot for slot in slots if slot.is_valid and not slot.is_ours]
+def choose_pdos(
+    pdos: Collection[PdoSettings], commands: Collection[Mux], feedback: Collection[Mux]
+) -> tuple[list[PdoSettings], list[Mux]]:
+    """Return the useful PDOs, and the `commands` that none of them carries. commands, feedback: muxes to send and to hear."""
+    chosen = [pdo for pdo in pdos if pdo.direction is Direction.TPDO and pdo.muxes & set(feedback)]
+    missing = list(commands)
+    candidates = [pdo for pdo in pdos if pdo.direction is Direction.RPDO]
+    while missing and candidates:
+        best = max(candidates, key=lambda pdo: (sum(mux in pdo.muxes for mux in missing), -len(pdo.entries), -pdo.number))
+        served = [mux for mux in missing if mux in best.muxes]
+        if not served:
+            break
+        chosen.append(best)
+        missing = [mux for mux in missing if mux not in served]
+        said = set(served)
+        candidates = [pdo for pdo in candidates if not said & pdo.muxes]
+    return chosen, missing
 
 
-def spare_tpdos(chosen: Iterable[PdoSettings], own: Iterable[Slot], welcome: Collection[Mux]) -> list[Slot]:
+class PdoSlots:
+    """The PDOs of one device, and what can be made of them. all: RPDOs first. listens: the device listens to SYNC."""
+
+    def __init__(self, dictionary: ObjectDictionary, node_id: int) -> None:
+        """node_id: 1..127. Nothing is kept of the dictionary."""
+        self.all = slots_of(dictionary, node_id)
+        self.listens = has_sync(dictionary)
+        self._node_id = node_id
+
+    def existing(self, direction: Direction) -> list[PdoSettings]:
+        """Return the PDOs of one direction that can be used as the file has them: valid, ours, with a CAN-ID that no other one
+        has, and of a transmission type that acts: at each n-th SYNC if the device listens to SYNC, or event-driven."""
+        kinds = (*EVENT_DRIVEN, *(CYCLIC_TYPES if self.listens else ()))
+        can_ids = [slot.pdo.cob_id & _CAN_ID for slot in self.all if slot.pdo.is_valid]
+        usable = [slot.pdo for slot in self.all if slot.is_described and slot.is_ours and slot.pdo.transmission_type in kinds]
+        return [pdo for pdo in usable if pdo.direction is direction and can_ids.count(pdo.cob_id & _CAN_ID) == 1]
+
+    def foreign(self) -> list[PdoSlot]:
+        """Return the valid PDOs that would disturb, or obey, another node."""
+        return [slot for slot in self.all if slot.pdo.is_valid and not slot.is_ours]
+
+    def remapped(
+        self,
+        direction: Direction,
+        wanted: Sequence[int],
+        among: Iterable[PdoSlot],
+        *,
+        is_synchronous: bool,
+        beside: Iterable[PdoSettings] = (),
+    ) -> tuple[PdoSettings | None, list[str]]:
+        """Return the settings of the PDO that can best be given these entries (None: there is none), and why others cannot.
+
+        among: the PDOs that may be remapped. beside: PDOs that are going to be used too, whose CAN-IDs are taken.
+
+        The best one loses nothing: all that it carries by the file is wanted, as much as possible. Else a PDO that the file does
+        not use is taken, else one with another node's CAN-ID, else the first one.
+        """
+        objects, obstacles = muxes_of(wanted), []
+        candidates: list[tuple[tuple[int, int, int], PdoSettings]] = []
+        for slot in among:
+            pdo = slot.pdo
+            if pdo.direction is not direction:
+                continue
+            if slot.capacity < len(wanted):
+                has = f"has room for {slot.capacity} objects" if slot.capacity else "has a fixed mapping"
+                obstacles.append(f"{pdo.name} {has}")
+                continue
+            cob_id = _own_cob_id(slot, self._node_id)
+            others = {other.pdo.cob_id & _CAN_ID for other in self.all if other is not slot and other.pdo.is_valid}
+            others |= {other.cob_id & _CAN_ID for other in beside}
+            if cob_id is None:
+                obstacles.append(f"{pdo.name} has no CAN-ID that it may have on this node")
+                continue
+            if cob_id & _CAN_ID in others:
+                obstacles.append(f"{pdo.name} cannot have CAN-ID 0x{cob_id & _CAN_ID:X}: another one has it")
+                continue
+            event_type = pdo.transmission_type if pdo.transmission_type in EVENT_DRIVEN else EVENT_DRIVEN[-1]
+            kind = EACH_SYNC if is_synchronous else event_type
+            is_lossless = pdo.muxes <= objects or not pdo.is_valid
+            rank = 0 if is_lossless else 1 if not slot.is_ours else 2
+            settings = replace(pdo, cob_id=cob_id, transmission_type=kind, entries=tuple(wanted))
+            candidates.append(((rank, -len(pdo.muxes & objects), pdo.number), settings))
+        return (min(candidates)[1] if candidates else None), obstacles
+
+
+def spare_tpdos(chosen: Iterable[PdoSettings], own: Iterable[PdoSlot], welcome: Collection[Mux]) -> list[PdoSettings]:
     """Return the valid TPDOs that tell nothing of their own: the others of `chosen` bring it all at each SYNC, but for objects
     that are only `welcome`.
 
     own: the PDOs that may be switched off. Event-driven ones are spare before others, small ones before large ones.
     """
-    told = {pdo.number: muxes_of(pdo.entries) for pdo in chosen if _is_cyclic_tpdo(pdo)}
+    cyclic = (pdo for pdo in chosen if pdo.direction is Direction.TPDO and pdo.transmission_type == EACH_SYNC)
+    told = {pdo.number: pdo.muxes for pdo in cyclic}
     spare = []
-    tpdos = [slot for slot in own if slot.direction is Direction.TPDO and slot.is_valid and slot.is_ours and slot.can_move]
-    for slot in sorted(tpdos, key=lambda slot: (slot.number in told, len(slot.muxes))):
-        carried = told.get(slot.number, slot.muxes)
-        others = set().union(*(muxes for number, muxes in told.items() if number != slot.number))
+    movable = [slot.pdo for slot in own if slot.is_ours and slot.can_move]
+    tpdos = [pdo for pdo in movable if pdo.direction is Direction.TPDO and pdo.is_valid]
+    for pdo in sorted(tpdos, key=lambda pdo: (pdo.number in told, len(pdo.muxes))):
+        carried = told.get(pdo.number, pdo.muxes)
+        others = set().union(*(muxes for number, muxes in told.items() if number != pdo.number))
         if carried and carried - set(welcome) <= others:
-            told.pop(slot.number, None)
-            spare.append(slot)
-    return sorted(spare, key=lambda slot: slot.number)
-
-
-def _is_cyclic_tpdo(pdo: PdoSettings) -> bool:
-    return pdo.direction is Direction.TPDO and pdo.transmission_type == EACH_SYNC
-
-
-def remapped(
-    slots: Sequence[Slot],
-    direction: Direction,
-    node_id: int,
-    wanted: Sequence[int],
-    *,
-    is_synchronous: bool,
-    beside: Collection[PdoSettings] = (),
-    among: Collection[Slot] | None = None,
-) -> tuple[PdoSettings | None, list[str]]:
-    """Return the settings of the PDO that can best be given these entries (None: there is none), and why others cannot.
-
-    slots: all PDOs of the device. beside: PDOs that are going to be used too, whose CAN-IDs are taken.
-    among: the PDOs that may be remapped; None: all.
-
-    The best one loses nothing: all that it carries by the file is wanted, as much as possible. Else a PDO that the file does not
-    use is taken, else one with another node's CAN-ID, else the first one.
-    """
-    objects, obstacles = muxes_of(wanted), []
-    candidates: list[tuple[tuple[int, int, int], PdoSettings]] = []
-    for slot in slots if among is None else among:
-        if slot.direction is not direction:
-            continue
-        if slot.capacity < len(wanted):
-            has = f"has room for {slot.capacity} objects" if slot.capacity else "has a fixed mapping"
-            obstacles.append(f"{slot.name} {has}")
-            continue
-        cob_id = _own_cob_id(slot, node_id)
-        others = {other.cob_id & _CAN_ID for other in slots if other is not slot and other.is_valid}
-        others |= {pdo.cob_id & _CAN_ID for pdo in beside}
-        if cob_id is None:
-            obstacles.append(f"{slot.name} has no CAN-ID that it may have on this node")
-            continue
-        if cob_id & _CAN_ID in others:
-            obstacles.append(f"{slot.name} cannot have CAN-ID 0x{cob_id & _CAN_ID:X}: another one has it")
-            continue
-        event_type = slot.transmission_type if slot.transmission_type in EVENT_DRIVEN else EVENT_DRIVEN[-1]
-        kind = EACH_SYNC if is_synchronous else event_type
-        settings = PdoSettings(slot.number, slot.direction, cob_id, kind, tuple(wanted))
-        is_lossless = slot.muxes <= objects or not slot.is_valid
-        rank = 0 if is_lossless else 1 if not slot.is_ours else 2
-        candidates.append(((rank, -len(slot.muxes & objects), slot.number), settings))
-    return (min(candidates)[1] if candidates else None), obstacles
+            told.pop(pdo.number, None)
+            spare.append(pdo)
+    return sorted(spare, key=lambda pdo: pdo.number)
 
 
 def entry_of(dictionary: ObjectDictionary, key: Mux, direction: Direction) -> tuple[int | None, str]:
@@ -220,11 +245,6 @@ def has_sync(dictionary: ObjectDictionary) -> bool:
     return dictionary.get(indices.COB_ID_SYNC, 0) is not None
 
 
-def destroying(slot: Slot) -> PdoSettings:
-    """Return the settings that destroy a PDO: bit 31 of its COB-ID is 1, all else stays."""
-    return PdoSettings(slot.number, slot.direction, slot.cob_id | COB_ID_INVALID, slot.transmission_type, slot.entries)
-
-
 def shown_entries(dictionary: ObjectDictionary, entries: Iterable[int]) -> str:
     """Return mapping entries for people: "controlword, 16 bits empty, target_position"."""
     words = []
@@ -235,11 +255,6 @@ def shown_entries(dictionary: ObjectDictionary, entries: Iterable[int]) -> str:
     return ", ".join(words)
 
 
-def key_text(cob_id: int) -> str:
-    """Return the CAN-ID of a COB-ID for people: "0x203"."""
-    return f"0x{key_of_cob_id(cob_id & ~COB_ID_INVALID) & _CAN_ID:X}"
-
-
 def is_ours(cob_id: int, node_id: int) -> bool:
     """Return whether a node may have a PDO with this COB-ID; see this module's text."""
     if cob_id & COB_ID_EXTENDED:
@@ -248,9 +263,15 @@ def is_ours(cob_id: int, node_id: int) -> bool:
     return check_can_id(cob_id) is None and (can_id not in _PDO_CAN_IDS or can_id & 0x7F == node_id)
 
 
-def _initial(variable: Variable | None, node_id: int) -> int | None:
-    value = None if variable is None else variable.initial_of(node_id)
-    return value if isinstance(value, int) else None
+def _is_possible(entries: Sequence[int], dictionary: ObjectDictionary) -> bool:
+    """Return whether a PDO of a device with this dictionary can have these entries: none is missing, each can be mapped."""
+    if not 0 < len(entries) <= MAX_ENTRIES or not all(entries):
+        return False
+    try:
+        Mapping.from_parameters(entries, dictionary)
+    except MappingError:
+        return False
+    return True
 
 
 def _is_writable(variable: Variable | None) -> bool:
@@ -269,11 +290,11 @@ def _capacity(dictionary: ObjectDictionary, communication: int, mapping: int) ->
     return min(count, limit) if isinstance(limit, int) else count
 
 
-def _own_cob_id(slot: Slot, node_id: int) -> int | None:
+def _own_cob_id(slot: PdoSlot, node_id: int) -> int | None:
     """Return a valid COB-ID for a PDO: the file's CAN-ID if it is ours, else the predefined one; None if there is none."""
+    direction, number = slot.pdo.place
     if slot.is_ours:
-        return slot.cob_id & ~COB_ID_INVALID
-    if slot.number not in _PREDEFINED or not slot.can_move:
+        return slot.pdo.cob_id & ~COB_ID_INVALID
+    if number > len(PREDEFINED[direction]) or not slot.can_move:
         return None
-    flags = COB_ID_NO_RTR if slot.direction is Direction.TPDO else 0
-    return (_FIRST_CAN_ID[slot.direction] + 0x100 * (slot.number - 1) + node_id) | flags
+    return (PREDEFINED[direction][number - 1] + node_id) | (COB_ID_NO_RTR if direction is Direction.TPDO else 0)

@@ -17,21 +17,12 @@ from canopen_master.bus_timing import Background, Exchange, fits, streams_of
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drives.axis.motion_plan import MotionPlan
-from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
-from canopen_proto.machine import MICROSECOND, MILLISECOND, Time
+from canopen_proto.frame import COB_ID_EXTENDED
+from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.manager.linking import LinkPlan
-from canopen_proto.multiplexer import mapped
 from canopen_proto.pdo.mapping import MAX_BITS
-from canopen_proto.pdo.settings import (
-    COB_ID,
-    EVENT_TIMER,
-    INHIBIT_TIME,
-    TRANSMISSION_TYPE,
-    PdoSettings,
-    communication_index,
-    mapping_index,
-    place_of,
-)
+from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, INHIBIT_UNIT, PdoSettings, communication_index
+from canopen_proto.pdo.slots import number_in, pdos_of
 from canopen_transports.wire import Wire, WireSettings, worst_bits
 
 SYNCHRONOUS: Final = 240
@@ -55,10 +46,10 @@ def exchange_of_file(name: str, node_id: int, dictionary: ObjectDictionary) -> C
 def exchange_of_plans(name: str, plans: Sequence[MotionPlan]) -> Counted:
     """Return what a drive exchanges by the plans of its axes: their PDOs, and those TPDOs of its file that they leave alone."""
     dictionary, node_id = plans[0].dictionary, plans[0].node_id
-    planned = {(pdo.direction, pdo.number): pdo for plan in plans for pdo in plan.pdos}
-    off = {(pdo.direction, pdo.number) for plan in plans for pdo in (*plan.destroyed, *plan.spare)}
+    planned = {pdo.place: pdo for plan in plans for pdo in plan.pdos}
+    off = {pdo.place for plan in plans for pdo in (*plan.destroyed, *plan.spare)}
     alone = [pdo for pdo in _valid_pdos(dictionary, node_id) if pdo.direction is Direction.TPDO]
-    others = [pdo for pdo in alone if (pdo.direction, pdo.number) not in planned.keys() | off]
+    others = [pdo for pdo in alone if pdo.place not in planned.keys() | off]
     return _exchange(name, node_id, dictionary, [*planned.values(), *others])
 
 
@@ -72,9 +63,8 @@ def exchange_with_links(counted: Counted, node: str, plan: LinkPlan) -> Counted:
     """Return what a node exchanges with the PDOs that links change, by name of the node. A PDO that another node sends to it is
     counted there."""
     exchange = counted.exchange
-    (member,) = [each for each in plan.members if each.name == node]
     pdos = (*plan.pdos_of(node), *(each for each in plan.destroyed if each.node == node))
-    gone = {each.was.cob_id & 0x7FF for each in pdos if each.was is not None}
+    gone = {each.slot.pdo.cob_id & 0x7FF for each in pdos if each.slot.pdo.is_valid}
     uncounted = [_without_distance(can_id) for can_id in gone]
     left_out = [each for each in counted.left_out if each not in uncounted]
     received, sent = ([each for each in old if each[0] not in gone] for old in (exchange.rpdo, exchange.tpdo))
@@ -87,7 +77,7 @@ def exchange_with_links(counted: Counted, node: str, plan: LinkPlan) -> Counted:
             continue
         elif timing.every:
             sent.append((transfer.can_id, size))
-        elif distance := timing.inhibit_time or timing.event_timer or _distance(member.dictionary, pdo.settings, member.node_id):
+        elif distance := _distance(pdo.member.dictionary, pdo.settings, pdo.member.node_id):
             events.append((transfer.can_id, size, distance))
         else:
             left_out.append(_without_distance(transfer.can_id))
@@ -102,7 +92,7 @@ def _without_distance(can_id: int) -> str:
 def _exchange(name: str, node_id: int, dictionary: ObjectDictionary, pdos: Iterable[PdoSettings]) -> Counted:
     received, sent, events, left_out = [], [], [], []
     for pdo in sorted(pdos, key=lambda pdo: (pdo.direction is Direction.TPDO, pdo.number)):
-        can_id, size = pdo.cob_id & 0x7FF, (sum(mapped(entry)[2] for entry in pdo.entries) + 7) // 8
+        can_id, size = pdo.cob_id & 0x7FF, pdo.size
         if pdo.cob_id & COB_ID_EXTENDED:
             left_out.append(f"PDO {pdo.cob_id & 0x1FFFFFFF:08X} has a 29-bit identifier")
         elif pdo.direction is Direction.RPDO:
@@ -118,32 +108,15 @@ def _exchange(name: str, node_id: int, dictionary: ObjectDictionary, pdos: Itera
 
 def _valid_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
     """Return the PDOs of a file that are valid and not empty, also those whose objects the file does not have."""
-    found = []
-    for index in dictionary.objects:
-        place = place_of(index)
-        if place is None or place.is_mapping:
-            continue
-        cob_id, kind = (_number(dictionary, index, subindex, node_id) for subindex in (COB_ID, TRANSMISSION_TYPE))
-        mapping = mapping_index(place.direction, place.number)
-        count = _number(dictionary, mapping, 0, node_id)
-        entries = tuple(_number(dictionary, mapping, entry, node_id) for entry in range(1, count + 1))
-        is_valid = not cob_id & COB_ID_INVALID and check_can_id(cob_id) is None
-        if is_valid and 0 < sum(mapped(entry)[2] for entry in entries) <= MAX_BITS:
-            found.append(PdoSettings(place.number, place.direction, cob_id, kind, entries))
-    return found
+    pdos = pdos_of(dictionary, node_id)
+    return [pdo for pdo in pdos if pdo.is_valid and check_can_id(pdo.cob_id) is None and 0 < pdo.bits <= MAX_BITS]
 
 
 def _distance(dictionary: ObjectDictionary, pdo: PdoSettings, node_id: int) -> Time:
-    """Return the shortest time between two frames of an event-driven TPDO, ns; 0: the file does not tell."""
-    index = communication_index(pdo.direction, pdo.number)
-    inhibit, timer = (_number(dictionary, index, subindex, node_id) for subindex in (INHIBIT_TIME, EVENT_TIMER))
-    return inhibit * 100 * MICROSECOND or timer * MILLISECOND
-
-
-def _number(dictionary: ObjectDictionary, index: int, subindex: int, node_id: int) -> int:
-    variable = dictionary.get(index, subindex)
-    value = None if variable is None else variable.initial_of(node_id)
-    return value if isinstance(value, int) else 0
+    """Return the shortest time between two frames of an event-driven TPDO, ns: its own, else the file's; 0: nobody tells."""
+    index = communication_index(*pdo.place)
+    inhibit, timer = (number_in(dictionary, index, subindex, node_id) or 0 for subindex in (INHIBIT_TIME, EVENT_TIMER))
+    return pdo.inhibit_time or pdo.event_time or inhibit * INHIBIT_UNIT or timer * MILLISECOND
 
 
 class Room(NamedTuple):

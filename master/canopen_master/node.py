@@ -31,7 +31,7 @@ from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.pdo.of_device import PdoDifference
+from canopen_proto.pdo.configure import PdoDifference
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 

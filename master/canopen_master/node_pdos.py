@@ -14,7 +14,7 @@ from canopen_master.participant.peer import Peer
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
-from canopen_proto.pdo.of_device import PdoDifference, exchange_device_pdos
+from canopen_proto.pdo.configure import PdoDifference, exchange_device_pdos
 from canopen_proto.procedures.steps import Procedure, ProcedureError
 
 log: Final = logging.getLogger("canopen_master")

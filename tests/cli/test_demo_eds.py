@@ -13,7 +13,7 @@ from canopen_data.eds.writer import write_eds
 from canopen_master.simulation.fleet import Fleet
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives.cia402.homing_methods import HOMING_METHODS
-from canopen_proto.pdo.described import described_pdos
+from canopen_proto.pdo.slots import described_pdos
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import Shape
 from tests import vendor_files

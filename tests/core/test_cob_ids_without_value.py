@@ -17,9 +17,8 @@ from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.configure import StrangePdo, check_rpdo
-from canopen_proto.pdo.described import described_pdos
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.pdo.slots import slots_of
+from canopen_proto.pdo.slots import described_pdos, slots_of
 from canopen_proto.remote_node import RemoteNode
 from tests.examples import examples
 
@@ -59,7 +58,7 @@ def test_a_pdo_without_a_cob_id_is_neither_sent_nor_received(indices: set[int], 
     dictionary = device_of(*(each for index in sorted(indices) for each in pdo(index, cob_id)))
     assert described_pdos(dictionary, node_id) == []
     if cob_id is None:
-        assert not any(slot.is_valid for slot in slots_of(dictionary, node_id))
+        assert not any(slot.pdo.is_valid for slot in slots_of(dictionary, node_id))
     node = LocalNode(Outbox(), node_id, dictionary)
     node.boot(0)
     node.execute(NmtCommand.START, 1)

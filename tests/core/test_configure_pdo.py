@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Direction, Object, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import SECOND, LocalProtocolError, Outbox, Outcome, Time
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox, Outcome, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.configure import PdoRefused, StrangePdo, configure_pdo, define_pdo, read_pdo, use_device_pdo
@@ -302,6 +303,21 @@ def test_a_full_queue_is_a_failed_step() -> None:
     assert "requests are waiting already" in str(outcome.error)
 
 
+def test_the_times_are_written_before_the_pdo_is_created_and_put_back() -> None:
+    bench = Bench()
+    wanted = PdoSettings(1, Direction.TPDO, 0x40000185, 255, (0x20000010,), inhibit_time=5 * MILLISECOND, event_time=SECOND)
+    before = bench.result(configure_pdo(bench.remote, wanted))
+    assert (before.inhibit_time, before.event_time) == (0, 0)
+    assert bench.downloads()[-3:] == ["605#2B00180332000000", "605#2B001805E8030000", "605#2300180185010040"]
+    bench.bus.events.clear()
+    bench.device.writes = 0
+    bench.device.refuse = lambda count: AbortCode.LOCAL_CONTROL if count == 8 else None  # the last one: its times are written
+    error = bench.error(configure_pdo(bench.remote, replace(wanted, inhibit_time=0, event_time=0)))
+    assert isinstance(error, PdoRefused)
+    assert (error.step, error.restored) == (8, True)
+    assert (bench.device.values.store[0x180003], bench.device.values.store[0x180005]) == (50, 1000)
+
+
 # ---- what the device has now can not be read, or makes no sense: nothing is written ----
 
 
@@ -334,6 +350,7 @@ def test_more_entries_than_a_pdo_has_are_not_read() -> None:
     bench = Bench(with_variable(0x1600, 0, DataType.UNSIGNED8, 0xFE))  # an MPDO
     error = bench.error(configure_pdo(bench.remote, NEW))
     assert isinstance(error, StrangePdo)
+    assert "a PDO of node 5 makes no sense: RPDO 1: 254 mapped objects; a PDO has 64 at most" in str(error)
     assert len(bench.bus.trace()) == 6
     assert bench.downloads() == []
 

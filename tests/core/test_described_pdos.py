@@ -23,8 +23,9 @@ from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND
 from canopen_proto.network import Network
-from canopen_proto.pdo.described import choose_pdos, cyclic_objects, described_pdos, exchange_pdos
-from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.pdo.configure import exchange_pdos
+from canopen_proto.pdo.settings import PdoSettings, cyclic_objects
+from canopen_proto.pdo.slots import choose_pdos, described_pdos
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.dictionary import drive_dictionary

@@ -20,8 +20,7 @@ from canopen_proto.drives.cia402.objects import CONTROLWORD
 from canopen_proto.drives.cia402.states import ControlBit, State
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.pdo.configure import use_device_pdo
-from canopen_proto.pdo.held import SYNC_TRANSIT
-from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.pdo.producer import SYNC_TRANSIT, PdoProducer
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode

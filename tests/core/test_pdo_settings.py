@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Direction, Filler, PdoDescription, Variable
-from canopen_proto.machine import LocalProtocolError
-from canopen_proto.pdo import MappedEntry, MappingError, PdoSettings, remap_steps
-from canopen_proto.pdo.settings import communication_index, mapping_index, objects_to_read, place_of
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.pdo import MappedEntry, MappingError, PdoSettings
+from canopen_proto.pdo.settings import communication_index, mapping_index, place_of
 from tests.core.pdo_device import U16, Device
 
 RPDO, TPDO = Direction.RPDO, Direction.TPDO
@@ -34,9 +32,9 @@ def test_where_the_records_stand() -> None:
     assert place_of(0x1C00) is None
 
 
-def test_remap_steps() -> None:
-    entries: list[int | MappedEntry] = [0x60400010, MappedEntry(6, 0, 16, U16), 0x60C10120]
-    steps = remap_steps(1, RPDO, entries, 1, 0x20C, current_cob_id=0x222)
+def test_the_steps_that_set_a_pdo_up() -> None:
+    entries = (0x60400010, MappedEntry(6, 0, 16, U16).parameter, 0x60C10120)
+    steps = PdoSettings(1, RPDO, 0x20C, 1, entries).steps(0x222)
     assert [(f"{index:04X}:{subindex:02X}", data.hex()) for index, subindex, data in steps] == [
         ("1400:01", "22020080"),  # destroy, the CAN-ID unchanged
         ("1600:00", "00"),
@@ -47,7 +45,7 @@ def test_remap_steps() -> None:
         ("1400:02", "01"),
         ("1400:01", "0c020000"),  # create
     ]
-    steps = remap_steps(2, TPDO, [], 255, 0x4000028C, inhibit_time_100us=10, event_time_ms=1000)
+    steps = PdoSettings(2, TPDO, 0x4000028C, 255, (), inhibit_time=MILLISECOND, event_time=SECOND).steps()
     assert [(f"{index:04X}:{subindex:02X}", data.hex()) for index, subindex, data in steps] == [
         ("1801:01", "8c0200c0"),
         ("1A01:00", "00"),
@@ -59,42 +57,36 @@ def test_remap_steps() -> None:
     ]
 
 
-def test_remap_steps_refuses_nonsense() -> None:
+def test_no_steps_for_nonsense() -> None:
     with pytest.raises(MappingError, match="RPDO 1: 65 entries"):
-        remap_steps(1, RPDO, [0x20000001] * 65, 1, 0x20C)
+        PdoSettings(1, RPDO, 0x20C, 1, (0x20000001,) * 65).steps()
     with pytest.raises(LocalProtocolError, match="a PDO has a number in 1..512"):
-        remap_steps(0, RPDO, [], 1, 0x20C)
+        PdoSettings(0, RPDO, 0x20C, 1, ()).steps()
     with pytest.raises(ValueRangeError, match="0x1400:02: 256 is outside"):
-        remap_steps(1, RPDO, [], 256, 0x20C)
+        PdoSettings(1, RPDO, 0x20C, 256, ()).steps()
     with pytest.raises(ValueRangeError, match="0x1801:05"):
-        remap_steps(2, TPDO, [], 255, 0x28C, event_time_ms=65536)
+        PdoSettings(2, TPDO, 0x28C, 255, (), event_time=65536 * MILLISECOND).steps()
 
 
-def read_all(device: Device, number: int, direction: Direction) -> Iterator[tuple[tuple[int, int], bytes]]:
-    fixed = objects_to_read(number, direction)
-    count = device.values.raw(*fixed[-1])[0]
-    for place in objects_to_read(number, direction, count):
-        yield place, device.values.raw(*place)
+def settings_of(device: Device, number: int, direction: Direction) -> PdoSettings:
+    """What stands in the device."""
+
+    def at(index: int, subindex: int) -> int:
+        return int.from_bytes(device.values.raw(index, subindex), "little")
+
+    communication, mapping = communication_index(direction, number), mapping_index(direction, number)
+    entries = tuple(at(mapping, subindex) for subindex in range(1, at(mapping, 0) + 1))
+    return PdoSettings(number, direction, at(communication, 1), at(communication, 2), entries)
 
 
 def test_a_device_takes_the_steps_and_the_old_settings_come_back(device: Device) -> None:
     for number, direction in ((1, RPDO), (2, RPDO), (1, TPDO), (2, TPDO)):
-        old = PdoSettings.from_read(number, direction, dict(read_all(device, number, direction)))
+        old = settings_of(device, number, direction)
         new = PdoSettings(number, direction, 0x345, 254, (0x20000008, 0x607A0020))
         for settings, current in ((new, old.cob_id), (old, new.cob_id)):
             for index, subindex, data in settings.steps(current):
                 assert device.write(index, subindex, int.from_bytes(data, "little")) is None
-            assert PdoSettings.from_read(number, direction, dict(read_all(device, number, direction))) == settings
-
-
-def test_from_read_of_a_device_that_answers_nonsense(device: Device) -> None:
-    read = dict(read_all(device, 1, TPDO))
-    with pytest.raises(MappingError, match="0x1A00:02 was not read"):
-        PdoSettings.from_read(1, TPDO, {place: data for place, data in read.items() if place != (0x1A00, 2)})
-    with pytest.raises(MappingError, match="0x1800:01 was not read"):
-        PdoSettings.from_read(1, TPDO, {})
-    with pytest.raises(MappingError, match="254 mapped objects"):
-        PdoSettings.from_read(1, TPDO, read | {(0x1A00, 0): b"\xfe"})
+            assert settings_of(device, number, direction) == settings
 
 
 def test_settings_from_a_description() -> None:

@@ -10,7 +10,7 @@ from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Direction, Variable
-from canopen_proto.manager.linking import MASTER, End, Link, LinkError, Member, Timing, plan_links
+from canopen_proto.manager.linking import MASTER, End, KnownNode, Link, LinkError, Timing, plan_links
 from canopen_proto.pdo.slots import entry_of, slots_of
 from tests.manager.linked_devices import OBJECTS, Linked, member
 from tests.vendor_files import ALL_NAMES, needs_vendor_files, path_of
@@ -27,12 +27,12 @@ def described(name: str) -> DeviceDescription:
     return load_description(path_of(name))
 
 
-def member_of(description: DeviceDescription) -> Member:
+def member_of(description: DeviceDescription) -> KnownNode:
     dummies = frozenset(each for each, usable in (description.dummies or {}).items() if usable)
-    return Member("device", 5, description.dictionary, description.device_info.granularity, dummies)
+    return KnownNode("device", 5, description.dictionary, description.device_info.granularity, dummies)
 
 
-def mappable(device: Member, direction: Direction) -> list[Variable]:
+def mappable(device: KnownNode, direction: Direction) -> list[Variable]:
     return [each for each in device.dictionary if entry_of(device.dictionary, each.mux, direction)[0] is not None]
 
 
@@ -76,9 +76,10 @@ def test_other_pdos_of_the_device_stay(name: str) -> None:
     device = member_of(described(name))
     target = mappable(device, Direction.RPDO)[0]
     plan = plan_links([device], [Link("from", (End(MASTER),), ends([target]))])
-    changed = {pdo.place for pdo in (*plan.pdos_of("device"), *plan.destroyed)}
+    changed = {pdo.settings.place for pdo in (*plan.pdos_of("device"), *plan.destroyed)}
     node = Linked(plan).nodes["device"]
     for slot in slots_of(device.dictionary, 5):
-        if slot.is_described and (slot.direction, slot.number) not in changed:
-            pdos = node.pdos.consumers if slot.direction is Direction.RPDO else node.pdos.producers
-            assert pdos[slot.number].mapping.parameters == slot.entries
+        pdo = slot.pdo
+        if slot.is_described and pdo.place not in changed:
+            pdos = node.pdos.consumers if pdo.direction is Direction.RPDO else node.pdos.producers
+            assert pdos[pdo.number].mapping.parameters == pdo.entries

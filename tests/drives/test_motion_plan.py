@@ -21,10 +21,9 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
-from canopen_proto.pdo.described import muxes_of
 from canopen_proto.pdo.mapping import Mapping
-from canopen_proto.pdo.rules import PdoRules
-from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.pdo.rules import PdoWriteRules
+from canopen_proto.pdo.settings import PdoSettings, muxes_of
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
@@ -58,7 +57,7 @@ def plan(dictionary: ObjectDictionary, **options: Any) -> MotionPlan:
 def assert_writable(made: MotionPlan) -> None:
     """Each write of a plan is one that a device with this dictionary takes, by the rules of CiA 301."""
     values = Values(made.dictionary, made.node_id)
-    rules = PdoRules(values, ())
+    rules = PdoWriteRules(values, ())
     for index, subindex, data in made.steps:
         variable = made.dictionary.at(index, subindex)
         assert variable.access.writable, variable

@@ -9,7 +9,7 @@ from canopen_proto.dictionary import Access, Direction, Object, ObjectDictionary
 from canopen_proto.frame import COB_ID_NO_RTR, RPDO1, TPDO1
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.manager.linking import LinkPlan, Member
+from canopen_proto.manager.linking import KnownNode, LinkPlan
 from canopen_proto.network import Network
 from canopen_proto.pdo.settings import communication_index, mapping_index
 from tests.core.bus import Bus
@@ -44,8 +44,8 @@ def dictionary_with(
 DEVICE = dictionary_with()
 
 
-def member(name: str, node_id: int, dictionary: ObjectDictionary = DEVICE, dummies: frozenset[int] = UNSIGNED) -> Member:
-    return Member(name, node_id, dictionary, 8, dummies)
+def member(name: str, node_id: int, dictionary: ObjectDictionary = DEVICE, dummies: frozenset[int] = UNSIGNED) -> KnownNode:
+    return KnownNode(name, node_id, dictionary, 8, dummies)
 
 
 def with_object(dictionary: ObjectDictionary, index: int, subindex: int, **changes: object) -> ObjectDictionary:

@@ -11,11 +11,10 @@ from canopen_proto.dictionary import Access, Direction
 from canopen_proto.dictionary.concise import from_concise, pack_concise
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR
 from canopen_proto.machine import MICROSECOND, MILLISECOND, LocalProtocolError
-from canopen_proto.manager.linking import MASTER, End, Link, LinkError, LinkPlan, Member, Timing, plan_links
+from canopen_proto.manager.linking import MASTER, End, KnownNode, Link, LinkError, LinkPlan, Timing, plan_links
 from canopen_proto.manager.linking.packing import dummy_entries
 from canopen_proto.multiplexer import mapped
-from canopen_proto.pdo.described import muxes_of
-from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.pdo.settings import PdoSettings, muxes_of
 from tests.core.pdo_device import OFF
 from tests.examples import examples
 from tests.manager.linked_devices import DEVICE, OBJECTS, Linked, dictionary_with, member, with_object, with_pdo
@@ -50,7 +49,7 @@ def shown(plan: LinkPlan) -> list[str]:
     return lines
 
 
-def problems(members: tuple[Member, ...], *links: Link) -> list[str]:
+def problems(members: tuple[KnownNode, ...], *links: Link) -> list[str]:
     with pytest.raises(LinkError) as caught:
         plan_links(members, links)
     return [each.text for each in caught.value.problems]
@@ -196,7 +195,7 @@ def test_an_rpdo_that_would_set_a_fed_object_too_is_destroyed_or_taken() -> None
 
 def test_used_pdos_stay_as_they_are() -> None:
     used = (PdoSettings(1, TPDO, 0x181, 1, (0x20000008,)), PdoSettings(1, RPDO, 0x201, 1, (0x20030010,)))
-    a = Member("a", 1, DEVICE, 8, frozenset(), used)
+    a = KnownNode("a", 1, DEVICE, 8, frozenset(), used)
     plan = plan_links((a, member("b", 2)), [link("a 2008", "b 2009"), link("b 2008", "a 2009")])
     assert shown(plan) == [
         "182 b TPDO 1 type 1 20080020; a RPDO 2 type 1 20090020",
@@ -242,7 +241,7 @@ def test_a_fixed_cob_id_is_used_by_both_ends() -> None:
     plan = plan_links((member("a", 1), b), [link("a 2008", "b 2009")])
     assert plan.transfers[0].can_id == 0x402
     assert [(index, subindex) for index, subindex, _ in plan.writes_of("b")][-1] != (0x1400, 1)
-    taken = Member("c", 3, DEVICE, used=(PdoSettings(1, TPDO, 0x402, 1, (0x20000008,)),))
+    taken = KnownNode("c", 3, DEVICE, used=(PdoSettings(1, TPDO, 0x402, 1, (0x20000008,)),))
     (text,) = problems((member("a", 1), b, taken), link("a 2008", "b 2009"))
     assert text == "TPDO 1 of a: RPDO 1 of b cannot change its CAN-ID 0x402, which is that of TPDO 1 of c"
 
@@ -277,7 +276,7 @@ def test_an_object_follows_one_link_only() -> None:
     assert problems(TWO, first, second) == [
         "b to integer32 (0x2009:00) is fed by links[1] (a 2008 -> b 2009) already: it can follow one of them only"
     ]
-    used = Member("b", 2, DEVICE, used=(PdoSettings(2, RPDO, 0x302, 1, (0x20090020,)),))
+    used = KnownNode("b", 2, DEVICE, used=(PdoSettings(2, RPDO, 0x302, 1, (0x20090020,)),))
     assert problems((TWO[0], used), first) == ["b to integer32 (0x2009:00) is in RPDO 2 already, which its chain sends"]
 
 
@@ -319,7 +318,7 @@ def test_a_difference_of_sign_is_noted() -> None:
 
 
 def test_granularity() -> None:
-    a = Member("a", 1, DEVICE, granularity=32)
+    a = KnownNode("a", 1, DEVICE, granularity=32)
     assert "multiples of 32 bits only" in problems((a,), link("a 2002", "master"))[0]
 
 
@@ -419,7 +418,7 @@ def wishes(draw: st.DrawFn) -> list[Link]:
 
 
 @st.composite
-def devices(draw: st.DrawFn) -> tuple[Member, ...]:
+def devices(draw: st.DrawFn) -> tuple[KnownNode, ...]:
     kinds = [DEVICE, dictionary_with(8, 8, valid=True), dictionary_with(2, 6, room=3), dictionary_with(8, 8, sync=False)]
     dummies = st.sampled_from([frozenset({5, 6, 7}), frozenset({5}), frozenset()])
     return tuple(member(name, number, draw(st.sampled_from(kinds)), draw(dummies)) for number, name in enumerate(NAMES, start=1))
@@ -427,7 +426,7 @@ def devices(draw: st.DrawFn) -> tuple[Member, ...]:
 
 @examples(150)
 @given(devices(), wishes())
-def test_any_links_are_accepted_by_the_devices(members: tuple[Member, ...], links: list[Link]) -> None:
+def test_any_links_are_accepted_by_the_devices(members: tuple[KnownNode, ...], links: list[Link]) -> None:
     """No CAN-ID twice, each object fed once, and what a device takes, or an error that names link and node."""
     try:
         plan = plan_links(members, links)

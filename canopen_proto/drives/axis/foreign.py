@@ -11,10 +11,10 @@ from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import mode_name
 from canopen_proto.drives.cia402.states import COMMAND_BITS, ControlBit
 from canopen_proto.foreign_writes import ForeignWrite
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, key_of_cob_id, routing_key
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, routing_key
 from canopen_proto.machine import NEVER, Time
-from canopen_proto.pdo.described import described_pdos
 from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.pdo.slots import described_pdos
 from canopen_proto.remote_node import RemoteNode
 
 COMMANDS: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
@@ -32,9 +32,8 @@ def _described(node: RemoteNode) -> dict[RoutingKey, Mapping]:
         if each.direction is Direction.RPDO
     }
     for pdo in described_pdos(dictionary, node_id):
-        key = key_of_cob_id(pdo.cob_id)
-        if pdo.direction is Direction.RPDO and key is not None:
-            found[key] = Mapping.from_parameters(pdo.entries, dictionary)
+        if pdo.direction is Direction.RPDO:
+            found[pdo.key] = Mapping.from_parameters(pdo.entries, dictionary)
     return found
 
 

@@ -13,7 +13,11 @@ The PDOs are those that the file describes, if they carry controlword and set-po
 TPDO, or both get another mapping (`configure_pdo` writes it): controlword and set-point; statusword, position, and what else has
 room. The modes of operation (0x6060) stay out of it: a mode changes only between motions, by confirmed SDO.
 
-With `feed_forward` one more RPDO carries what is fed forward: see feed_forward_pdo.py.
+With `feed_forward` one more RPDO carries what is fed forward beside the set-points. A set-point and its controlword leave 16 bits
+of their PDO, and a velocity has 32: so it needs a PDO of its own.
+
+    csp    the offsets of velocity and torque (0x60B1, 0x60B2); they are 0 until somebody feeds something forward
+    ip     the velocity of a data record (0x60C1:02), for drives whose records have one (sub_modes.py)
 
 A `lean` plan is for a bus without room: TPDOs that bring nothing of WATCHED at SYNCs, or only what others bring, are switched
 off. A TPDO that carries something else stays as it is.
@@ -31,52 +35,47 @@ CiA 301 v4.2.0, 7.5.2.35 to 7.5.2.38.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import range_of
-from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
+from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.dictionary.download_order import Write
 from canopen_proto.drives.axis.axis_node import AxisNode
-from canopen_proto.drives.axis.feed_forward_pdo import FED, with_feed_forward
 from canopen_proto.drives.axis.set_points import SET_POINT_OF
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axes_of, axis_of, dictionary_of_axis, swapped, swapped_entry, usual_axis_of_pdo
 from canopen_proto.drives.cia402.modes import Mode, mode_name, short_name, supported, supported_modes
-from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
-from canopen_proto.pdo.configure import read_pdo
-from canopen_proto.pdo.described import (
+from canopen_proto.pdo.configure import exchange_pdos, read_commanded, steps_to, steps_to_destroy
+from canopen_proto.pdo.settings import (
+    COB_ID,
     CYCLIC_TYPES,
     EACH_SYNC,
-    choose_pdos,
-    cyclic_objects,
-    exchange_pdos,
-    has_settings,
-    muxes_of,
-    read_commanded,
-)
-from canopen_proto.pdo.settings import COB_ID, PdoSettings, RemapStep, communication_index
-from canopen_proto.pdo.slots import (
     EVENT_DRIVEN,
-    Slot,
+    PdoSettings,
+    carried_by,
+    cob_id_step,
+    communication_index,
+    cyclic_objects,
+    muxes_of,
+)
+from canopen_proto.pdo.slots import (
+    PdoSlots,
     as_fit,
-    destroying,
+    choose_pdos,
     entry_of,
-    existing,
-    foreign,
     has_sync,
     is_ours,
-    key_text,
-    remapped,
+    number_in,
     shown_entries,
-    slots_of,
     spare_tpdos,
 )
-from canopen_proto.procedures.objects import ABSENT, read_if_present
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, download, upload
+from canopen_proto.procedures.objects import read_if_present
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, download
 from canopen_proto.remote_node import RemoteNode
 
 MODES: Final = (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION, Mode.PROFILE_POSITION)
@@ -93,6 +92,12 @@ WATCHED: Final = FEEDBACK[:3]
 """These are read by SDO if no PDO brings them at SYNCs; see following.py."""
 WELCOME: Final = frozenset(FEEDBACK[3:])
 """These are left out where the bus has no room."""
+
+FED: Final = {
+    Mode.CYCLIC_SYNCHRONOUS_POSITION: (objects.VELOCITY_OFFSET, objects.TORQUE_OFFSET),
+    Mode.INTERPOLATED_POSITION: (objects.INTERPOLATION_VELOCITY,),
+}
+"""Mode -> the objects that are fed forward beside its set-points, as far as the drive has them."""
 
 
 class Obstacle(NamedTuple):
@@ -147,7 +152,7 @@ class MotionPlan:
     @property
     def commands_by_sdo(self) -> tuple[Mux, ...]:
         """The commands that no RPDO carries."""
-        carried = self._carried(Direction.RPDO)
+        carried = carried_by(self.pdos, Direction.RPDO)
         commands = self._places((objects.CONTROLWORD, self.set_point, objects.MODES_OF_OPERATION))
         return tuple(key for key in commands if key not in carried)
 
@@ -155,7 +160,7 @@ class MotionPlan:
     def extras(self) -> tuple[Mux, ...]:
         """Other objects that its RPDOs carry: they are read first, and sent back as the drive shows them."""
         ours = self._places((objects.CONTROLWORD, *SET_POINT_OF.values()))
-        return tuple(sorted(self._carried(Direction.RPDO).difference(ours)))
+        return tuple(sorted(carried_by(self.pdos, Direction.RPDO).difference(ours)))
 
     @property
     def watched_by_sdo(self) -> tuple[Mux, ...]:
@@ -164,17 +169,12 @@ class MotionPlan:
         return tuple(key for key in self._places(WATCHED) if key not in cyclic and split_mux(key) in self.dictionary)
 
     @property
-    def steps(self) -> list[RemapStep]:
+    def steps(self) -> list[Write]:
         """The writes that lead from the file's settings to these, in order."""
-        places = ((communication_index(pdo.direction, pdo.number), pdo.cob_id) for pdo in (*self.destroyed, *self.spare))
-        steps = [(index, COB_ID, cob_id.to_bytes(4, "little")) for index, cob_id in places]
+        steps = [cob_id_step(pdo) for pdo in (*self.destroyed, *self.spare)]
         for pdo in self.written:
-            standing = self.dictionary.at(communication_index(pdo.direction, pdo.number), COB_ID).initial_of(self.node_id)
-            steps += pdo.steps(standing if isinstance(standing, int) else None)
+            steps += pdo.steps(number_in(self.dictionary, communication_index(*pdo.place), COB_ID, self.node_id))
         return steps
-
-    def _carried(self, direction: Direction) -> set[Mux]:
-        return {key for pdo in self.pdos if pdo.direction is direction for key in muxes_of(pdo.entries)}
 
     def _places(self, keys: Iterable[Mux]) -> list[Mux]:
         """Return where the device has objects of the axis."""
@@ -187,9 +187,9 @@ class MotionPlan:
         for pdo in self.pdos:
             entries = shown_entries(self.dictionary, pdo.entries)
             comes = "" if pdo in self.written else ", as in the file"
-            facts.append((_name(pdo), f"on {key_text(pdo.cob_id)}, {_when(pdo.transmission_type)}{comes}: {entries}"))
-        facts += [(_name(pdo), "is to be destroyed: its CAN-ID is another node's") for pdo in self.destroyed]
-        facts += [(_name(pdo), "is to be switched off: the others tell all that is needed") for pdo in self.spare]
+            facts.append((pdo.name, f"on {pdo.can_id_text}, {_when(pdo.transmission_type)}{comes}: {entries}"))
+        facts += [(pdo.name, "is to be destroyed: its CAN-ID is another node's") for pdo in self.destroyed]
+        facts += [(pdo.name, "is to be switched off: the others tell all that is needed") for pdo in self.spare]
         for keys, name in ((self.commands_by_sdo, "written by SDO"), (self.watched_by_sdo, "read by SDO")):
             if keys:
                 facts.append((name, ", ".join(map(self._label, keys))))
@@ -229,24 +229,17 @@ def plan_motion(
     obstacle.
     """
     wish = wish if wish is None else Mode(wish)  # a plain number is as good
-    whole, several = dictionary, len(axes_of(dictionary)) > 1
-    dictionary = dictionary_of_axis(dictionary, axis)  # everything down to `_plan` has the numbers of the first axis
-    told = _told_modes(dictionary, modes)
-    slots = slots_of(dictionary, node_id)
+    choice = _PdoChoice(dictionary, node_id, axis)
+    told = _told_modes(choice.dictionary, modes)
     rejected: list[Obstacle] = []
     for mode in MODES if wish is None else (wish,):
-        obstacle = _mode_obstacle(dictionary, mode, told, cycle_time, is_wished=wish is not None)
+        obstacle = _mode_obstacle(choice.dictionary, mode, told, cycle_time, is_wished=wish is not None)
         if not obstacle:
-            own = [slot for slot in slots if not several or _belongs(slot, axis)]
-            chosen = _pdos_for(dictionary, node_id, mode, slots, own)
-            if isinstance(chosen, list):
-                reason = _reason(mode, wish, told)
-                notes: list[str] = []
-                if feed_forward:
-                    chosen, notes = with_feed_forward(dictionary, node_id, mode, slots, own, chosen)
-                spare = spare_tpdos(chosen, own, WELCOME) if lean else []
-                return _plan(whole, node_id, axis, mode, chosen, slots, spare, rejected, reason, notes)
-            obstacle = chosen
+            pdos = choice.pdos_for(mode)
+            if isinstance(pdos, list):
+                notes = choice.add_feed_forward(pdos, mode) if feed_forward else []
+                return choice.plan(pdos, mode, _reason(mode, wish, told), rejected, notes, lean=lean)
+            obstacle = pdos
         rejected.append(Obstacle(mode, obstacle))
     source = dictionary.source or "its dictionary"
     told_obstacles = "; ".join(f"{short_name(each.mode)}: {each.reason}" for each in rejected)
@@ -261,14 +254,14 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
     """Exchange the PDOs of a plan with its node; the node's settings are written where they differ.
 
     A PDO that shall be destroyed is left alone if the node itself has another CAN-ID than the file. A spare TPDO that the node
-    refuses to switch off goes on. An event-driven RPDO is sent
-    at each SYNC, but for a slow plan. The node should be Pre-operational. Raises as `exchange_pdos`.
+    refuses to switch off goes on. An event-driven RPDO is sent at each SYNC, but for a slow plan. The node should be
+    Pre-operational. Raises as `exchange_pdos`.
     """
-    for index, subindex, data in (yield from _destroying(node, plan.destroyed, lambda cob_id: not is_ours(cob_id, node.node_id))):
-        yield from download(node.sdo, index, subindex, data)
-    for index, subindex, data in (yield from _destroying(node, plan.spare)):
+    for step in (yield from _steps_to_destroy(node, plan)):
+        yield from download(node.sdo, *step)
+    for step in (yield from steps_to_destroy(node, plan.spare)):
         try:
-            yield from download(node.sdo, index, subindex, data)
+            yield from download(node.sdo, *step)
         except SdoFailed as failed:
             if failed.origin is not AbortOrigin.PEER:
                 raise  # else it goes on to send what nobody needs
@@ -276,34 +269,18 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
     yield from exchange_pdos(node, plan.pdos, sends_at_sync=not plan.is_slow)
 
 
-def pending_steps(node: RemoteNode, plan: MotionPlan) -> Procedure[list[RemapStep]]:
+def pending_steps(node: RemoteNode, plan: MotionPlan) -> Procedure[list[Write]]:
     """Return the writes that `exchange_planned` would make in the node now, in order; the node is only read. Raises SdoFailed,
     StrangePdo, UnexpectedLength."""
-    steps = yield from _destroying(node, plan.destroyed, lambda cob_id: not is_ours(cob_id, node.node_id))
-    steps += yield from _destroying(node, plan.spare)
+    steps = yield from _steps_to_destroy(node, plan)
+    steps += yield from steps_to_destroy(node, plan.spare)
     for pdo in plan.pdos:
-        present = yield from read_pdo(node, pdo.direction, pdo.number)
-        if not has_settings(present, pdo):
-            steps += pdo.steps(present.cob_id)
+        steps += yield from steps_to(node, pdo)
     return steps
 
 
-def _destroying(
-    node: RemoteNode, pdos: Iterable[PdoSettings], which: Callable[[int], bool] = lambda cob_id: True
-) -> Procedure[list[RemapStep]]:
-    """Return the writes that destroy those of these PDOs that are valid in the node itself. which: by their COB-IDs there."""
-    steps: list[RemapStep] = []
-    for pdo in pdos:
-        index = communication_index(pdo.direction, pdo.number)
-        try:
-            cob_id = int.from_bytes((yield from upload(node.sdo, index, COB_ID)), "little")
-        except SdoFailed as failed:
-            if failed.abort_code not in ABSENT:
-                raise
-            continue
-        if not cob_id & COB_ID_INVALID and which(cob_id):
-            steps.append((index, COB_ID, (cob_id | COB_ID_INVALID).to_bytes(4, "little")))
-    return steps
+def _steps_to_destroy(node: RemoteNode, plan: MotionPlan) -> Procedure[list[Write]]:
+    return (yield from steps_to_destroy(node, plan.destroyed, lambda cob_id: not is_ours(cob_id, node.node_id)))
 
 
 def read_modes(node: AxisNode) -> Procedure[int | None]:
@@ -349,7 +326,7 @@ def _mode_obstacle(dictionary: ObjectDictionary, mode: Mode, told: _Told, cycle_
         if split_mux(key) not in dictionary:
             return f"it has no {mux_text(key)}"
     selected, set_point = (dictionary.at(*split_mux(key)) for key in (objects.MODES_OF_OPERATION, SET_POINT_OF[mode]))
-    if not _may_be(selected, mode):
+    if not selected.may_be(mode):
         return f"{selected.label} takes {selected.low_limit} to {selected.high_limit}, not {int(mode)}"
     if range_of(set_point.data_type) is None or not set_point.access.writable:
         return f"{set_point.label} is {set_point.data_type.name}, {set_point.access}: it takes no set-points"
@@ -365,7 +342,7 @@ def _cycle_obstacle(dictionary: ObjectDictionary, mode: Mode, cycle_time: Time) 
     if not has_sync(dictionary):
         return "it has no 0x1005, so it does not listen to SYNC"
     sub_mode = dictionary.get(*split_mux(objects.INTERPOLATION_SUB_MODE_SELECT))
-    if mode is Mode.INTERPOLATED_POSITION and sub_mode is not None and not _may_be(sub_mode, 0):
+    if mode is Mode.INTERPOLATED_POSITION and sub_mode is not None and not sub_mode.may_be(0):
         return f"{sub_mode.label} takes {sub_mode.low_limit} to {sub_mode.high_limit}: only the maker's own interpolation"
     units, index = (
         dictionary.get(*split_mux(key)) for key in (objects.INTERPOLATION_TIME_UNITS, objects.INTERPOLATION_TIME_INDEX)
@@ -374,122 +351,132 @@ def _cycle_obstacle(dictionary: ObjectDictionary, mode: Mode, cycle_time: Time) 
         return ""
     exponent = -4 if cycle_time % MILLISECOND else -3
     count = cycle_time // 10 ** (9 + exponent)
-    if not (_may_be(units, count) and _may_be(index, exponent) and units.access.writable and index.access.writable):
+    if not (units.may_be(count) and index.may_be(exponent) and units.access.writable and index.access.writable):
         return f"0x60C2 cannot be set to a cycle of {cycle_time / MILLISECOND:g} ms"
     return ""
 
 
-def _may_be(variable: Variable, value: int) -> bool:
-    """Return whether a value is within the limits of an object. Limits that exclude each other are no limits."""
-    low, high = variable.low_limit, variable.high_limit
-    if low is not None and high is not None and low > high:
-        return True
-    return (low is None or low <= value) and (high is None or value <= high)
+class _PdoChoice:
+    """Chooses the PDOs of one axis. dictionary: as the axis sees it: everything here has the numbers of the first axis.
 
+    On a device with several axes, only PDOs that are this axis's alone are remapped.
+    """
 
-def _belongs(slot: Slot, axis: int) -> bool:
-    """Return whether a PDO of a device with several axes is this axis's alone; see this module's text."""
-    carried = {place for key in slot.muxes if (place := axis_of(key)) is not None}
-    return carried == {0} or (not carried and usual_axis_of_pdo(slot.number) == axis)
+    def __init__(self, dictionary: ObjectDictionary, node_id: int, axis: int) -> None:
+        self._whole = dictionary
+        self._node_id = node_id
+        self._axis = axis
+        self.dictionary = dictionary_of_axis(dictionary, axis)
+        self._slots = PdoSlots(self.dictionary, node_id)
+        several = len(axes_of(dictionary)) > 1
+        self._own = [slot for slot in self._slots.all if not several or self._belongs(slot.pdo)]
 
+    def _belongs(self, pdo: PdoSettings) -> bool:
+        """Return whether a PDO of a device with several axes is this axis's alone; see this module's text."""
+        carried = {place for key in pdo.muxes if (place := axis_of(key)) is not None}
+        return carried == {0} or (not carried and usual_axis_of_pdo(pdo.number) == self._axis)
 
-def _pdos_for(
-    dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot], own: list[Slot]
-) -> list[PdoSettings] | str:
-    """Return the PDOs for a mode, or why no RPDO can carry its set-points. own: those that may be remapped."""
-    rpdos = _rpdos_for(dictionary, node_id, mode, slots, own)
-    return rpdos if isinstance(rpdos, str) else rpdos + _tpdos_for(dictionary, node_id, slots, own, rpdos)
+    def pdos_for(self, mode: Mode) -> list[PdoSettings] | str:
+        """Return the PDOs for a mode, or why no RPDO can carry its set-points."""
+        rpdos = self._rpdos_for(mode)
+        return rpdos if isinstance(rpdos, str) else rpdos + self._tpdos_beside(rpdos)
 
-
-def _rpdos_for(
-    dictionary: ObjectDictionary, node_id: int, mode: Mode, slots: list[Slot], own: list[Slot]
-) -> list[PdoSettings] | str:
-    commands = (objects.CONTROLWORD, SET_POINT_OF[mode])
-    is_cyclic = mode is not Mode.PROFILE_POSITION
-    present = existing(slots, Direction.RPDO, has_sync=has_sync(dictionary))
-    if is_cyclic:  # one set-point each SYNC; an event-driven RPDO can be sent at each SYNC
-        present = [pdo for pdo in present if pdo.transmission_type in (EACH_SYNC, *EVENT_DRIVEN)]
-    chosen, missing = choose_pdos(present, commands, ())
-    takes_at_sync = all(pdo.transmission_type == EACH_SYNC for pdo in chosen)
-    if not missing and (takes_at_sync or not is_cyclic):
+    def _rpdos_for(self, mode: Mode) -> list[PdoSettings] | str:
+        commands = (objects.CONTROLWORD, SET_POINT_OF[mode])
+        is_cyclic = mode is not Mode.PROFILE_POSITION
+        present = self._slots.existing(Direction.RPDO)
+        if is_cyclic:  # one set-point each SYNC; an event-driven RPDO can be sent at each SYNC
+            present = [pdo for pdo in present if pdo.transmission_type in (EACH_SYNC, *EVENT_DRIVEN)]
+        chosen, missing = choose_pdos(present, commands, ())
+        takes_at_sync = all(pdo.transmission_type == EACH_SYNC for pdo in chosen)
+        if not missing and (takes_at_sync or not is_cyclic):
+            return chosen
+        wanted, lacking = self._entries(commands, Direction.RPDO)
+        carries_set_point = SET_POINT_OF[mode] in muxes_of(wanted)
+        if carries_set_point or (wanted and not is_cyclic and objects.CONTROLWORD in missing):
+            settings, obstacles = self._slots.remapped(Direction.RPDO, wanted, self._own, is_synchronous=is_cyclic)
+            if settings is not None:
+                return [settings]
+        else:
+            obstacles = [lacking.get(SET_POINT_OF[mode], "")]
+        if is_cyclic and SET_POINT_OF[mode] in missing:
+            return "; ".join(obstacles) or "it has no RPDO"
         return chosen
-    entries = {key: entry_of(dictionary, key, Direction.RPDO) for key in commands}
-    wanted = as_fit(entry for entry, _ in entries.values() if entry is not None)
-    carries_set_point = SET_POINT_OF[mode] in muxes_of(wanted)
-    if carries_set_point or (wanted and not is_cyclic and objects.CONTROLWORD in missing):
-        settings, obstacles = remapped(slots, Direction.RPDO, node_id, wanted, is_synchronous=is_cyclic, among=own)
-        if settings is not None:
-            return [settings]
-    else:
-        obstacles = [entries[SET_POINT_OF[mode]][1]]
-    if is_cyclic and SET_POINT_OF[mode] in missing:
-        return "; ".join(obstacles) or "it has no RPDO"
-    return chosen
 
+    def _tpdos_beside(self, rpdos: list[PdoSettings]) -> list[PdoSettings]:
+        """Return the TPDOs that tell something; one gets another mapping if statusword and position are not among them at
+        SYNCs."""
+        present, _ = choose_pdos(self._slots.existing(Direction.TPDO), (), FEEDBACK)
+        at_syncs = [pdo for pdo in present if not self._slots.listens or pdo.transmission_type in CYCLIC_TYPES]
+        wanted, _ = self._entries(FEEDBACK, Direction.TPDO)
+        missing = set(NEEDED) - carried_by(at_syncs, Direction.TPDO)
+        if not missing & muxes_of(wanted):
+            return present
+        settings, _ = self._slots.remapped(Direction.TPDO, wanted, self._own, is_synchronous=self._slots.listens, beside=rpdos)
+        return present if settings is None else [settings, *(pdo for pdo in present if pdo.number != settings.number)]
 
-def _tpdos_for(
-    dictionary: ObjectDictionary, node_id: int, slots: list[Slot], own: list[Slot], rpdos: list[PdoSettings]
-) -> list[PdoSettings]:
-    """Return the TPDOs that tell something; one gets another mapping if statusword and position are not among them at SYNCs."""
-    listens = has_sync(dictionary)
-    present, _ = choose_pdos(existing(slots, Direction.TPDO, has_sync=listens), (), FEEDBACK)
-    told = {key for pdo in present if not listens or pdo.transmission_type in CYCLIC_TYPES for key in muxes_of(pdo.entries)}
-    entries = [entry for key in FEEDBACK if (entry := entry_of(dictionary, key, Direction.TPDO)[0]) is not None]
-    wanted = as_fit(entries)
-    missing = set(NEEDED) - told
-    if not missing & muxes_of(wanted):
-        return present
-    settings, _ = remapped(slots, Direction.TPDO, node_id, wanted, is_synchronous=listens, beside=rpdos, among=own)
-    if settings is None:
-        return present
-    return [settings, *(pdo for pdo in present if pdo.number != settings.number)]
+    def add_feed_forward(self, pdos: list[PdoSettings], mode: Mode) -> list[str]:
+        """Add a PDO for what none of these carries, and return notes about what stays without."""
+        if mode not in FED:
+            return [f"{short_name(mode)} takes no feed-forward"]
+        carried = carried_by(pdos, Direction.RPDO)
+        wanted, lacking = self._entries([key for key in FED[mode] if key not in carried], Direction.RPDO)
+        places = [pdo.place for pdo in pdos]
+        free = [slot for slot in self._own if slot.pdo.place not in places]
+        more, obstacles = self._slots.remapped(Direction.RPDO, wanted, free, is_synchronous=True, beside=pdos)
+        if more is not None and wanted:
+            pdos.append(more)
+            obstacles = []
+        elif wanted and not obstacles:
+            obstacles = ["no RPDO is left"]
+        return [f"no feed-forward: {why}" for why in (*lacking.values(), *(obstacles if wanted else ()))]
 
+    def _entries(self, keys: Iterable[Mux], direction: Direction) -> tuple[tuple[int, ...], dict[Mux, str]]:
+        """Return the mapping entries of objects, as far as one PDO has room for them, and why it cannot carry others."""
+        entries = {key: entry_of(self.dictionary, key, direction) for key in keys}
+        lacking = {key: why for key, (entry, why) in entries.items() if entry is None}
+        return as_fit(entry for entry, _ in entries.values() if entry is not None), lacking
 
-def _plan(
-    dictionary: ObjectDictionary,
-    node_id: int,
-    axis: int,
-    mode: Mode,
-    pdos: list[PdoSettings],
-    slots: list[Slot],
-    spare: Collection[Slot],
-    rejected: Sequence[Obstacle],
-    reason: str,
-    more_notes: Sequence[str],
-) -> MotionPlan:
-    leaves = {(slot.direction, slot.number) for slot in spare}
-    pdos = [pdo for pdo in pdos if (pdo.direction, pdo.number) not in leaves]
-    places = {(pdo.direction, pdo.number) for pdo in pdos}
-    described = [slot.settings for slot in slots if slot.is_described]
-    unwanted = [slot for slot in foreign(slots) if (slot.direction, slot.number) not in places]
-    stuck = [slot for slot in unwanted if not slot.can_move]
-    notes = [f"{slot.name} has CAN-ID {key_text(slot.cob_id)} of another node, and cannot change it" for slot in stuck]
-    return MotionPlan(
-        dictionary,
-        node_id,
-        axis,
-        mode,
-        reason,
-        tuple(_of_device(pdo, axis) for pdo in pdos),
-        tuple(_of_device(pdo, axis) for pdo in pdos if pdo not in described),
-        tuple(_of_device(destroying(slot), axis) for slot in unwanted if slot.can_move),
-        tuple(_of_device(destroying(slot), axis) for slot in spare),
-        tuple(rejected),
-        (*notes, *more_notes),
-    )
+    def plan(
+        self,
+        pdos: list[PdoSettings],
+        mode: Mode,
+        reason: str,
+        rejected: Sequence[Obstacle],
+        notes: Sequence[str],
+        *,
+        lean: bool,
+    ) -> MotionPlan:
+        """Return the plan with these PDOs, but for those that a lean one switches off."""
+        spare = spare_tpdos(pdos, self._own, WELCOME) if lean else []
+        off = [pdo.place for pdo in spare]
+        pdos = [pdo for pdo in pdos if pdo.place not in off]
+        places = [pdo.place for pdo in pdos]
+        described = [slot.pdo for slot in self._slots.all if slot.is_described]
+        unwanted = [slot for slot in self._slots.foreign() if slot.pdo.place not in places]
+        stuck = [slot.pdo for slot in unwanted if not slot.can_move]
+        stays = [f"{pdo.name} has CAN-ID {pdo.can_id_text} of another node, and cannot change it" for pdo in stuck]
+        return MotionPlan(
+            self._whole,
+            self._node_id,
+            self._axis,
+            mode,
+            reason,
+            self._of_device(pdos),
+            self._of_device(pdo for pdo in pdos if pdo not in described),
+            self._of_device(slot.pdo.destroyed for slot in unwanted if slot.can_move),
+            self._of_device(pdo.destroyed for pdo in spare),
+            tuple(rejected),
+            (*stays, *notes),
+        )
 
-
-def _of_device(pdo: PdoSettings, axis: int) -> PdoSettings:
-    """Return settings that an axis sees as the device has them."""
-    return replace(pdo, entries=tuple(swapped_entry(entry, axis) for entry in pdo.entries)) if axis else pdo
+    def _of_device(self, pdos: Iterable[PdoSettings]) -> tuple[PdoSettings, ...]:
+        """Return settings that the axis sees as the device has them."""
+        return tuple(replace(pdo, entries=tuple(swapped_entry(each, self._axis) for each in pdo.entries)) for pdo in pdos)
 
 
 def _title(node_id: int, axis: int) -> str:
     return f"node {node_id}" + (f", axis {axis}" if axis else "")
-
-
-def _name(pdo: PdoSettings) -> str:
-    return f"{pdo.direction} {pdo.number}"
 
 
 def _when(transmission_type: int) -> str:

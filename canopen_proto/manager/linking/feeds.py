@@ -16,16 +16,15 @@ from typing import NamedTuple
 from canopen_proto.datatypes import DataType, is_integer, is_signed
 from canopen_proto.dictionary import Direction, Variable
 from canopen_proto.dictionary.model import NotInDictionary, did_you_mean
-from canopen_proto.manager.linking.model import MASTER, End, Link, LinkProblem, Member, Timing
+from canopen_proto.manager.linking.model import MASTER, End, KnownNode, Link, LinkProblem, Timing
 from canopen_proto.multiplexer import Mux, mapped
-from canopen_proto.pdo.described import muxes_of
 from canopen_proto.pdo.slots import entry_of
 
 
 class Place(NamedTuple):
     """One object of one node, as a PDO carries it. entry: the value of the mapping parameter."""
 
-    member: Member
+    member: KnownNode
     variable: Variable
     entry: int
 
@@ -68,7 +67,7 @@ class Feed:
 class Feeds:
     """Collects the feeds of links, and all problems with them."""
 
-    def __init__(self, members: Sequence[Member]) -> None:
+    def __init__(self, members: Sequence[KnownNode]) -> None:
         self._members = {member.name: member for member in members}
         self.problems: list[LinkProblem] = []
         self.notes: list[str] = []
@@ -154,8 +153,8 @@ class Feeds:
             self._problem(link, target.member.name, target.variable.label, text)
             return False
         for pdo in target.member.used:
-            if pdo.direction is Direction.RPDO and target.mux in muxes_of(pdo.entries):
-                text = f"{target} is in RPDO {pdo.number} already, which its chain sends"
+            if pdo.direction is Direction.RPDO and target.mux in pdo.muxes:
+                text = f"{target} is in {pdo.name} already, which its chain sends"
                 self._problem(link, target.member.name, target.variable.label, text)
                 return False
         if target.mux in target.member.commanded:

@@ -9,14 +9,10 @@ from typing import Final, NamedTuple
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.dictionary import Direction, Key, ObjectDictionary
 from canopen_proto.dictionary.download_order import Write
-from canopen_proto.machine import MICROSECOND, MILLISECOND, LocalProtocolError, Time
-from canopen_proto.multiplexer import Mux, mapped
-from canopen_proto.pdo.settings import (
-    COB_ID,
-    PdoSettings,
-    communication_index,
-    remap_steps,
-)
+from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
+from canopen_proto.multiplexer import Mux
+from canopen_proto.pdo.settings import INHIBIT_UNIT, PdoSettings, cob_id_step
+from canopen_proto.pdo.slots import PdoSlot
 
 MASTER: Final = "master"
 """The name of the master at an end of a link. No node has it."""
@@ -24,13 +20,12 @@ MASTER: Final = "master"
 MAX_EVERY: Final = 240
 """The greatest number of SYNCs between two PDOs (CiA 301 v4.2.0, 7.5.2.37)."""
 
-INHIBIT_UNIT: Final = 100 * MICROSECOND
 MAX_COUNT: Final = 0xFFFF
 """The greatest inhibit time and event timer, in their units: both are UNSIGNED16."""
 
 
 @dataclass(frozen=True, slots=True)
-class Member:
+class KnownNode:
     """A node on the bus whose file is known.
 
     granularity: bits; each mapped object has a multiple of them, 0: the file does not say. dummies: the data types that the
@@ -173,45 +168,44 @@ class LinkError(LocalProtocolError):
 
 @dataclass(frozen=True, slots=True)
 class LinkedPdo:
-    """One PDO of one node, as the links want it. settings: COB-ID with its flags, entries with dummies. inhibit_time,
-    event_timer: ns; 0: as the file has it. was: the PDO by the file; None if it was not valid. lost: objects that the file maps
-    to it, and that it does not carry any longer. is_shared: somebody else sets it up (`Member.used`); nothing is written."""
+    """One PDO of one node, as the links want it. settings: COB-ID with its flags, entries with dummies, and the times that are
+    not as the file has them. slot: the PDO by the file. is_shared: somebody else sets it up (`used`); nothing is written."""
 
-    node: str
+    member: KnownNode
     settings: PdoSettings
-    inhibit_time: Time = 0
-    event_timer: Time = 0
-    was: PdoSettings | None = None
-    lost: tuple[Mux, ...] = ()
+    slot: PdoSlot
     is_shared: bool = False
+
+    @property
+    def node(self) -> str:
+        """The name of its node."""
+        return self.member.name
 
     @property
     def name(self) -> str:
         """The PDO for people: "RPDO 2"."""
-        return f"{self.settings.direction} {self.settings.number}"
+        return self.settings.name
 
     @property
-    def place(self) -> tuple[Direction, int]:
-        """Its direction and number."""
-        return self.settings.direction, self.settings.number
+    def lost(self) -> tuple[Mux, ...]:
+        """The objects that the file maps to it, and that it does not carry any longer."""
+        was = self.slot.pdo
+        kept = self.settings.muxes if self.settings.is_valid else set()
+        return tuple(sorted(was.muxes - kept)) if was.is_valid else ()
 
-    def steps(self, dictionary: ObjectDictionary) -> list[Write]:
-        """Return the downloads that set it up, in the order of `remap_steps`. Objects that cannot be written are left out: the
-        PDO was chosen because they hold the right value. dictionary: of the node."""
-        steps = remap_steps(
-            self.settings.number,
-            self.settings.direction,
-            self.settings.entries,
-            self.settings.transmission_type,
-            self.settings.cob_id,
-            current_cob_id=None if self.was is None else self.was.cob_id,
-            inhibit_time_100us=self.inhibit_time // INHIBIT_UNIT or None,
-            event_time_ms=self.event_timer // MILLISECOND or None,
-        )
+    def steps(self) -> list[Write]:
+        """Return the downloads that set it up, in the order of `PdoSettings.steps`; only its COB-ID if it is to be destroyed.
+
+        Objects that cannot be written are left out: the PDO was chosen because they hold the right value.
+        """
+        was, dictionary = self.slot.pdo, self.member.dictionary
+        if not self.settings.is_valid:
+            return [cob_id_step(self.settings)]
+        steps = self.settings.steps(was.cob_id if was.is_valid else None)
         return [step for step in steps if (found := dictionary.get(step[0], step[1])) is not None and found.access.writable]
 
 
-class Transfer(NamedTuple):
+class LinkTransfer(NamedTuple):
     """One PDO on the bus. can_id: 11 bits. sender, receivers: its ends; the master has none. objects: what it carries, as the
     node has them that the file describes: of the sender, or of the receiver if the master sends. links: whose it is."""
 
@@ -226,7 +220,7 @@ class Transfer(NamedTuple):
     def size(self) -> int:
         """Its bytes."""
         pdo = self.sender if self.sender is not None else self.receivers[0]
-        return (sum(mapped(entry)[2] for entry in pdo.settings.entries) + 7) // 8
+        return pdo.settings.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,8 +228,8 @@ class LinkPlan:
     """The PDOs for the links of one bus. transfers: by their CAN-IDs. destroyed: PDOs by the files that have to go, because they
     would set an object that a link feeds. notes: what is allowed, and worth a look; for people."""
 
-    members: tuple[Member, ...]
-    transfers: tuple[Transfer, ...]
+    members: tuple[KnownNode, ...]
+    transfers: tuple[LinkTransfer, ...]
     destroyed: tuple[LinkedPdo, ...]
     notes: tuple[str, ...]
 
@@ -252,14 +246,8 @@ class LinkPlan:
         The first ones destroy PDOs that contradict a link. The others destroy each PDO of a link, map it anew and create it (CiA
         301 v4.2.0, 7.5.2.36). The node should be Pre-operational. Nothing is stored (0x1010).
         """
-        (member,) = [each for each in self.members if each.name == node]
         gone = [pdo for pdo in self.destroyed if pdo.node == node]
-        writes: list[Write] = [
-            (communication_index(*pdo.place), COB_ID, pdo.settings.cob_id.to_bytes(4, "little")) for pdo in gone
-        ]
-        for pdo in self.pdos_of(node):
-            writes += pdo.steps(member.dictionary)
-        return writes
+        return [step for pdo in (*gone, *self.pdos_of(node)) for step in pdo.steps()]
 
     @property
     def changed(self) -> list[str]:

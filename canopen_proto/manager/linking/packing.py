@@ -15,7 +15,7 @@ from typing import Final
 
 from canopen_proto.datatypes import bit_length_of
 from canopen_proto.manager.linking.feeds import Feed
-from canopen_proto.manager.linking.model import MASTER, Member, Timing
+from canopen_proto.manager.linking.model import MASTER, KnownNode, Timing
 from canopen_proto.multiplexer import mapped, mapping_entry, mux
 from canopen_proto.pdo.mapping import DUMMY_TYPES, MAX_BITS
 
@@ -51,7 +51,7 @@ class Bundle:
             return self.layout
         return tuple(feed.source.entry for feed in self.feeds if feed.source is not None)
 
-    def received_entries(self, member: Member) -> tuple[int, ...] | None:
+    def received_entries(self, member: KnownNode) -> tuple[int, ...] | None:
         """Return the mapping of a receiver, with dummy entries for what is not for it; None if its dummies do not fit."""
         entries: list[int] = []
         gap = 0
@@ -91,7 +91,7 @@ def dummy_entries(bits: int, allowed: frozenset[int]) -> list[int] | None:
     return None if bits else entries
 
 
-def bundles_of(feeds: Sequence[Feed], members: Mapping[str, Member], room: Mapping[str, int]) -> list[Bundle]:
+def bundles_of(feeds: Sequence[Feed], members: Mapping[str, KnownNode], room: Mapping[str, int]) -> list[Bundle]:
     """Return the PDOs that carry these feeds; see this module's text.
 
     room: by node, the most entries that one of its RPDOs has.
@@ -117,7 +117,7 @@ def _is_single(bundle: Bundle, feed: Feed) -> bool:
     return all(other.source is None or feed.source is None or other.source.mux != feed.source.mux for other in bundle.feeds)
 
 
-def _merged(bundles: Sequence[Bundle], members: Mapping[str, Member], room: Mapping[str, int]) -> list[Bundle]:
+def _merged(bundles: Sequence[Bundle], members: Mapping[str, KnownNode], room: Mapping[str, int]) -> list[Bundle]:
     """Return fewer PDOs, as far as their receivers can leave out parts of them."""
     kept: list[Bundle] = []
     for bundle in bundles:
@@ -135,7 +135,7 @@ def _merged(bundles: Sequence[Bundle], members: Mapping[str, Member], room: Mapp
     return kept
 
 
-def _can_receive(bundle: Bundle, members: Mapping[str, Member], room: Mapping[str, int]) -> bool:
+def _can_receive(bundle: Bundle, members: Mapping[str, KnownNode], room: Mapping[str, int]) -> bool:
     for name in bundle.receivers - {MASTER}:
         entries = bundle.received_entries(members[name])
         if entries is None or len(entries) > room[name]:

@@ -14,6 +14,8 @@ A PDO at SYNCs has the type n, "at every n-th SYNC", at its sender. Its receiver
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from canopen_proto.dictionary import Direction
 from canopen_proto.frame import COB_ID_NO_RTR
@@ -22,24 +24,21 @@ from canopen_proto.manager.linking.can_ids import CanIds
 from canopen_proto.manager.linking.feeds import Feed, Feeds
 from canopen_proto.manager.linking.model import (
     MASTER,
+    KnownNode,
     Link,
     LinkedPdo,
     LinkError,
     LinkPlan,
     LinkProblem,
-    Member,
+    LinkTransfer,
     Timing,
-    Transfer,
 )
 from canopen_proto.manager.linking.packing import Bundle, bundles_of
-from canopen_proto.manager.linking.places import Chosen, Places
+from canopen_proto.manager.linking.places import Places
 from canopen_proto.multiplexer import Mux
-from canopen_proto.pdo.described import muxes_of
-from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.pdo.slots import destroying
 
 
-def plan_links(members: Sequence[Member], links: Sequence[Link], node_ids: Collection[int] = ()) -> LinkPlan:
+def plan_links(members: Sequence[KnownNode], links: Sequence[Link], node_ids: Collection[int] = ()) -> LinkPlan:
     """Return the PDOs for these links; see this module's text.
 
     members: the nodes of the bus whose files are known, also those without links: their PDOs have CAN-IDs. node_ids: of other
@@ -61,21 +60,18 @@ def plan_links(members: Sequence[Member], links: Sequence[Link], node_ids: Colle
     return LinkPlan(tuple(members), tuple(transfers), tuple(planner.destroyed), tuple(feeds.notes))
 
 
-class _Ends:
+class _Ends(NamedTuple):
     """The PDOs that a bundle has in the devices. sender: None: the master."""
 
-    __slots__ = ("bundle", "receivers", "sender")
-
-    def __init__(self, bundle: Bundle, sender: Chosen | None, receivers: list[Chosen]) -> None:
-        self.bundle = bundle
-        self.sender = sender
-        self.receivers = receivers
+    bundle: Bundle
+    sender: LinkedPdo | None
+    receivers: list[LinkedPdo]
 
 
 class _Planner:
     """One `plan_links` at work, from the feeds on."""
 
-    def __init__(self, members: Sequence[Member], feeds: Sequence[Feed], node_ids: Collection[int]) -> None:
+    def __init__(self, members: Sequence[KnownNode], feeds: Sequence[Feed], node_ids: Collection[int]) -> None:
         self._members = {member.name: member for member in members}
         self._feeds = feeds
         self._fed: dict[str, set[Mux]] = {}
@@ -87,7 +83,7 @@ class _Planner:
         self.problems: list[LinkProblem] = []
         self.destroyed: list[LinkedPdo] = []
 
-    def transfers(self) -> list[Transfer]:
+    def transfers(self) -> list[LinkTransfer]:
         """Return the PDOs on the bus. The problems are in `problems`, the PDOs that have to go in `destroyed`."""
         fixed = self._fixed_bundles()
         carried = [id(feed) for bundle, _ in fixed for feed in bundle.feeds]
@@ -98,10 +94,10 @@ class _Planner:
         if self.problems:
             return []
         self._destroy()
-        found = [transfer for each in ends if each is not None and (transfer := self._transfer(each)) is not None]
+        found = [transfer for each in ends if (transfer := self._transfer(each)) is not None]
         return sorted(found, key=lambda transfer: transfer.can_id)
 
-    def _fixed_bundles(self) -> list[tuple[Bundle, Chosen]]:
+    def _fixed_bundles(self) -> list[tuple[Bundle, LinkedPdo]]:
         """Return the PDOs that carry what is wanted, and stay as they are; see `Places.ready`."""
         groups: dict[tuple[str, Timing], list[Feed]] = {}
         for feed in self._feeds:
@@ -111,12 +107,12 @@ class _Planner:
         for (name, timing), feeds in groups.items():
             entries = {feed.source.entry: feed for feed in reversed(feeds) if feed.source is not None}
             while (chosen := self._places.ready(self._members[name], set(entries), timing)) is not None:
-                carried = [entries.pop(entry) for entry in chosen.entries if entry in entries]
-                found.append((Bundle(name, timing, carried, chosen.entries), chosen))
+                carried = [entries.pop(entry) for entry in chosen.settings.entries if entry in entries]
+                found.append((Bundle(name, timing, carried, chosen.settings.entries), chosen))
         return found
 
-    def _ends(self, bundle: Bundle, sender: Chosen | None) -> _Ends | None:
-        """Take the PDOs for a bundle; None if there is a problem."""
+    def _ends(self, bundle: Bundle, sender: LinkedPdo | None) -> _Ends:
+        """Take the PDOs for a bundle."""
         if sender is None and bundle.sender != MASTER:
             sender = self._choose(bundle, bundle.sender, Direction.TPDO, bundle.sent_entries())
         receivers = []
@@ -132,9 +128,9 @@ class _Planner:
                 receivers.append(chosen)
         return _Ends(bundle, sender, receivers)
 
-    def _choose(self, bundle: Bundle, node: str, direction: Direction, entries: tuple[int, ...]) -> Chosen | None:
+    def _choose(self, bundle: Bundle, node: str, direction: Direction, entries: tuple[int, ...]) -> LinkedPdo | None:
         chosen = self._places.choose(self._members[node], direction, entries, bundle.timing)
-        if isinstance(chosen, Chosen):
+        if isinstance(chosen, LinkedPdo):
             return chosen
         self._problem(bundle, node, f"{node} has no {direction} left for it: {chosen}")
         return None
@@ -143,41 +139,38 @@ class _Planner:
         """Let go of the PDOs that would set an object that a link feeds, and keep the CAN-IDs of all others."""
         for name, member in self._members.items():
             for slot in (*self._places.free(name, Direction.RPDO), *self._places.free(name, Direction.TPDO)):
-                fed = slot.muxes & self._fed.get(name, set()) if slot.direction is Direction.RPDO else set()
-                if not slot.is_valid or not fed:
-                    self._can_ids.hold(member, slot)
+                pdo = slot.pdo
+                fed = pdo.muxes & self._fed.get(name, set()) if pdo.direction is Direction.RPDO else set()
+                if not pdo.is_valid or not fed:
+                    self._can_ids.hold(member, pdo)
                 elif slot.can_move:
-                    self.destroyed.append(LinkedPdo(name, destroying(slot), was=slot.settings, lost=tuple(sorted(slot.muxes))))
+                    self.destroyed.append(LinkedPdo(member, pdo.destroyed, slot))
                 else:
                     feed = next(each for each in self._feeds if any(place.mux in fed for place in each.targets))
                     variable = member.dictionary.at(min(fed) >> 8, min(fed) & 0xFF)
-                    text = f"{slot.name} of {name} sets {variable.label} too, and cannot be switched off"
+                    text = f"{pdo.name} of {name} sets {variable.label} too, and cannot be switched off"
                     self.problems.append(LinkProblem(", ".join(feed.links), name, variable.label, text))
 
-    def _transfer(self, ends: _Ends) -> Transfer | None:
+    def _transfer(self, ends: _Ends) -> LinkTransfer | None:
         """Return a PDO with its CAN-ID; None if there is a problem."""
         owner = ends.receivers[0] if ends.sender is None else ends.sender
         bundle, can_id = ends.bundle, self._can_ids.give(owner, ends.receivers)
         if isinstance(can_id, str):
-            self._problem(bundle, owner.member.name, f"{owner.slot.name} of {owner.member.name}: {can_id}")
+            self._problem(bundle, owner.node, f"{owner.name} of {owner.node}: {can_id}")
             return None
-        sender = None if ends.sender is None else _linked(ends.sender, can_id, bundle)
-        receivers = tuple(_linked(each, can_id, bundle) for each in ends.receivers)
+        sender = None if ends.sender is None else _with_can_id(ends.sender, can_id)
+        receivers = tuple(_with_can_id(each, can_id) for each in ends.receivers)
         links = tuple(dict.fromkeys(link for feed in bundle.feeds for link in feed.links))
-        return Transfer(can_id, bundle.timing, sender, receivers, MASTER in bundle.receivers, links)
+        return LinkTransfer(can_id, bundle.timing, sender, receivers, MASTER in bundle.receivers, links)
 
     def _problem(self, bundle: Bundle, node: str, text: str) -> None:
         for link in dict.fromkeys(link for feed in bundle.feeds for link in feed.links):
             self.problems.append(LinkProblem(link, node, "", text))
 
 
-def _linked(chosen: Chosen, can_id: int, bundle: Bundle) -> LinkedPdo:
-    """Return the PDO of a node with its CAN-ID."""
-    slot, timing = chosen.slot, bundle.timing
-    is_sender = slot.direction is Direction.TPDO
-    cob_id = slot.cob_id if not slot.can_move else can_id | (COB_ID_NO_RTR if is_sender else 0)
-    settings = PdoSettings(slot.number, slot.direction, cob_id, chosen.transmission_type, chosen.entries)
-    lost = tuple(sorted(slot.muxes - muxes_of(chosen.entries))) if slot.is_valid else ()
-    times = (timing.inhibit_time, timing.event_timer) if is_sender else (0, timing.timeout)
-    was = slot.settings if slot.is_valid else None
-    return LinkedPdo(chosen.member.name, settings, times[0], times[1], was, lost, chosen.is_shared)
+def _with_can_id(pdo: LinkedPdo, can_id: int) -> LinkedPdo:
+    """Return the PDO of a node with its CAN-ID; as it is if its COB-ID cannot be written."""
+    if not pdo.slot.can_move:
+        return pdo
+    flags = COB_ID_NO_RTR if pdo.settings.direction is Direction.TPDO else 0
+    return replace(pdo, settings=replace(pdo.settings, cob_id=can_id | flags))

@@ -12,12 +12,13 @@ from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.session import Session
 from canopen_master.node import Node
+from canopen_proto.dictionary.download_order import Write
 from canopen_proto.drives.axis.axis_node import node_of_axis
 from canopen_proto.drives.axis.motion_plan import MODES, MotionPlan, pending_steps, plan_motion, read_modes
 from canopen_proto.drives.cia402.modes import mode_name, short_name
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import mux_text
-from canopen_proto.pdo.settings import RemapStep
+from canopen_proto.pdo.settings import step_text
 from canopen_proto.procedures.steps import Procedure
 
 _SHORT: Final = {short_name(mode): mode for mode in MODES}
@@ -51,7 +52,7 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward:
 
     axis = axis_of_command(settings)
 
-    def procedure(session: Session, node: Node) -> Procedure[tuple[MotionPlan, list[RemapStep]]]:
+    def procedure(session: Session, node: Node) -> Procedure[tuple[MotionPlan, list[Write]]]:
         modes = yield from read_modes(node_of_axis(node.remote, axis))
         mode = None if wish is None else _SHORT[wish]
         made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=mode, axis=axis, feed_forward=feed_forward)
@@ -67,23 +68,18 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward:
         screen.fact("", f"not {short_name(obstacle.mode)}: {obstacle.reason}")
     for name, lines in made.facts:
         screen.fact(name, lines)
-    screen.table(("would be written", "value"), [(place, value) for place, value in map(_step, steps)])
+    screen.table(("would be written", "value"), list(map(step_text, steps)))
     screen.say("Nothing was written." if steps else "Nothing would be written: the drive has these PDOs.")
 
 
-def _step(step: RemapStep) -> tuple[str, str]:
-    index, subindex, data = step
-    return f"0x{index:04X}:{subindex:02X}", f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
-
-
-def _as_json(made: MotionPlan, steps: list[RemapStep]) -> dict[str, Any]:
+def _as_json(made: MotionPlan, steps: list[Write]) -> dict[str, Any]:
     return {
         "mode": short_name(made.mode),
         "reason": made.reason,
         "rejected": [{"mode": short_name(each.mode), "reason": each.reason} for each in made.rejected],
         "pdos": [
             {
-                "pdo": f"{pdo.direction} {pdo.number}",
+                "pdo": pdo.name,
                 "cob_id": pdo.cob_id,
                 "transmission_type": pdo.transmission_type,
                 "entries": list(pdo.entries),
@@ -93,5 +89,5 @@ def _as_json(made: MotionPlan, steps: list[RemapStep]) -> dict[str, Any]:
         "written_by_sdo": [mux_text(key) for key in made.commands_by_sdo],
         "read_by_sdo": [mux_text(key) for key in made.watched_by_sdo],
         "notes": list(made.notes),
-        "writes": [{"object": place, "value": value} for place, value in map(_step, steps)],
+        "writes": [{"object": place, "value": value} for place, value in map(step_text, steps)],
     }

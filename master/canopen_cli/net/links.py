@@ -20,8 +20,9 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.concise import pack_concise
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.manager.linking import MASTER, LinkedPdo, LinkPlan
-from canopen_proto.manager.linking.model import Transfer
+from canopen_proto.manager.linking.model import LinkTransfer
 from canopen_proto.multiplexer import mapping_entry
+from canopen_proto.pdo.settings import step_text
 from canopen_proto.pdo.slots import shown_entries
 
 COLUMNS: Final = ("CAN-ID", "bytes", "sent", "node", "PDO", "objects")
@@ -100,11 +101,11 @@ def _show(screen: Screen, bus: str, plan: LinkPlan) -> None:
     for note in plan.notes:
         screen.fact("note", escape(note))
     for node in plan.changed:
-        for index, subindex, data in plan.writes_of(node):
-            screen.detail(f"{escape(node)} 0x{index:04X}:{subindex:02X} = {_number(data)}")
+        for place, value in map(step_text, plan.writes_of(node)):
+            screen.detail(f"{escape(node)} {place} = {value}")
 
 
-def _rows(transfer: Transfer, dictionaries: dict[str, ObjectDictionary]) -> list[tuple[str, ...]]:
+def _rows(transfer: LinkTransfer, dictionaries: dict[str, ObjectDictionary]) -> list[tuple[str, ...]]:
     """Return the lines of one PDO: its sender, then its receivers."""
     ends = [("from", transfer.sender), *(("to", pdo) for pdo in transfer.receivers)]
     if transfer.to_master:
@@ -122,10 +123,6 @@ def _rows(transfer: Transfer, dictionaries: dict[str, ObjectDictionary]) -> list
 def _objects(dictionary: ObjectDictionary, pdo: LinkedPdo) -> str:
     """Return the objects that a PDO does not carry any longer, for people."""
     return shown_entries(dictionary, [mapping_entry(key, 0) for key in pdo.lost])
-
-
-def _number(data: bytes) -> str:
-    return f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
 
 
 def _as_json(bus: str, plan: LinkPlan) -> dict[str, Any]:
@@ -148,10 +145,7 @@ def _as_json(bus: str, plan: LinkPlan) -> dict[str, Any]:
         "switched_off": [_end_as_json(each) for each in plan.destroyed],
         "notes": list(plan.notes),
         "writes": {
-            node: [
-                {"object": f"0x{index:04X}:{subindex:02X}", "value": _number(data)}
-                for index, subindex, data in plan.writes_of(node)
-            ]
+            node: [{"object": place, "value": value} for place, value in map(step_text, plan.writes_of(node))]
             for node in plan.changed
         },
     }

@@ -54,9 +54,9 @@ from canopen_proto.multiplexer import Mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.configure import define_pdo
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.pdo.described import CYCLIC_TYPES
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
+from canopen_proto.pdo.settings import CYCLIC_TYPES
 from canopen_proto.procedures.objects import ABSENT, read_int, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
 from canopen_proto.sync import SyncReceived, SyncSent

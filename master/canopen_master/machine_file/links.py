@@ -25,10 +25,9 @@ from canopen_proto.dictionary.roles import SET_POINTS
 from canopen_proto.drives.axis.motion_plan import NoMotionPlan, plan_motion
 from canopen_proto.drives.cia402.axes import swapped
 from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION
-from canopen_proto.manager.linking import LinkError, LinkPlan, Member, plan_links
+from canopen_proto.manager.linking import KnownNode, LinkError, LinkPlan, plan_links
 from canopen_proto.multiplexer import mux
-from canopen_proto.pdo.described import EACH_SYNC
-from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.pdo.settings import EACH_SYNC, PdoSettings
 
 _DIGITAL_OUTPUTS: Final = 0x60FE
 """Of a drive: they move nothing, and may serve something else."""
@@ -61,7 +60,7 @@ def plan_bus(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> Link
             continue
         entry = booted.get(node.node_id)
         members.append(
-            Member(
+            KnownNode(
                 node.name,
                 node.node_id,
                 _configured(description.dictionary, () if entry is None else entry.configuration, node.node_id),
