@@ -19,7 +19,8 @@ would put nothing on the wire, and drives would run on. All of it is protected f
 
 **Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once where
 the transport can tell what has come, else by giving the receivers a few rounds of trio's scheduler: a process
-that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
+that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost. If it
+was stalled during that look, it looks again.
 An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
 The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
 
@@ -49,6 +50,9 @@ MAX_CATCH_UP: Final = 4096
 
 _STALL: Final = 5 * MILLISECOND
 """An alarm that comes later than this means that the process was stalled."""
+
+MAX_LOOKS: Final = 4
+"""How often, before a due timeout is handled, it is seen to that the process was not stalled while it looked at what had come."""
 
 _TICKS: Final = 2
 """A frame that is there reaches us within two rounds of trio's scheduler; through a thread, the second one is needed."""
@@ -243,11 +247,24 @@ class Pump:
                 self._set_alarm()
                 await self._alarm.wait()
                 self._wake = NEVER
-                late = self.now() - self._next_deadline()
+                now = self.now()
+                late = now - self._next_deadline()
                 if late >= 0:
-                    if late > _STALL or not all(self._take_what_has_come(bus) for bus in self.buses):
-                        await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
-                    self._turn(self._handle_timeouts)
+                    self._turn(self._handle_timeouts, await self._take_in_before(now, late))
+
+    async def _take_in_before(self, looked: Time, late: Time) -> Time:
+        """Take in what has come, and return the time for which the timeouts may be handled: _STALL later at most.
+
+        If it took longer, the process was stalled meanwhile, and has to look again. looked: the time now. late: of the alarm.
+        """
+        for _ in range(MAX_LOOKS):
+            if not all(self._take_what_has_come(bus) for bus in self.buses) or late > _STALL:
+                await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
+            now = self.now()
+            late, looked = now - looked, now
+            if late <= _STALL:
+                break
+        return looked
 
     def _take_what_has_come(self, bus: Bus) -> bool:
         """Take in what a bus has brought so far, without waiting for its receiver; False if that may not have been all."""
@@ -273,9 +290,8 @@ class Pump:
             if received == self._received:
                 return
 
-    def _handle_timeouts(self) -> None:
+    def _handle_timeouts(self, now: Time) -> None:
         """One instant for all buses: SYNCs that are due together go out together."""
-        now = self.now()
         if self._before_timeouts is not None:
             self._before_timeouts(now)
         for bus in self.buses:
