@@ -19,8 +19,9 @@ would put nothing on the wire, and drives would run on. All of it is protected f
 
 **Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once where
 the transport can tell what has come, else by giving the receivers a few rounds of trio's scheduler: a process
-that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost. If it
-was stalled during that look, it looks again.
+that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost. If
+it was stalled during that look, it looks again. Participants of one process (a master and its simulated devices) are stalled
+together: if any of them is late, all are, and a device waits for the overdue heartbeat of its master.
 An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
 The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
 
@@ -60,6 +61,8 @@ _TICKS: Final = 2
 QUIET_TICKS: Final = 3
 """A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
 
+_running: trio.lowlevel.RunVar[frozenset[Pump]] = trio.lowlevel.RunVar("canopen_master pumps", frozenset())
+
 
 OnEvent: TypeAlias = Callable[[Bus, Event], None]
 """An event came out of a bus's network. May mutate machines; must not block. `OnFailure` is told of its exceptions."""
@@ -87,8 +90,8 @@ class Pump:
     """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
 
     on_event, on_failure: called with what the networks report, and with what goes wrong.
-    before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
     quiet_ticks: after a stall, so many rounds of trio's scheduler without a frame show that all frames were taken in.
+    before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
     """
 
     def __init__(
@@ -174,6 +177,7 @@ class Pump:
         """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
         last_look = _LastLook(self)
         trio.lowlevel.add_instrument(last_look)
+        _running.set(_running.get() | {self})
         try:
             with self._scope:
                 async with trio.open_nursery() as nursery:
@@ -184,6 +188,7 @@ class Pump:
                     nursery.start_soon(self._keep_time)
                     task_status.started()
         finally:
+            _running.set(_running.get() - {self})
             for bus in self.buses:
                 bus.push_to(None)
             trio.lowlevel.remove_instrument(last_look)
@@ -248,14 +253,14 @@ class Pump:
                 await self._alarm.wait()
                 self._wake = NEVER
                 now = self.now()
-                late = now - self._next_deadline()
-                if late >= 0:
+                if now >= self._next_deadline():
+                    late = now - min(each._next_deadline() for each in _running.get())
                     self._turn(self._handle_timeouts, await self._take_in_before(now, late))
 
     async def _take_in_before(self, looked: Time, late: Time) -> Time:
-        """Take in what has come, and return the time for which the timeouts may be handled: _STALL later at most.
+        """Take in what has come, and return the time for which the timeouts may be handled: _STALL after the last look, at most.
 
-        If it took longer, the process was stalled meanwhile, and has to look again. looked: the time now. late: of the alarm.
+        If it took longer, the process was stalled meanwhile, and has to look again. looked: the time now. late: of this process.
         """
         for _ in range(MAX_LOOKS):
             if not all(self._take_what_has_come(bus) for bus in self.buses) or late > _STALL:
