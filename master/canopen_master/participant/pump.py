@@ -19,8 +19,8 @@ would put nothing on the wire, and drives would run on. All of it is protected f
 
 **Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once where
 the transport can tell what has come, else by giving the receivers a few rounds of trio's scheduler: a process
-that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost. If
-it was stalled during that look, it looks again. Participants of one process (a master and its simulated devices) are stalled
+that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
+If it was stalled during that look, it looks again. Participants of one process (a master and its simulated devices) are stalled
 together: if any of them is late, all are, and a device waits for the overdue heartbeat of its master.
 An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
 The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
