@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from canopen_master.participant.bus import BusChanged as BusChanged
     from canopen_master.participant.bus import FramesLost as FramesLost
     from canopen_master.participant.bus import FramesNotSent as FramesNotSent
+    from canopen_master.participant.patient_clock import PatientClock as PatientClock
     from canopen_master.participant.subscription import Subscription as Subscription
     from canopen_master.session import MasterSession as MasterSession
     from canopen_master.session import open_master as open_master
@@ -103,6 +104,7 @@ else:
             "canopen_master.node_pdos": "PdoDiffers",
             "canopen_master.session": "MasterSession open_master",
             "canopen_master.simulation.host": "DeviceModel Host powerballs simulate standard_drives",
+            "canopen_master.participant.patient_clock": "PatientClock",
             "canopen_master.participant.subscription": "Subscription",
             "canopen_proto.drives.axis.axis": "AxisSettings HomingStyle SCHUNK_POWERBALL",
             "canopen_proto.drives.axis.grip": "Grip",

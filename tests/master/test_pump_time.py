@@ -75,6 +75,40 @@ async def test_a_transport_that_can_tell_is_asked_what_has_come_before_a_timeout
             assert isinstance(await told.receive(), HeartbeatReceived)
 
 
+class Stalled(Prompt):
+    """The process stands still for `stall` seconds right behind a look at what has come; meanwhile `meanwhile` comes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stall = 0.0
+        self.meanwhile: list[Received | Report] = []
+
+    def receive_nowait(self, limit: int) -> list[Received | Report]:
+        taken = super().receive_nowait(limit)
+        if self.stall:
+            clock = trio.lowlevel.current_clock()
+            assert isinstance(clock, trio.testing.MockClock)
+            clock.jump(self.stall)
+            self.stall, self.came = 0.0, self.meanwhile
+        return taken
+
+
+@virtual_time
+async def test_a_stall_between_the_look_at_what_has_come_and_the_timeouts_loses_no_node() -> None:
+    bus = Stalled()
+    async with open_master(bus) as master:
+        node = master.node(5)
+        node.supervise_heartbeat(0.5)
+        with master.events(HeartbeatReceived, HeartbeatLost) as told:
+            bus.came = [(Frame(0x705, b"\x05"), None)]
+            master.sync_start(0.1)
+            assert isinstance(await told.receive(), HeartbeatReceived)
+            bus.meanwhile = [(Frame(0x705, b"\x05"), None)]
+            bus.stall = 0.6
+            assert isinstance(await told.receive(), HeartbeatReceived)
+            assert isinstance(await told.receive(), HeartbeatLost)  # 0.5 s later: nothing came any more
+
+
 @virtual_time
 async def test_a_bus_that_fails_when_it_is_asked_has_failed() -> None:
     bus = Prompt()

@@ -18,6 +18,7 @@ from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
 from canopen_cli.simulation.drive_files import drive_files, drives_of
+from canopen_master.participant.patient_clock import PatientClock
 from canopen_proto.drives.axis.grip import DEFAULT_GRIP
 from canopen_proto.machine import MILLISECOND, Time
 
@@ -122,6 +123,8 @@ def demo(
     timeout = settings.timeout if settings.timeout is not None or machine is None else machine.master.timeout
     arm = chains or CHAINS
     plan = Plan(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, grip, machine, drives)
+    if bus is None and settings.clock is None:
+        settings.clock = PatientClock()
     demonstration = Demonstration(screen, plan, partial(recorded, settings, screen, path=record))
     try:
         run(settings, screen, demonstration.run, story=lambda _: demonstration.story())

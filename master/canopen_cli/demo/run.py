@@ -31,6 +31,7 @@ from canopen_master.motion.chain import Chain, ChainSettings, ChainState
 from canopen_master.motion.chain_file import same_nodes
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
+from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.session import open_master
 from canopen_master.simulation.fleet import Fleet, drive_maker, simulated_fleet
 from canopen_master.simulation.host import DeviceMaker, patient_cycles
@@ -118,7 +119,8 @@ class CycleCounts:
 
 
 class Demonstration:
-    """One run. recording: commanded and actual positions; it is filled while the joints move."""
+    """One run. recording: commanded and actual positions; it is filled while the joints move. stood_still: seconds for which the
+    simulated world waited for this computer."""
 
     def __init__(
         self, screen: Screen, plan: Plan, record: Callable[[Chain], contextlib.AbstractAsyncContextManager[object]]
@@ -130,10 +132,12 @@ class Demonstration:
         self.recording = Recording([])
         self.results: list[JointResult] = []
         self.cycles = CycleCounts()
+        self.stood_still = 0.0
         self.description = plan.chosen_chain()
         self._check_fault()
         self._stage = "the drives were booting, and nothing had moved"
         self._has_begun = False  # to move
+        self._was_busy = False  # this computer was, with other work
         self._fleet: Fleet | None = None
         self._devices: tuple[Device, ...] = ()
         self._arm: Chain | None = None  # once it follows set-points
@@ -162,6 +166,10 @@ class Demonstration:
                     self._fleet = await stack.enter_async_context(simulated_fleet(joints, make=self._maker))
                 master = await stack.enter_async_context(self._open_master(locators))
                 await self._demonstrate(self._chain(master, locators))
+                clock = trio.lowlevel.current_clock()
+                if isinstance(clock, PatientClock):
+                    self.stood_still = clock.lost
+                    self._was_busy = clock.lost > MAX_LATE_SHARE * (trio.current_time() + clock.lost)
         except Exception as error:
             if _nobody_reads(error):
                 raise BrokenPipeError from error
@@ -421,6 +429,8 @@ class Demonstration:
         else:
             screen.table(COLUMNS, [result.row() for result in self.results], right=("node", *COLUMNS[4:]))
             screen.table(CYCLE_COLUMNS, [cycles.row()], right=CYCLE_COLUMNS)
+        if self._was_busy:
+            screen.say(f"[dim]this computer was busy: the simulated world stood still for {self.stood_still:.1f} s in all[/]")
         if not cycles.was_kept:
             late, cycle = _percent(cycles.late_share), _ms(self.plan.cycle)
             screen.say(f"[yellow]this computer could not keep a cycle of {cycle}: {late} of the periods were late[/]")
@@ -441,6 +451,7 @@ class Demonstration:
             "missed_cycles": self.cycles.missed,
             "skipped_cycles": self.cycles.skipped,
             "late_share": round(self.cycles.late_share, 6),
+            "stood_still_seconds": round(self.stood_still, 3),
             "joints": [
                 {
                     "joint": result.name,

@@ -20,12 +20,13 @@ import trio
 
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import Settings
+from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
 from canopen_master.errors import HaltNotConfirmed
 from canopen_master.grip import LOGGER
+from canopen_master.participant.patient_clock import PatientClock
 from canopen_transports.tracing import Trace, recording
 
 T = TypeVar("T")
@@ -54,6 +55,8 @@ def run(
     Raises a Problem with status 130 after a Ctrl-C, a Problem if --trace would overwrite a file, LogFileError if --trace cannot
     begin, and what the command raises.
     """
+    if settings.clock is None and settings.named_bus() == DEMO:
+        settings.clock = PatientClock()
     if settings.trace is None:
         with _warnings_on(screen):
             return trio.run(_run, screen, command, story, clock=settings.clock)

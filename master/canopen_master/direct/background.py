@@ -55,11 +55,13 @@ class Background(Generic[T]):
         make: Callable[[], AbstractAsyncContextManager[T]],
         failure: Callable[[T], Exception | None] = lambda _: None,
         name: str = "canopen master",
+        clock: trio.abc.Clock | None = None,
     ) -> None:
         """make: returns the context manager; called in the thread. Entering and leaving it are not cancelled: they must end by
-        themselves. failure: why the context ended, None if it was left."""
+        themselves. failure: why the context ended, None if it was left. clock: trio's; None: the real time."""
         self._make = make
         self._failure = failure
+        self._clock = clock
         self._entered: Future[T] = Future()
         self._scope = trio.CancelScope()
         self._nursery: trio.Nursery | None = None  # where calls run; None before and after. Of our thread
@@ -127,7 +129,7 @@ class Background(Generic[T]):
 
     def _run(self) -> None:
         try:
-            trio.run(self._serve)
+            trio.run(self._serve, clock=self._clock)
         except BaseException as error:  # noqa: BLE001 - every error belongs to the caller of `stop`
             self._error = error
         if not self._entered.done():

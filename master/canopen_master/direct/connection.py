@@ -7,7 +7,7 @@ each thread, like C's errno, so that threads do not read each other's.
 from __future__ import annotations
 
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from functools import partial
 from typing import Final, TypeVar
@@ -21,6 +21,7 @@ from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
 from canopen_master.machine_file import MachineFile
 from canopen_master.master import Master
 from canopen_master.participant.dispatch import ProcedureTakenBack
+from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.session import MasterSession, open_master
 from canopen_master.simulation.host import IN_PROCESS, DeviceMaker, powerballs, simulate
 from canopen_proto.dictionary import ObjectDictionary
@@ -119,7 +120,7 @@ class Connection:
                     realtime=realtime,
                 )
                 make = partial(_master, tuple(self._simulated), options, prepare)
-                background = Background(make, lambda master: master.failure)
+                background = Background(make, lambda master: master.failure, clock=self._clock(named.values(), machine))
                 background.start()
             except OPENING_ERRORS as error:
                 self._errors.last = error
@@ -157,6 +158,13 @@ class Connection:
             return False
         self._errors.last = None
         return True
+
+    def _clock(self, locators: Iterable[str], machine: MachineFile | None) -> PatientClock | None:
+        """Return the clock of a world that is in this process as a whole; None if nothing is simulated, or a bus leads out."""
+        more = () if machine is None else (bus.locator for bus in machine.buses.values())
+        simulated = (bus for bus, _ in self._simulated)
+        is_apart = all(each.partition(":")[0] == "virtual" for each in (*locators, *more, *simulated))
+        return PatientClock() if self._simulated and is_apart else None
 
     def _end(self) -> None:
         background, self._background, self.bus = self._background, None, ""

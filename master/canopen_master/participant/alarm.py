@@ -2,7 +2,8 @@
 
 trio hands its deadlines to epoll, which counts in milliseconds and rounds up: a wake is 0.6 ms late in the median. That is too
 much for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd). They are exact to a microsecond, and trio can wait for
-one as for any other file. So a real clock on Linux gets `FineAlarm`. Other systems, and tests in virtual time, get `CoarseAlarm`.
+one as for any other file. So a real clock on Linux gets `FineAlarm`. Other systems, tests in virtual time, and a `PatientClock`,
+which has to know all deadlines, get `CoarseAlarm`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from contextlib import suppress
 from typing import Final, TypeAlias
 
 import trio
+
+from canopen_master.participant.patient_clock import PatientClock
 
 _CLOCK_MONOTONIC: Final = 1
 _NANOSECONDS: Final = 1_000_000_000
@@ -95,6 +98,6 @@ def best_alarm() -> Alarm:
 
 
 def _is_real_time() -> bool:
-    """Return whether trio's clock runs in real time."""
+    """Return whether trio's clock runs in real time, whatever this process does."""
     clock = trio.lowlevel.current_clock()
-    return abs(clock.deadline_to_sleep_time(clock.current_time() + 1.0) - 1.0) < 0.1
+    return not isinstance(clock, PatientClock) and abs(clock.deadline_to_sleep_time(clock.current_time() + 1.0) - 1.0) < 0.1

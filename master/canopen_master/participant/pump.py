@@ -20,6 +20,8 @@ would put nothing on the wire, and drives would run on. All of it is protected f
 **Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once where
 the transport can tell what has come, else by giving the receivers a few rounds of trio's scheduler: a process
 that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
+If it was stalled during that look, it looks again. Participants of one process (a master and its simulated devices) are stalled
+together: if any of them is late, all are, and a device waits for the overdue heartbeat of its master.
 An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
 The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
 
@@ -50,11 +52,16 @@ MAX_CATCH_UP: Final = 4096
 _STALL: Final = 5 * MILLISECOND
 """An alarm that comes later than this means that the process was stalled."""
 
+MAX_LOOKS: Final = 4
+"""How often, before a due timeout is handled, it is seen to that the process was not stalled while it looked at what had come."""
+
 _TICKS: Final = 2
 """A frame that is there reaches us within two rounds of trio's scheduler; through a thread, the second one is needed."""
 
 QUIET_TICKS: Final = 3
 """A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
+
+_running: trio.lowlevel.RunVar[frozenset[Pump]] = trio.lowlevel.RunVar("canopen_master pumps", frozenset())
 
 
 OnEvent: TypeAlias = Callable[[Bus, Event], None]
@@ -83,8 +90,8 @@ class Pump:
     """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
 
     on_event, on_failure: called with what the networks report, and with what goes wrong.
-    before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
     quiet_ticks: after a stall, so many rounds of trio's scheduler without a frame show that all frames were taken in.
+    before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
     """
 
     def __init__(
@@ -170,6 +177,7 @@ class Pump:
         """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
         last_look = _LastLook(self)
         trio.lowlevel.add_instrument(last_look)
+        _running.set(_running.get() | {self})
         try:
             with self._scope:
                 async with trio.open_nursery() as nursery:
@@ -180,6 +188,7 @@ class Pump:
                     nursery.start_soon(self._keep_time)
                     task_status.started()
         finally:
+            _running.set(_running.get() - {self})
             for bus in self.buses:
                 bus.push_to(None)
             trio.lowlevel.remove_instrument(last_look)
@@ -243,11 +252,24 @@ class Pump:
                 self._set_alarm()
                 await self._alarm.wait()
                 self._wake = NEVER
-                late = self.now() - self._next_deadline()
-                if late >= 0:
-                    if late > _STALL or not all(self._take_what_has_come(bus) for bus in self.buses):
-                        await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
-                    self._turn(self._handle_timeouts)
+                now = self.now()
+                if now >= self._next_deadline():
+                    late = now - min(each._next_deadline() for each in _running.get())
+                    self._turn(self._handle_timeouts, await self._take_in_before(now, late))
+
+    async def _take_in_before(self, looked: Time, late: Time) -> Time:
+        """Take in what has come, and return the time for which the timeouts may be handled: _STALL after the last look, at most.
+
+        If it took longer, the process was stalled meanwhile, and has to look again. looked: the time now. late: of this process.
+        """
+        for _ in range(MAX_LOOKS):
+            if not all(self._take_what_has_come(bus) for bus in self.buses) or late > _STALL:
+                await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
+            now = self.now()
+            late, looked = now - looked, now
+            if late <= _STALL:
+                break
+        return looked
 
     def _take_what_has_come(self, bus: Bus) -> bool:
         """Take in what a bus has brought so far, without waiting for its receiver; False if that may not have been all."""
@@ -273,9 +295,8 @@ class Pump:
             if received == self._received:
                 return
 
-    def _handle_timeouts(self) -> None:
+    def _handle_timeouts(self, now: Time) -> None:
         """One instant for all buses: SYNCs that are due together go out together."""
-        now = self.now()
         if self._before_timeouts is not None:
             self._before_timeouts(now)
         for bus in self.buses:
