@@ -71,8 +71,7 @@ def pytest_xdist_auto_num_workers() -> int:
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Read in what is new before the workers start: else each of them, beside the others, reads all of it."""
-    gc.disable()  # until all are collected: nothing of that is garbage
-    if len(session.config.getoption("tx", None) or ()) < 2:
+    if hasattr(session.config, "workerinput") or len(session.config.getoption("tx", None) or ()) < 2:
         return
     tail = f".{sys.implementation.cache_tag}-pytest-{pytest.__version__}.pyc"
     new = []
@@ -121,12 +120,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for tests in shuffled for item in tests]
 
 
-def pytest_collection_finish() -> None:
-    """What thousands of collected tests hold stays to the end: the garbage collector need not look at it again and again."""
-    gc.enable()
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(100_000, 20, 50)  # simulated drives make rings of objects all the time: it looked at them for a tenth of it
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What thousands of collected tests hold stays to the end: the garbage collector need not look at it, then or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(100_000, 20, 50)  # simulated drives make many rings of objects: a tenth of the time
 
 
 @pytest.hookimpl(wrapper=True)
