@@ -178,6 +178,14 @@ OBSERVER_MUTANTS: Final = tuple(
             MIDLIFE,
         ),
         (
+            "observer_read_stores",
+            "observer/observer.py",
+            "        if not is_read:\n            self._parameters.store(",
+            "        if data:\n            self._parameters.store(",
+            "who reads 0x1010 is taken to store",
+            MIDLIFE,
+        ),
+        (
             "observer_old_routes",
             "observer/observer.py",
             "            self._assigned = None\n        self._routes.clear()",

@@ -1,17 +1,21 @@
 """For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
 
-Every day, and in .ci/run, they are few. All that the tests name: `pytest --hypothesis-profile=full`.
+Every day they are few. All that the tests name: `pytest --hypothesis-profile=full`.
 To search further: `pytest --hypothesis-profile=search --timeout=0 tests/core/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
+The tests of each file in an order drawn from a number, files too: `pytest --shuffle=7`.
 """
 
 from __future__ import annotations
 
 import gc
 import os
+import random
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -30,6 +34,8 @@ if hasattr(providers, "_get_local_constants"):  # there is no setting for it
     providers._get_local_constants = lambda: NO_CONSTANTS
 
 
+FEW = 10
+"""So many new files are read in by each worker sooner than by a process that does nothing else."""
 MEASURED = 0.2
 """Seconds of the processor for which coverage looks at a test. It then takes four times as long, and what a long test does
 later it has mostly done before."""
@@ -40,9 +46,49 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+# One process writes down what it makes of a source, and the others read it: the workers, and the commands that tests start.
+# They need a tenth of the time. It goes to __pycache__, which git ignores, also where a container sets this variable for all.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+
+def processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and the tests of each, in an order of their own")
+    if not pluginmanager.hasplugin("xdist"):  # `-p no:xdist`: then what pyproject.toml tells it means nothing
+        for option in ("--numprocesses", "--dist"):
+            parser.addoption(option, help="of pytest-xdist, which is not there")
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One process more than there are processors: a quarter of the time goes to waiting for commands, terminals and sockets."""
-    return (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1) + 1
+    """Two processes more than there are processors: a third of the time goes to waiting for commands, terminals and sockets."""
+    return processors() + 2
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Read in what is new before the workers start: else each of them, beside the others, reads all of it."""
+    if hasattr(session.config, "workerinput") or len(session.config.getoption("tx", None) or ()) < 2:
+        return
+    tail = f".{sys.implementation.cache_tag}-pytest-{pytest.__version__}.pyc"
+    new = []
+    for argument in session.config.args:
+        path = Path(argument.partition("::")[0])
+        for source in sorted(path.rglob("test_*.py")) if path.is_dir() else [path]:
+            made = source.parent / "__pycache__" / (source.stem + tail)
+            if not made.exists() or made.stat().st_mtime < source.stat().st_mtime:
+                new.append(str(source))
+    command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "--numprocesses=0"]
+    count = min(processors(), len(new) // FEW)
+    readers = [
+        subprocess.Popen([*command, *new[first::count]], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        for first in range(count)
+    ]
+    for reader in readers:
+        reader.wait()  # what is wrong with a file, the workers tell
 
 
 @pytest.hookimpl(trylast=True)
@@ -61,12 +107,30 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             left_out.update(others)
     config.hook.pytest_deselected(items=[*left_out])
     items[:] = [item for item in items if item not in left_out]
+    seed = config.getoption("shuffle")
+    if seed is not None:
+        files: dict[Path, list[pytest.Item]] = {}
+        for item in items:
+            files.setdefault(item.path, []).append(item)
+        shuffled = [*files.values()]
+        draw = random.Random(seed)
+        draw.shuffle(shuffled)
+        for tests in shuffled:
+            draw.shuffle(tests)
+        items[:] = [item for tests in shuffled for item in tests]
 
 
-def pytest_collection_finish() -> None:
-    """What thousands of collected tests hold stays to the end: the garbage collector need not look at it again and again."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What thousands of collected tests hold stays to the end: the garbage collector need not look at it, then or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(100_000, 20, 50)  # simulated drives make many rings of objects: a tenth of the time
 
 
 @pytest.hookimpl(wrapper=True)

@@ -12,15 +12,15 @@ PART = 5
 """Every day the number of examples is divided by this, down to `least` of them."""
 
 
-def examples(count: int, *, steps: int = 50, least: int = PART) -> settings:
+def examples(count: int, *, steps: int = 50, least: int = PART, part: int = PART) -> settings:
     """Settings for so many examples (of so many steps, where each is a run of a state machine); see SAME and FULL.
 
-    least: every day too, where fewer would miss a planted bug (fuzz/).
+    least: every day too, where fewer would miss a planted bug (fuzz/). part: in place of PART, where one example takes a second.
     Under another profile, such as `search`, the number is that of the profile: nothing here keeps a search small.
     """
     profile = settings.get_current_profile_name()
     if profile == SAME:
-        count = min(count, max(count // PART, least))
+        count = min(count, max(count // part, least))
     if profile in (SAME, FULL):
         return settings(max_examples=count, stateful_step_count=steps)
     return settings(stateful_step_count=steps)

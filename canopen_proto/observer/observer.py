@@ -416,7 +416,7 @@ class Observer:
 
     def _settle(self, settled: Settled) -> list[BusFinding]:
         """Take note of a value that a node holds."""
-        node_id, place, data, _ = settled
+        node_id, place, data, is_read = settled
         index, subindex, value = index_of(place), subindex_of(place), int.from_bytes(data[:4], "little")
         if index == CONSUMER_HEARTBEAT_TIME and len(data) == 4:
             self._nodes.consumer(node_id, subindex, value)
@@ -428,6 +428,8 @@ class Observer:
         elif subindex == 0 and index in STATUSWORDS:
             self._statuswords = ((index, value & 0xFFFF),)
         self._timings.settle(node_id, index, subindex, value)
+        if not is_read:
+            self._parameters.store(node_id, index, subindex, data)
         if self._parameters.settle(node_id, index, subindex, data):
             self._renew(node_id, index)
         return self._services.settle(node_id, index, value)

@@ -71,8 +71,6 @@ class ObservedParameters:
 
     def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> bool:
         """Take note that a device holds this value. Return whether it is a communication parameter that had another value."""
-        if index in SIGNATURES and subindex in _COMMUNICATION:
-            self._store(node_id, index, data)
         if not is_parameter(index) or len(data) > _MAX_BYTES:
             return False
         recorded, key = self._recorded.setdefault(node_id, {}), mux(index, subindex)
@@ -90,9 +88,9 @@ class ObservedParameters:
         self._shown[node_id] = {index_of(key) for key in stored}
         return before != stored
 
-    def _store(self, node_id: int, index: int, data: bytes) -> None:
-        """Take note of a confirmed write that stores parameters, or restores them at the next boot-up. A read does nothing."""
-        if int.from_bytes(data, "little") != SIGNATURES[index]:
+    def store(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Take note of a confirmed write, if it stores parameters, or restores them at the next boot-up."""
+        if subindex not in _COMMUNICATION or int.from_bytes(data, "little") != SIGNATURES.get(index):
             return
         if index == STORE:
             self._stored[node_id] = dict(self._recorded.get(node_id, {}))

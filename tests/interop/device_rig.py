@@ -30,7 +30,7 @@ class Rig:
         self.peer = peer
         self.device = driver.add(make)
         self.remote = peer.add_node(view(NODE, peer_dictionary(self.device.dictionary, NODE)))
-        self.remote.sdo.RESPONSE_TIMEOUT = 20
+        self.remote.sdo.RESPONSE_TIMEOUT = LIMIT
         driver.do(self.device.boot)
         self.wait(lambda: self.remote.nmt.state == "PRE-OPERATIONAL")
 

@@ -11,6 +11,7 @@ from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.model import ObjectType
+from tests.interop.driver import LIMIT
 
 _CHANNELS = itertools.count(1)
 
@@ -45,15 +46,21 @@ def _variable(variable: Variable, node_id: int, name: str) -> ODVariable:
 
 @contextmanager
 def peer_network(channel: str) -> Iterator[canopen.Network]:
-    """A network of `canopen` on a channel, shut down in the end."""
+    """A network of `canopen` on a channel, shut down in the end with all its threads, for which it does not wait itself."""
     network = canopen.Network()
     network.NOTIFIER_CYCLE = 0.01  # its thread looks that often whether it is to end
+    network.NOTIFIER_SHUTDOWN_TIMEOUT = LIMIT
     network.connect(interface="virtual", channel=channel)
     try:
         yield network
     finally:
+        readers, senders = network.notifier._readers, [task.thread for task in network.bus._periodic_tasks]
         for node in network.nodes.values():
             if isinstance(node, canopen.LocalNode):
                 node.nmt.stop_heartbeat()
         network.sync.stop()
+        network.bus.stop_all_periodic_tasks()
+        for sender in senders:
+            sender.join(LIMIT)
         network.disconnect()
+        assert not any(thread.is_alive() for thread in (*readers, *senders))

@@ -132,6 +132,7 @@ class Oracle:
 @given(steps=st.lists(_writes() | BOOTS, max_size=25))
 @example(steps=[(PLAIN, 0x1A00, 1, 0x6041_0010, "confirmed"), (PLAIN, 0x1A00, 0, 1, "confirmed"), (PLAIN,)])
 @example(steps=[MOVED, STORED, (PLAIN, 0x1014, 0, 0x191, "confirmed"), (PLAIN,)])
+@example(steps=[MOVED, (PLAIN, STORE, 1, SIGNATURES[STORE], "read"), (PLAIN,)])
 @example(steps=[MOVED, STORED, (PLAIN, RESTORE, 1, SIGNATURES[RESTORE], "confirmed"), (PLAIN,)])
 def test_each_frame_is_of_the_service_that_has_its_can_id_at_that_moment(steps: list[Write | tuple[int]]) -> None:
     observer, now = Observer(lambda node_id: FILE if node_id == WITH_FILE else None), 0
