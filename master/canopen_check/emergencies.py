@@ -17,7 +17,7 @@ def code_of(message: bytes) -> int:
     return int.from_bytes(message[:2], "little")
 
 
-def errors_told(bench: Bench) -> list[FrameHeard]:
+def errors_heard(bench: Bench) -> list[FrameHeard]:
     """Return the messages about errors that came and were not taken yet."""
     return [each for each in bench.probe.take_all(bench.emcy_key) if code_of(each.frame.data)]
 
@@ -37,5 +37,5 @@ def expect_no_error(bench: Bench, duration: Time, what: str) -> Procedure[None]:
     """Check that no message about an error comes within `duration` ns."""
     bench.probe.listen_also(bench.emcy_key)
     yield from bench.sleep(duration)
-    for each in errors_told(bench):
+    for each in errors_heard(bench):
         raise Violation(f"{what}: {each.frame} came")

@@ -8,7 +8,7 @@ from typing import Final
 
 from canopen_check.bench import ANSWER_TIME, REACTION_TIME, Bench
 from canopen_check.case import Case
-from canopen_check.emergencies import code_of, errors_told, next_error
+from canopen_check.emergencies import code_of, errors_heard, next_error
 from canopen_check.expectations import expect_refusal
 from canopen_check.pdo_cases import PROFILE_EVENTS
 from canopen_check.pdo_tools import key_of, length_of, set_up, usable
@@ -72,7 +72,7 @@ def emergency(bench: Bench) -> Procedure[str]:
     generic = message[2] & GENERIC_ERROR != 0
     bench.notes.beyond(generic, f"the error register in {message.hex(' ')} lacks the generic error")
     yield from bench.sleep(REACTION_TIME)
-    expect(not errors_told(bench), "a second emergency message came for one error")
+    expect(not errors_heard(bench), "a second emergency message came for one error")
     return message.hex(" ")
 
 

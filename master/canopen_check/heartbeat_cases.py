@@ -7,7 +7,7 @@ from typing import Final
 
 from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
-from canopen_check.emergencies import code_of, errors_told, expect_no_error, next_error
+from canopen_check.emergencies import code_of, errors_heard, expect_no_error, next_error
 from canopen_check.expectations import LateOrEarly, expect_refusal
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
@@ -114,7 +114,7 @@ def monitor_in_time(bench: Bench) -> Procedure[str]:
             yield from _heartbeat(bench, node_id)
         yield from bench.sleep(MONITORED // 2)
     sent = f"heartbeats came each {MONITORED // 2 // MILLISECOND} ms, the consumer time is {MONITORED // MILLISECOND} ms"
-    for each in errors_told(bench):
+    for each in errors_heard(bench):
         raise LateOrEarly(f"{sent}, and an emergency message came too: {each.frame}")
     return f"{len(monitored)} entries"
 
