@@ -80,7 +80,7 @@ def _path(keys: str) -> Path:
     return tuple(key.strip("\"'") for key in re.findall(_KEY, keys))
 
 
-class Kind(NamedTuple):
+class ValueKind(NamedTuple):
     """The values that a key takes. expected: for the error of one that does not fit. convert: makes our value of TOML's, and
     write TOML's of ours."""
 
@@ -90,7 +90,7 @@ class Kind(NamedTuple):
     write: Callable[[Any], Any] = lambda value: value
 
 
-Keys: TypeAlias = Mapping[str, Kind]
+Keys: TypeAlias = Mapping[str, ValueKind]
 """The keys of a table, each with the values that it takes."""
 
 
@@ -164,7 +164,7 @@ class TomlTable:
         """Return whether the table, or its fallback, has a value for a key."""
         return key in self.values or (self.fallback is not None and self.fallback.has(key))
 
-    def take(self, key: str, kind: Kind | None = None) -> Any:
+    def take(self, key: str, kind: ValueKind | None = None) -> Any:
         """Return the value of a key; None if it is missing, or if it does not fit, which adds an error. kind: in place of that of
         the table's keys."""
         kind = kind or self._keys[key]
@@ -195,30 +195,30 @@ def listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def text(expected: str) -> Kind:
+def text(expected: str) -> ValueKind:
     """A text that is not blank."""
-    return Kind(expected, _is_text)
+    return ValueKind(expected, _is_text)
 
 
-def texts(expected: str) -> Kind:
+def texts(expected: str) -> ValueKind:
     """A text, or a list of them; always read as a tuple."""
-    return Kind(expected, lambda value: all(map(_is_text, listed(value))), lambda value: tuple(listed(value)), list)
+    return ValueKind(expected, lambda value: all(map(_is_text, listed(value))), lambda value: tuple(listed(value)), list)
 
 
-def tables(expected: str) -> Kind:
+def tables(expected: str) -> ValueKind:
     """A list of tables."""
-    return Kind(expected, lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value))
+    return ValueKind(expected, lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value))
 
 
-def one_of(choices: Iterable[str]) -> Kind:
+def one_of(choices: Iterable[str]) -> ValueKind:
     """One of these texts."""
     choices = tuple(choices)
-    return Kind(" or ".join(map(repr, choices)), lambda value: isinstance(value, str) and value in choices)
+    return ValueKind(" or ".join(map(repr, choices)), lambda value: isinstance(value, str) and value in choices)
 
 
-def whole(expected: str, least: int, most: int) -> Kind:
+def whole(expected: str, least: int, most: int) -> ValueKind:
     """A whole number of least..most."""
-    return Kind(f"{expected} of {least}..{most}", lambda value: type(value) is int and least <= value <= most)
+    return ValueKind(f"{expected} of {least}..{most}", lambda value: type(value) is int and least <= value <= most)
 
 
 def _is_number(value: Any) -> bool:
@@ -230,9 +230,9 @@ def _is_number(value: Any) -> bool:
         return False
 
 
-BOOLEAN: Final = Kind("true or false", lambda value: isinstance(value, bool))
-TABLE: Final = Kind("a table", lambda value: isinstance(value, dict))
-FALSE_OR_TABLE: Final = Kind("false, or a table", lambda value: value is False or isinstance(value, dict))
-INTEGER: Final = Kind("a whole number", lambda value: type(value) is int)
-NUMBER: Final = Kind("a number", _is_number, float)
+BOOLEAN: Final = ValueKind("true or false", lambda value: isinstance(value, bool))
+TABLE: Final = ValueKind("a table", lambda value: isinstance(value, dict))
+FALSE_OR_TABLE: Final = ValueKind("false, or a table", lambda value: value is False or isinstance(value, dict))
+INTEGER: Final = ValueKind("a whole number", lambda value: type(value) is int)
+NUMBER: Final = ValueKind("a number", _is_number, float)
 """Also `inf`, but not `nan`."""

@@ -11,10 +11,11 @@ is a `Stream` with its identifier, size and period:
   highest node-ID; the deadline of each is SDO_DEADLINE.
 - EMCY: a device may send one per EMCY_INTERVAL, at worst all devices at once. The deadline is the period, as for heartbeats.
 
-`bus_timing` bounds each stream's latency (canopen_transports.wire.response_time) with the most stuff bits possible. It also runs
-the bus machine for some cycles, with random phases of the streams that are not cyclic. Its latencies are never above the bound,
-and show usual values. With `Background.errors` the bound has room for errors on the bus, each with an error frame and a repeated
-frame; the machine has no errors. A latency lasts from queueing the frame (for a TPDO, the SYNC) to the end of the intermission.
+`bus_timing` bounds each stream's latency (canopen_transports.wire.response_time) with the most stuff bits possible. It also
+runs the bus machine for some cycles, with random phases of the streams that are not cyclic. Its latencies are never above the
+bound, and show usual values. With `OtherTraffic.errors` the bound has room for errors on the bus, each with an error frame and
+a repeated frame; the machine has no errors. A latency lasts from queueing the frame (for a TPDO, the SYNC) to the end of the
+intermission.
 
 Left out: NMT and TIME (rare), LSS, guarding, frames to devices that are not joints.
 """
@@ -132,7 +133,7 @@ class Exchange:
 
 
 @dataclass(frozen=True, slots=True)
-class Background:
+class OtherTraffic:
     """The other traffic. heartbeat: period of each device; sdo: time between two requests; emcy: between two of one device;
     each 0 for none. reaction: ns that a device takes to answer a SYNC. order: of the transmit queues. sync_counter: whether SYNC
     carries its counter. errors: the shortest time between two errors on the bus; NEVER: none."""
@@ -146,7 +147,7 @@ class Background:
     errors: Time = NEVER
 
 
-def streams_of(joints: Sequence[Exchange], cycle: Time, background: Background) -> tuple[Stream, ...]:
+def streams_of(joints: Sequence[Exchange], cycle: Time, background: OtherTraffic) -> tuple[Stream, ...]:
     """Return all streams on a bus with these joints. Raises LocalProtocolError if two have the same identifier."""
     streams = [Stream("SYNC", "SYNC", 0, SYNC, int(background.sync_counter), cycle, cycle)]
     for joint in joints:
@@ -195,7 +196,7 @@ def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
 
 
 def bus_timing(
-    bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = Background()
+    bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: OtherTraffic = OtherTraffic()
 ) -> BusTiming:
     """Analyse a bus with these joints: whether all streams fit, and their latencies. cycle: ns. bitrate: bit/s."""
     streams = streams_of(joints, cycle, background)
@@ -213,14 +214,14 @@ def bus_timing(
     )
 
 
-def shortest_cycle(joints: Sequence[Exchange], bitrate: int, background: Background) -> Time | None:
+def shortest_cycle(joints: Sequence[Exchange], bitrate: int, background: OtherTraffic) -> Time | None:
     """Return the shortest of CYCLES that fits, ns; None if none does."""
     # By halves: streams that fit into a cycle also fit into each longer one
     place = bisect_left(CYCLES, True, key=lambda cycle: fits(streams_of(joints, cycle, background), bitrate, background))
     return CYCLES[place] if place < len(CYCLES) else None
 
 
-def fits(streams: Sequence[Stream], bitrate: int, background: Background) -> bool:
+def fits(streams: Sequence[Stream], bitrate: int, background: OtherTraffic) -> bool:
     """Return whether all streams always meet their deadlines."""
     return all(each.fits for each in bounds(streams, bitrate, background.order, background.errors))
 

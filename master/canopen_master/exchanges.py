@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
-from canopen_master.bus_timing import Background, Exchange, fits, streams_of
+from canopen_master.bus_timing import Exchange, OtherTraffic, fits, streams_of
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drives.axis.motion_plan import MotionPlan
@@ -27,7 +27,7 @@ from canopen_transports.wire import Wire, WireSettings, worst_bits
 
 SYNCHRONOUS: Final = 240
 """The highest transmission type of a TPDO that is sent at a SYNC."""
-BESIDE: Final = Background(emcy=0)
+BESIDE: Final = OtherTraffic(emcy=0)
 """The other traffic that a chain expects on its bus."""
 
 
@@ -128,7 +128,7 @@ class Room(NamedTuple):
     tpdos: int
 
 
-def room_for(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: Background = BESIDE) -> Room:
+def room_for(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: OtherTraffic = BESIDE) -> Room:
     """Look whether SYNC and all PDOs fit into each cycle; see this module's text. cycle: ns. bitrate: bit/s."""
     wire = Wire(WireSettings(bitrate=bitrate))
     rpdos, tpdos = [each for joint in joints for each in joint.rpdo], [each for joint in joints for each in joint.tpdo]

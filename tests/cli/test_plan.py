@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from canopen_data.describing import describe
 from canopen_data.eds.writer import write_eds
-from canopen_master.bus_timing import Background, Exchange, bounds, bus_timing, simulate, streams_of
+from canopen_master.bus_timing import Exchange, OtherTraffic, bounds, bus_timing, simulate, streams_of
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports.wire import QueueOrder
@@ -216,7 +216,7 @@ def test_bad_input(run: Run, chains: str, arguments: tuple[str, ...], seen: str)
 
 def test_twelve_joints_by_hand() -> None:
     """1 Mbit/s, 4 ms, nothing besides: frames of 135 bits, and a SYNC of 55."""
-    none = Background(heartbeat=0, sdo=0, emcy=0, reaction=0)
+    none = OtherTraffic(heartbeat=0, sdo=0, emcy=0, reaction=0)
     found = bus_timing("can0", joints(12), 4 * MILLISECOND, MBIT, none)
     assert found.fits
     worst = {each.stream.name: each.worst // MICROSECOND for each in found.streams}
@@ -253,7 +253,7 @@ def test_the_shortest_cycle_fits_and_the_next_shorter_one_does_not() -> None:
     st.integers(0, 5),
 )
 def test_the_machine_never_shows_more_than_the_bound(count: int, cycle: int, bitrate: int, order: QueueOrder, seed: int) -> None:
-    background = Background(order=order, heartbeat=20 * MILLISECOND, sdo=5 * MILLISECOND, emcy=30 * MILLISECOND)
+    background = OtherTraffic(order=order, heartbeat=20 * MILLISECOND, sdo=5 * MILLISECOND, emcy=30 * MILLISECOND)
     streams = streams_of(joints(count), cycle * MILLISECOND, background)
     found = bounds(streams, bitrate, order)
     if any(each.worst >= NEVER or (each.worst > each.message.period) for each in found):

@@ -11,7 +11,7 @@ import pytest
 import trio
 
 from canopen_master import ChainSettings, open_master, standard_drives
-from canopen_master.bus_timing import Background, bus_timing
+from canopen_master.bus_timing import OtherTraffic, bus_timing
 from canopen_master.exchanges import exchange_of_plans
 from canopen_proto.drives.trajectory import from_function
 from canopen_proto.frame_bits import least_bits, worst_bits
@@ -29,7 +29,7 @@ BITRATE = 1_000_000
 LAG = 0.005
 """Seconds: the time constant with which the simulated joints follow their demand."""
 DRIVE = DriveSettings(position=0.0, track=Track(negative_limit=-math.inf, positive_limit=math.inf), lag=round(LAG * SECOND))
-BACKGROUND = Background(heartbeat=0, sdo=0, emcy=0)
+BACKGROUND = OtherTraffic(heartbeat=0, sdo=0, emcy=0)
 """While the joints move there is nothing but the cycle, and the heartbeat of the master each 100 ms."""
 
 

@@ -13,7 +13,7 @@ from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
-from canopen_master.bus_timing import Background, BusTiming, Exchange, StreamTiming, bus_timing, milliseconds
+from canopen_master.bus_timing import BusTiming, Exchange, OtherTraffic, StreamTiming, bus_timing, milliseconds
 from canopen_master.exchanges import (
     Counted,
     exchange_of_file,
@@ -110,7 +110,7 @@ def plan(
         raise usage("CO001", "which network?", tries=("--chains arm.csv --cycle 4ms --bitrate 1M", "-m cell.toml"))
     if cycle is None:
         raise usage("CO001", "which cycle?", tries=("--cycle 10ms",))
-    background = Background(heartbeat, sdo, emcy, reaction, QueueOrder(queue), sync_counter, errors or NEVER)
+    background = OtherTraffic(heartbeat, sdo, emcy, reaction, QueueOrder(queue), sync_counter, errors or NEVER)
     plans = []
     for bus, exchanges in by_bus.items():
         known = rate or (None if machine is None else _rate_of(machine.buses[bus]))

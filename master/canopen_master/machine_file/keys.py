@@ -40,7 +40,7 @@ def _is_duration(value: Any) -> bool:
         return False
 
 
-def _choice(enum: type[Enum]) -> toml.Kind:
+def _choice(enum: type[Enum]) -> toml.ValueKind:
     return toml.one_of(each.value for each in enum)._replace(convert=enum, write=_value)
 
 
@@ -79,7 +79,7 @@ def _is_bitrate(value: Any) -> bool:
         return False
 
 
-DURATION: Final = toml.Kind('a time such as "500ms" or "2s"', _is_duration, parse_duration, duration_text)
+DURATION: Final = toml.ValueKind('a time such as "500ms" or "2s"', _is_duration, parse_duration, duration_text)
 KINDS: Final[toml.Keys] = {
     "bool": toml.BOOLEAN,
     "int": toml.INTEGER,
@@ -91,17 +91,17 @@ KINDS: Final[toml.Keys] = {
     "State": toml.one_of(each.value for each in MODE_CHANGE_STATES)._replace(convert=State, write=_value),
     "StartOrder": _choice(StartOrder),
     "LossReaction": _choice(LossReaction),
-    "DriveBit": toml.Kind('{ object = "60FD", bit = 31 } or the like', _is_bit, _bit, _bit_table),
+    "DriveBit": toml.ValueKind('{ object = "60FD", bit = 31 } or the like', _is_bit, _bit, _bit_table),
 }
 """By the annotation of a field, without "| None"."""
 
 
-def kind_of(each: Field[Any]) -> toml.Kind:
+def kind_of(each: Field[Any]) -> toml.ValueKind:
     """Return the kind of a field of a settings class."""
     return KINDS[str(each.type).removesuffix(" | None")]
 
 
-def keys_of(settings: type[Any], *others: str) -> dict[str, toml.Kind]:
+def keys_of(settings: type[Any], *others: str) -> dict[str, toml.ValueKind]:
     """Return the keys of a settings class, without `others`."""
     return {each.name: kind_of(each) for each in fields(settings) if each.name not in others}
 
@@ -147,7 +147,7 @@ KEYS: Final[dict[str, toml.Keys]] = {
     "simulation": {"state": FILE},
     "buses": {
         "locator": toml.text("a locator"),
-        "bitrate": toml.Kind('a bit rate such as "500k" or "1M"', _is_bitrate, parse_bitrate, bitrate_text),
+        "bitrate": toml.ValueKind('a bit rate such as "500k" or "1M"', _is_bitrate, parse_bitrate, bitrate_text),
     },
     "nodes": {
         "bus": toml.text("the name of a bus"),
@@ -158,7 +158,7 @@ KEYS: Final[dict[str, toml.Keys]] = {
     "joints": {
         "node": toml.text("the name of a node"),
         "axis": toml.whole("an axis", 0, MAX_AXES - 1),
-        PER_TURN: toml.Kind("a number above 0", lambda value: type(value) in (int, float) and 0 < value < 1e300, float),
+        PER_TURN: toml.ValueKind("a number above 0", lambda value: type(value) in (int, float) and 0 < value < 1e300, float),
         **keys_of(AxisSettings),
     },
     "chains": {

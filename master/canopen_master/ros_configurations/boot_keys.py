@@ -30,7 +30,7 @@ _NUMBERS: Final = {
 """JointKeys of a node that are numbers: ours, and the highest value."""
 
 
-class Watch(NamedTuple):
+class HeartbeatWatch(NamedTuple):
     """How the master watches heartbeats, if it does (`consumes`). multiplier: heartbeat_multiplier of the options, or None."""
 
     multiplier: Value | None
@@ -60,7 +60,7 @@ def take_network(master: YamlSection, draft: Draft) -> None:
         master.into(network, key, partial(_time, most=most, unit=unit), ours, " in [network]")
 
 
-def take_boot(node: YamlSection, draft: Draft, watch: Watch) -> dict[str, Any]:
+def take_boot(node: YamlSection, draft: Draft, watch: HeartbeatWatch) -> dict[str, Any]:
     """Return `boot` of a node."""
     report = draft.report
     boot: dict[str, Any] = {}
@@ -102,7 +102,7 @@ def _take_program(node: YamlSection, boot: dict[str, Any], draft: Draft) -> None
     draft.report.taken(value, "program in boot of the node")
 
 
-def _take_heartbeat(node: YamlSection, boot: dict[str, Any], report: ImportReport, watch: Watch) -> None:
+def _take_heartbeat(node: YamlSection, boot: dict[str, Any], report: ImportReport, watch: HeartbeatWatch) -> None:
     producer = node.take("heartbeat_producer")
     if producer is None:
         return

@@ -13,7 +13,13 @@ from typing import Any, Final
 from canopen_data.describing import identified
 from canopen_data.durations import duration_text
 from canopen_master.machine_file.keys import MODES
-from canopen_master.ros_configurations.boot_keys import DEFAULT_MULTIPLIER, Watch, settings_of_boot, take_boot, take_network
+from canopen_master.ros_configurations.boot_keys import (
+    DEFAULT_MULTIPLIER,
+    HeartbeatWatch,
+    settings_of_boot,
+    take_boot,
+    take_network,
+)
 from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_master.ros_configurations.report import ImportReport, YamlSection, section_of
 from canopen_master.ros_configurations.scale import position_keys, velocity_keys
@@ -65,7 +71,7 @@ def take_ros2_canopen(top: YamlSection, keys: Mapping[str, Value], draft: Draft)
         report.left_out(consumer, f"true or false is expected, not {consumer} ({consumer.kind}): it counts as true")
     elif consumer is not None:
         is_watched = consumer.truth()
-    watch = Watch(multiplier, is_watched)
+    watch = HeartbeatWatch(multiplier, is_watched)
     _take_master(master, draft)
     take_network(master, draft)
     master.close()
@@ -138,7 +144,7 @@ def _take_master(master: YamlSection, draft: Draft) -> None:
     )
 
 
-def _take_node(name: str, value: Value, node: YamlSection, draft: Draft, folder: tuple[Path, ...], watch: Watch) -> None:
+def _take_node(name: str, value: Value, node: YamlSection, draft: Draft, folder: tuple[Path, ...], watch: HeartbeatWatch) -> None:
     report = draft.report
     ours = draft.name(value, name)
     dcf, own_path = node.take("dcf"), node.take("dcf_path")

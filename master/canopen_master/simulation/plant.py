@@ -98,7 +98,7 @@ def device_table(device: DeviceEntry, keys: toml.Keys) -> dict[str, Any]:
 
 FILE: Final = toml.text("a file name")
 NODE_ID: Final = toml.whole("a node-ID", 1, MAX_NODE_ID)
-_NODE_IDS: Final = toml.Kind(
+_NODE_IDS: Final = toml.ValueKind(
     f"{NODE_ID.expected}, or a list of them,",
     lambda value: value != [] and all(map(NODE_ID.fits, toml.listed(value))),
     lambda value: tuple(toml.listed(value)),
