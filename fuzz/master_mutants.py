@@ -10,6 +10,9 @@ EVENTS: Final = ("tests/master/test_events.py",)
 BUSES: Final = ("tests/master/test_several_buses.py",)
 KEEPER: Final = ("tests/master/test_parameter_keeper.py",)
 STALLS: Final = ("tests/master/test_stalls.py",)
+PUMP_TIME: Final = ("tests/master/test_pump_time.py",)
+ONE_PROCESS: Final = ("tests/master/test_one_process.py",)
+PATIENT_CLOCK: Final = ("tests/master/test_patient_clock.py",)
 NODE_PDOS: Final = ("tests/master/test_node_pdos.py",)
 SLOTS: Final = ("tests/master/test_procedure_slot.py",)
 PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
@@ -98,6 +101,38 @@ MASTER_MUTANTS: Final = tuple(
             "_TICKS",
             "after a stall the master acts on what it heard before it has heard the rest",
             STALLS,
+        ),
+        (
+            "looks_once",
+            "canopen_master/participant/pump.py",
+            "for _ in range(MAX_LOOKS):",
+            "for _ in range(1):",
+            "a stall between the look at what has come and the timeouts loses a node that sent its heartbeat meanwhile",
+            PUMP_TIME,
+        ),
+        (
+            "stalled_alone",
+            "canopen_master/participant/pump.py",
+            "if len(self._running) > 1:",
+            "if False:",
+            "a simulated device that is in time itself takes its stalled master for lost",
+            ONE_PROCESS,
+        ),
+        (
+            "time_passes_the_deadline",
+            "canopen_master/participant/patient_clock.py",
+            "max(latest, until), 0.0",
+            "reached + to_make_up, 0.0",
+            "in a world in this process everything is late once the process was",
+            PATIENT_CLOCK,
+        ),
+        (
+            "patient_beside_a_real_bus",
+            "canopen_master/direct/connection.py",
+            "return PatientClock() if self._simulated and is_apart else None",
+            "return PatientClock() if self._simulated else None",
+            "time stands still for a master of real drives beside simulated ones",
+            PATIENT_CLOCK,
         ),
         (
             "never_asked_again",

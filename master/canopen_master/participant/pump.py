@@ -61,7 +61,7 @@ _TICKS: Final = 2
 QUIET_TICKS: Final = 3
 """A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
 
-_running: trio.lowlevel.RunVar[frozenset[Pump]] = trio.lowlevel.RunVar("canopen_master pumps", frozenset())
+_pumps: trio.lowlevel.RunVar[set[Pump]] = trio.lowlevel.RunVar("canopen_master pumps")
 
 
 OnEvent: TypeAlias = Callable[[Bus, Event], None]
@@ -114,6 +114,7 @@ class Pump:
         self._received = 0
         self._outs = tuple((bus, bus.network.out) for bus in self.buses)
         self._clock = trio.lowlevel.current_clock()
+        self._running = _running_pumps()
         self._filtered = tuple(bus for bus in self.buses if bus.is_filtered)
         self._renew_filters()
 
@@ -177,7 +178,7 @@ class Pump:
         """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
         last_look = _LastLook(self)
         trio.lowlevel.add_instrument(last_look)
-        _running.set(_running.get() | {self})
+        self._running.add(self)
         try:
             with self._scope:
                 async with trio.open_nursery() as nursery:
@@ -188,7 +189,7 @@ class Pump:
                     nursery.start_soon(self._keep_time)
                     task_status.started()
         finally:
-            _running.set(_running.get() - {self})
+            self._running.discard(self)
             for bus in self.buses:
                 bus.push_to(None)
             trio.lowlevel.remove_instrument(last_look)
@@ -253,8 +254,10 @@ class Pump:
                 await self._alarm.wait()
                 self._wake = NEVER
                 now = self.now()
-                if now >= self._next_deadline():
-                    late = now - min(each._next_deadline() for each in _running.get())
+                late = now - self._next_deadline()
+                if late >= 0:
+                    if len(self._running) > 1:
+                        late = now - min(each._next_deadline() for each in self._running)
                     self._turn(self._handle_timeouts, await self._take_in_before(now, late))
 
     async def _take_in_before(self, looked: Time, late: Time) -> Time:
@@ -336,3 +339,12 @@ class Pump:
             cause, error = error, TransportError(BUS_LOST, name, f"cannot {doing} on {name}", seen=seen)
             error.__cause__ = cause
         self._on_failure(bus, error)
+
+
+def _running_pumps() -> set[Pump]:
+    """Return the pumps of this trio run that run."""
+    try:
+        return _pumps.get()
+    except LookupError:
+        _pumps.set(set())
+        return _pumps.get()
