@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeAlias
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.observer import Observer
+from canopen_proto.observer.sdo import PAUSE
 from canopen_proto.sdo.codec import TOGGLE
 from tests.interop.recorded import Line
 
@@ -56,7 +57,7 @@ def found_in(session: Session) -> list[Found]:
 class Change(NamedTuple):
     """rule: the one that the fault breaks. fits: what a frame has to be, by its words and its first byte. plant: the fault.
 
-    has_crc: it fits only into block transfers with a CRC, to which both sides have agreed.
+    has_crc: it fits only into block transfers with a CRC, to which both sides have agreed, and without a pause.
     """
 
     rule: str
@@ -68,10 +69,16 @@ class Change(NamedTuple):
         """The frames at which it can be planted."""
         observer = Observer()
         words = [f"{line.text[:6]} {observer.observe(line.frame, line.time).meaning.text}" for line in session]
-        fitting, is_with_crc = [], False
+        fitting, is_with_crc, begin, last = [], False, 0, 0
         for at, each in enumerate(words):
             if re.match(BLOCK_INITIATE, each):
                 is_with_crc = (is_with_crc or each[:2] == "60") and re.match(WITH_CRC, each) is not None
+                begin = at
+            elif self.has_crc and session[at].time - last > PAUSE and re.match(OF_BLOCK, each):
+                # Behind a pause a lost block is as likely as a wrong byte
+                is_with_crc, fitting = False, [place for place in fitting if place < begin]
+            if re.match("60|58", each):
+                last = session[at].time
             if re.match(self.fits, each) and (is_with_crc or not self.has_crc):
                 fitting.append(at)
         return fitting
@@ -128,6 +135,7 @@ BLOCK_INITIATE = "(60|58).#.. .*(in blocks|segments a block)"
 WITH_CRC = "(60|58).#(A4|C[46])"
 REQUEST = "60.#40 read "
 SEGMENT = "(60|58).#.. .*(next segment|segment confirmed|bytes so far)"
+OF_BLOCK = "(60|58).#.. .*(block segment [0-9]+$|segments taken)"
 IN_BLOCK = "(60|58).#.. .*block segment [0-9]+$"
 ANSWER_IN_SEGMENTS = "58.#.. .*(segment confirmed|bytes so far)"
 SIZED = "(60|58).#.. .*in (segments|blocks), [0-9]+ bytes"
@@ -171,6 +179,11 @@ class Scene:
             begin = random.randrange(session[0].time, session[-1].time + SECOND)
             if not any(begin <= command <= begin + length for command in commands):
                 return begin
+
+    def is_explained(self, session: Session, begin: Time) -> bool:
+        """Whether it is no fault there: a node that boots behind a reset of all nodes was told to, however late it is."""
+        resets = (line.frame.data for line in session if line.frame.can_id == 0 and line.time <= begin)
+        return self.rule == "boot-up" and any(data in (b"\x81\x00", b"\x82\x00") for data in resets)
 
     def within(self, session: Session, begin: Time) -> Session:
         """The session with these frames too, from a time on."""
