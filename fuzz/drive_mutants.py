@@ -330,7 +330,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "following_limit_too_late",
-            "drives/axis/following.py",
+            "drives/axis/following_error.py",
             "UNCERTAIN: Final = 2",
             "UNCERTAIN: Final = 4",
             "a drive may be four cycles of its motion behind, not two",

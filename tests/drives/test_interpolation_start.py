@@ -13,7 +13,8 @@ import pytest
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.dictionary.model import Object
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis.following import LAG, Following, FollowingLost
+from canopen_proto.drives.axis.following import Following, FollowingLost
+from canopen_proto.drives.axis.following_error import LAG
 from canopen_proto.drives.axis.interpolation import InterpolationBuffer
 from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.axis.sub_modes import Point, PositionAndVelocity

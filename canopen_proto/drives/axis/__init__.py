@@ -56,6 +56,8 @@ from canopen_proto.drives.axis.failures import ReferenceLost as ReferenceLost
 from canopen_proto.drives.axis.failures import StateLost as StateLost
 from canopen_proto.drives.axis.failures import TakenOver as TakenOver
 from canopen_proto.drives.axis.failures import fault_of as fault_of
+from canopen_proto.drives.axis.following import OutOfBounds as OutOfBounds
+from canopen_proto.drives.axis.following import keep_within as keep_within
 from canopen_proto.drives.axis.halting import halt as halt
 from canopen_proto.drives.axis.halting import halt_after as halt_after
 from canopen_proto.drives.axis.homing import HomingProgressed as HomingProgressed
@@ -66,8 +68,6 @@ from canopen_proto.drives.axis.identity import identify as identify
 from canopen_proto.drives.axis.identity import learn_units as learn_units
 from canopen_proto.drives.axis.interpolation import InterpolationBuffer as InterpolationBuffer
 from canopen_proto.drives.axis.interpolation import start_interpolation as start_interpolation
-from canopen_proto.drives.axis.keeping_within import OutOfBounds as OutOfBounds
-from canopen_proto.drives.axis.keeping_within import keep_within as keep_within
 from canopen_proto.drives.axis.profile_position import move_to as move_to
 from canopen_proto.drives.axis.standing import select_standing_mode as select_standing_mode
 from canopen_proto.drives.axis.state import change_state as change_state

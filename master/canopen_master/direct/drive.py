@@ -39,12 +39,11 @@ from canopen_master.silence import missing_frame
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import AxisSettings
-from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.following import FollowingLost, read_unsent
 from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.limits import read_limits
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.drives.axis.settings import HomingStyle
-from canopen_proto.drives.axis.unsent import read_unsent
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.drives.trajectory import JointLimits

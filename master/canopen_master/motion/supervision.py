@@ -23,10 +23,9 @@ from canopen_master.motion.joint_procedures import Followed
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis.axis import AxisStateChanged
-from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.following import FollowingLost, read_unsent
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.drives.axis.slow_position import feed_targets
-from canopen_proto.drives.axis.unsent import read_unsent
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
