@@ -13,6 +13,7 @@ from canopen_proto.dictionary import Direction
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.axis.view import view_of
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.drive_bit import DriveBit
 from canopen_proto.drives.cia402.modes import Mode
@@ -383,7 +384,7 @@ def test_a_pdo_without_a_command_is_nobodys_fault() -> None:
     rig.remote.add_rpdo(2, 0x305, carries, 255)  # type: ignore[arg-type]
     rig.bus.send("305#06000000")
     rig.run(drive.read_statusword(rig.axis))
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
 
 
 def test_another_mode_by_another_master() -> None:
@@ -424,16 +425,16 @@ def test_what_agrees_with_us_or_is_long_ago_is_no_reason() -> None:
     rig.run(drive.select_standing_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
     foreign.write(objects.CONTROLWORD, rig.axis.controlword)
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
     foreign.write(objects.CONTROLWORD, 0x010F)
     rig.run(drive.read_statusword(rig.axis))
-    assert str(rig.axis.view().foreign).startswith("another master commanded 0x010F")
+    assert str(view_of(rig.axis).foreign).startswith("another master commanded 0x010F")
     rig.bus.run(6 * SECOND)
     rig.run(drive.read_statusword(rig.axis))
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
     foreign.write(objects.CONTROLWORD, 0x010F)
     rig.run(drive.command(rig.axis, 0x0007))  # ours came later, and counts
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
 
 
 def test_only_commands_of_others_are_listened_to() -> None:

@@ -202,10 +202,10 @@ def test_a_move_of_a_late_drive_ends_at_its_target(reaction: int) -> None:
     for target in (0.2, -0.1, -0.1):
         rig.run(drive.move_to(rig.axis, target, timeout=60 * SECOND))
         rig.drive.refresh(rig.bus.now)
-        assert rig.drive._servo.position == pytest.approx(rig.axis.to_counts(target), abs=11)
+        assert rig.drive._servo.position == pytest.approx(rig.axis.scale.to_counts(target), abs=11)
     rig.run(drive.move_to(rig.axis, 0.3, timeout=60 * SECOND, relative=True))
     rig.drive.refresh(rig.bus.now)
-    assert rig.drive._servo.position == pytest.approx(rig.axis.to_counts(0.2), abs=11)
+    assert rig.drive._servo.position == pytest.approx(rig.axis.scale.to_counts(0.2), abs=11)
 
 
 def test_another_master_that_disables_a_drive_is_not_fought() -> None:

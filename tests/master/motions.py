@@ -14,6 +14,8 @@ from canopen_master import Device, Grip, Master, open_master
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import AxisSettings
+from canopen_proto.drives.axis.controlword import put
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.configure import use_device_pdo
@@ -61,8 +63,8 @@ async def follow(master: Master, node_id: int, rpdo: int, start: Callable[..., o
     step = 0
     while True:
         step += 1
-        axis.set_position(position + 1.2 * SPEED * CYCLE * step)
-        axis.set_controlword(axis.controlword, master.now())  # which triggers an event-driven RPDO
+        axis.set_points.set_position(position + 1.2 * SPEED * CYCLE * step)
+        put(axis, objects.CONTROLWORD, axis.controlword, master.now())  # which triggers an event-driven RPDO
         master.pump.pump()
         await trio.sleep(CYCLE)
 

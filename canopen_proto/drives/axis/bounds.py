@@ -44,7 +44,7 @@ class Bounds:
         self.limits = limits
         self._axis = axis
         dictionary = axis.node.dictionary
-        self._has_speed = axis.velocity_unit is not None and objects.VELOCITY_ACTUAL_VALUE in dictionary
+        self._has_speed = axis.scale.velocity_unit is not None and objects.VELOCITY_ACTUAL_VALUE in dictionary
         self._has_position = objects.POSITION_ACTUAL_VALUE in dictionary
         self._start: float | None = None
         self._judged_at: Time = -NEVER  # the last value of each object that was judged came then
@@ -56,13 +56,13 @@ class Bounds:
     def expect_set_points(self, mode: int, max_missed: int) -> None:
         """Expect set-points of a cyclic mode from now on. max_missed: SYNCs in a row that may pass without a new one."""
         self._set_point, self._max_missed = SET_POINT_OF.get(mode), max_missed
-        self._given, self._missed = self._axis.set_points_given, 0
+        self._given, self._missed = self._axis.set_points.given, 0
 
     def on_sync(self) -> str:
         """Return what is out of bounds at a SYNC, in words; "" if nothing is."""
         axis = self._axis
-        if self._set_point is None or axis.set_points_given != self._given or not axis.node.values.store.get(self._set_point):
-            self._given, self._missed = axis.set_points_given, 0
+        if self._set_point is None or axis.set_points.given != self._given or not axis.node.values.store.get(self._set_point):
+            self._given, self._missed = axis.set_points.given, 0
             return ""
         self._missed += 1
         if self._missed <= self._max_missed:
@@ -117,7 +117,7 @@ class Bounds:
         began_at, began = looks[0]
         if heard_at - began_at < SPEED_TIME:
             return ""
-        return self._too_fast(self._axis.way_from_counts(counts - began) * SECOND / (heard_at - began_at))
+        return self._too_fast(self._axis.scale.way_from_counts(counts - began) * SECOND / (heard_at - began_at))
 
 
 @accounted

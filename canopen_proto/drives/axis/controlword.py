@@ -1,4 +1,9 @@
-"""Send a controlword or a mode of operation to a drive: by an RPDO that carries it, or by SDO."""
+"""Send a controlword or a mode of operation to a drive: by an RPDO that carries it, or by SDO.
+
+**One controlword image per axis.** It is the node's own image of 0x6040, from which RPDOs are built. While a live RPDO carries
+0x6040, a command goes into the image, and that PDO sends it. Otherwise the command goes by SDO. A confirmed SDO write sets the
+image too: else the next RPDO would send a stale 0 and take the drive out of operation.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ from canopen_proto.drives.axis.failures import accounted, is_loss_of, node_lost
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import ModeControl
 from canopen_proto.drives.cia402.states import Command, State
-from canopen_proto.machine import MILLISECOND, Event
+from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, current_time, sleep
@@ -84,15 +89,26 @@ def bring(axis: Axis, mux: Mux, value: int, *, urgent: bool = False) -> Procedur
     node.commanded.add(mux)
     producer = node.rpdo_of(mux)
     if producer is not None and not producer.is_synchronous:
-        yield from act(lambda now: axis.put(mux, value, now))
+        yield from act(lambda now: put(axis, mux, value, now))
         return
     last_sync = node.last_sync
     if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
-        yield from act(lambda now: axis.put(mux, value, now))
+        yield from act(lambda now: put(axis, mux, value, now))
         # An RPDO of transmission type n leaves at every n-th SYNC.
         if (yield from syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
     yield from write(node, mux, value, urgent=urgent)
+
+
+def put(axis: Axis, mux: Mux, value: int, now: Time) -> None:
+    """Put a value into the image of an object. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.
+
+    Without a live RPDO that carries the object nothing is sent.
+    """
+    axis.node.values.store[mux] = value
+    producer = axis.node.rpdo_of(mux)
+    if producer is not None:
+        producer.trigger(now)
 
 
 def command_held(axis: Axis, controlword: int) -> Procedure[None]:

@@ -48,6 +48,7 @@ from typing import Final, NamedTuple, NoReturn
 
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.bounds import MAX_MISSED, Bounds
+from canopen_proto.drives.axis.controlword import put
 from canopen_proto.drives.axis.failures import DriveError
 from canopen_proto.drives.axis.following_error import LAG, UNCERTAIN, FollowingError
 from canopen_proto.drives.axis.halting import halt_after
@@ -582,7 +583,7 @@ def keep_within(
     axis = following.axis
 
     def forget() -> Procedure[None]:
-        return act(lambda now: axis.put(SET_POINT_OF[mode], 0, now))
+        return act(lambda now: put(axis, SET_POINT_OF[mode], 0, now))
 
     following.begin_within(bounds, mode, cyclic=cyclic, silent_syncs=silent_syncs, max_missed=max_missed)
     try:

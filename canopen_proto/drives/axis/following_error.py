@@ -71,13 +71,13 @@ class FollowingError:
     def begin(self, limit: Limit, lag: int, slack: int) -> None:
         """Begin with a drive that stands at the present set-point. The parameters are those of `Following.begin`."""
         self.limit, self._lag, self._window, self.present = limit, lag, lag + slack + 1, 0.0
-        self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=max(self._window, REMEMBERED))
+        self._points = deque([self._axis.set_points.counts] * (lag + 1), maxlen=max(self._window, REMEMBERED))
         self._syncs = 0
         self._pdos.clear()
 
     def on_sync(self) -> None:
         """Take note of a SYNC, which takes the present set-point along."""
-        self._points.append(self._axis.set_point_counts)
+        self._points.append(self._axis.set_points.counts)
         self._syncs += 1
 
     def on_position(self, muxes: Collection[Mux]) -> bool:
@@ -93,7 +93,7 @@ class FollowingError:
         counts = self._axis.position_counts
         assert counts is not None  # it has just come
         self._position = counts
-        self.present = self._axis.way_from_counts(self._points[-1 - self._lag] - counts)
+        self.present = self._axis.scale.way_from_counts(self._points[-1 - self._lag] - counts)
         distance = abs(self.present)
         if distance > self.largest:
             self.largest = distance
@@ -104,10 +104,10 @@ class FollowingError:
         the limit. All are in the user's unit."""
         axis, limit, position = self._axis, self.limit, self._position
         points = list(islice(reversed(self._points), self._window))
-        off = axis.amount_from_counts(max(min(points) - position, position - max(points)))
+        off = axis.scale.amount_from_counts(max(min(points) - position, position - max(points)))
         if off <= limit.value:
             return None
-        return off, axis.from_counts(position), axis.from_counts(points[self._lag]), limit.value, limit.source
+        return off, axis.scale.from_counts(position), axis.scale.from_counts(points[self._lag]), limit.value, limit.source
 
     def late(self) -> int:
         """Return by how many SYNCs the last position is late; 0 if nothing shows that."""
@@ -115,7 +115,7 @@ class FollowingError:
         missing = self._syncs - max(self._pdos.values(), default=self._syncs)
         newest = len(points) - 1 - self._lag - missing
         around = range(max(0, newest - AROUND), min(len(points), newest + AROUND + 1))
-        window = round(self._axis.counts_of_amount(self.limit.value))
+        window = round(self._axis.scale.counts_of_amount(self.limit.value))
         is_on_path = any(abs(points[place] - self._position) <= window for place in around)
         return missing if missing > FEW and is_on_path else 0
 
@@ -133,8 +133,8 @@ def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
         return Limit(limit, "the settings (following_error_limit)")
     window = yield from read_if_present(axis.node, objects.FOLLOWING_ERROR_WINDOW)
     if isinstance(window, int) and 0 < window < OFF:
-        return Limit(axis.amount_from_counts(window), "0x6065 of the drive")
-    speed = limits.speed.value if math.isfinite(limits.speed.value) else axis.amount_from_counts(DEFAULT_SPEED)
+        return Limit(axis.scale.amount_from_counts(window), "0x6065 of the drive")
+    speed = limits.speed.value if math.isfinite(limits.speed.value) else axis.scale.amount_from_counts(DEFAULT_SPEED)
     way = f"its way in {DEFAULT_TIME / SECOND:g} s at {speed:.4g} per second"
     source = f"default, {way}; following_error_limit of its settings raises it"
     return Limit(speed * DEFAULT_TIME / SECOND, source)

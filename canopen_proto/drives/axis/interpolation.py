@@ -76,7 +76,7 @@ def start_interpolation(
     """
     require_reference(axis)
     require_carried(axis, sub_mode.objects, sends_itself)
-    axis.select_record(sub_mode, cycle_time)
+    axis.set_points.select_record(sub_mode, cycle_time)
     if buffer is not None:
         yield from _check_size(axis, buffer)
 

@@ -68,7 +68,7 @@ def move_to(
         raise LocalProtocolError("a relative target has its direction already: by its sign")
     require_option(axis, direction)
     settings = axis.settings
-    counts = axis.to_counts(position) - (settings.offset if relative else 0)
+    counts = axis.scale.to_counts(position) - (settings.offset if relative else 0)
     axis.node.encode(objects.TARGET_POSITION, counts)
     if not axis.has_lost_reference:
         start = yield from demand_of(axis)
@@ -179,11 +179,11 @@ def make_room(axis: Axis, word: int) -> Procedure[None]:
 
 def require_within_limits(axis: Axis, start: int, target: int) -> None:
     """Raise LimitReached for a target, in counts, beyond the limits of the settings."""
-    limit = limits_of(axis).position_excess(axis.from_counts(start), axis.from_counts(target))
+    limit = limits_of(axis).position_excess(axis.scale.from_counts(start), axis.scale.from_counts(target))
     if limit is not None:
         raise LimitReached(
             axis,
-            f"was not moved to {axis.from_counts(target):g}",
+            f"was not moved to {axis.scale.from_counts(target):g}",
             reason=f"{limit.source} say {limit.value:g}; it got no such target",
             remedy=OTHER_TARGET,
         )
@@ -198,12 +198,12 @@ def require_profile_speed(axis: Axis) -> Procedure[None]:
     if limit is None or math.isinf(limit):
         return
     number = yield from read_if_present(axis.node, objects.PROFILE_VELOCITY)
-    if axis.velocity_unit is None:
+    if axis.scale.velocity_unit is None:
         yield from learn_units(axis)
-    unit = axis.velocity_unit
+    unit = axis.scale.velocity_unit
     if not isinstance(number, int) or unit is None:
         return
-    speed = axis.amount_from_counts(number * unit)
+    speed = axis.scale.amount_from_counts(number * unit)
     if speed > limit * EXACT:
         raise LimitReached(
             axis,
@@ -256,8 +256,8 @@ def wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rela
     if limit or (is_there is False and not relative):  # 0x60F2: the drive decides what a relative target counts from
         raise LimitReached(
             axis,
-            f"stands at {axis.from_counts(position):g} ({position} counts), not at its target {axis.from_counts(target):g} "
-            f"({target} counts)",
+            f"stands at {axis.scale.from_counts(position):g} ({position} counts), "
+            f"not at its target {axis.scale.from_counts(target):g} ({target} counts)",
             reason=limit,
             remedy=OTHER_TARGET,
         )
@@ -348,4 +348,4 @@ def limit_before(axis: Axis, target: int) -> Procedure[str]:
         subindex, limit = 2, high
     else:
         return ""
-    return f"its software limit 0x607D:{subindex:02X} is {axis.from_counts(limit):g} ({limit} counts)"
+    return f"its software limit 0x607D:{subindex:02X} is {axis.scale.from_counts(limit):g} ({limit} counts)"

@@ -33,7 +33,7 @@ def select_standing_mode(axis: Axis) -> Procedure[None]:
             return
     csp = Mode.CYCLIC_SYNCHRONOUS_POSITION
     if objects.TARGET_POSITION in axis.node.dictionary:
-        axis.select_set_point(csp)
+        axis.set_points.select(csp)
         yield from align_position(axis)
         yield from clear_offsets(axis, csp)
         if (yield from takes(axis, csp)):

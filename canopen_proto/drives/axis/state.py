@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist
+from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, put
 from canopen_proto.drives.axis.digital_io import return_brake
 from canopen_proto.drives.axis.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
 from canopen_proto.drives.axis.halting import halt, halt_after, may_be_enabled
@@ -14,6 +14,7 @@ from canopen_proto.drives.axis.one_motion import moves, stops
 from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.axes import axis_of
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.drives.cia402.states import FAULT_STATES, POWERED, Command, ControlBit, State, next_command, state_of
 from canopen_proto.machine import SECOND, Time
@@ -198,7 +199,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     if lower is not None:
         if (yield from read_int(axis.node, objects.MODES_OF_OPERATION_DISPLAY)) == mode:
             axis.node.commanded.add(objects.MODES_OF_OPERATION)  # an RPDO that is sent later asks for this mode too
-            yield from act(lambda now: axis.put(objects.MODES_OF_OPERATION, mode, now))
+            yield from act(lambda now: put(axis, objects.MODES_OF_OPERATION, mode, now))
             return
         yield from halt(axis)
         yield from change_state(axis, lower)
@@ -230,7 +231,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
         shown = axis.mode or Mode.NO_MODE
         if axis.node.rpdo_of(objects.MODES_OF_OPERATION) is not None:
             # An RPDO cannot be refused: it would go on asking, and the drive might obey at any later time.
-            yield from act(lambda now: axis.put(objects.MODES_OF_OPERATION, shown, now))
+            yield from act(lambda now: put(axis, objects.MODES_OF_OPERATION, shown, now))
         failed = f"did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061"
         raise ModeUnsupported(axis, failed, reason=late.reason, remedy=late.remedy, view=late.view) from late
 
@@ -283,7 +284,16 @@ def shut_down(axis: Axis) -> Procedure[None]:
     elif state is not State.FAULT:
         yield from change_state(axis, State.SWITCH_ON_DISABLED)
     now = yield from current_time()
-    for number in axis.own_rpdos():
+    for number in _own_rpdos(axis):
         axis.node.enable_rpdo(number, now, False)
     if axis.grip is not None:
         yield from axis.grip.let_go()
+
+
+def _own_rpdos(axis: Axis) -> list[int]:
+    """Return the numbers of the RPDOs that are exchanged with the node and carry nothing for another axis of it."""
+    carried = {
+        number: {place for mux in rpdo.mapping.muxes if (place := axis_of(mux)) is not None}
+        for number, rpdo in axis.node.rpdos.items()
+    }
+    return [number for number, axes in carried.items() if (axes or {0}) == {axis.number}]

@@ -10,7 +10,7 @@ Interpolated position mode (ip) begins in the same way; see interpolation.py. Ea
     5. the halt ends, and the start waits for bit 12, "the drive follows the command"
 
 So nothing jumps. If a start fails or is cancelled, it halts the drive. From then on the caller gives set-points
-(`Axis.set_position`, `set_velocity`, `set_torque`), and watches the drive (`Following`).
+(`Axis.set_points`), and watches the drive (`Following`).
 
 In csv and cst no position is commanded, and there is no following error. `keep_within` watches and halts such a drive instead.
 
@@ -25,6 +25,7 @@ from typing import Final, TypeAlias
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import range_of
 from canopen_proto.drives.axis.axis import OBEYED, Axis
+from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.failures import DriveError, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
@@ -60,7 +61,7 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     require_reference(axis)
     carried = (objects.TARGET_POSITION,)
     require_carried(axis, carried, sends_itself)
-    axis.select_set_point(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    axis.set_points.select(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     yield from prepare(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, cycle_time, align_position)
     return (yield from follow(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, carried, align_position))
 
@@ -78,7 +79,7 @@ def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     _require_velocity_unit(axis)
 
     def align(axis: Axis) -> Procedure[float]:
-        axis.set_velocity(0.0)
+        axis.set_points.set_velocity(0.0)
         yield from write(axis.node, objects.TARGET_VELOCITY, 0)
         return 0.0
 
@@ -105,8 +106,8 @@ def start_cyclic_torque(
         nonlocal held
         if held is None:
             held = yield from holding_torque(axis)
-        held = axis.set_torque(held)
-        yield from write(axis.node, objects.TARGET_TORQUE, axis.torque_to_wire(held))
+        held = axis.set_points.set_torque(held)
+        yield from write(axis.node, objects.TARGET_TORQUE, axis.scale.torque_to_wire(held))
         return held
 
     yield from prepare(axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cycle_time, align)
@@ -123,7 +124,7 @@ def holding_torque(axis: Axis) -> Procedure[float]:
 
 def _require_velocity_unit(axis: Axis) -> None:
     """Raise DriveError if it is not known what the numbers of velocities mean."""
-    if axis.velocity_unit is None:
+    if axis.scale.velocity_unit is None:
         raise DriveError(
             axis,
             "gets no velocity",
@@ -135,7 +136,7 @@ def _require_velocity_unit(axis: Axis) -> None:
 def require_carried(axis: Axis, carried: Collection[Mux], sends_itself: bool) -> None:
     """Raise DriveError if an object of the set-point is in no RPDO that is exchanged, unless the caller sends it itself."""
     for mux in carried:
-        if not sends_itself and not axis.rpdos_with((mux,)):
+        if not sends_itself and not rpdos_with(axis.node, (mux,)):
             raise DriveError(
                 axis,
                 "would get no set-points",
@@ -156,14 +157,14 @@ def prepare(axis: Axis, mode: Mode, cycle_time: Time, align: Align) -> Procedure
 def align_position(axis: Axis) -> Procedure[float]:
     """Make the actual position the set-point; return it."""
     position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
-    axis.set_position_counts(position, 0.0)
+    axis.set_points.set_position_counts(position, 0.0)
     yield from write_record(axis)
-    return axis.from_counts(position)
+    return axis.scale.from_counts(position)
 
 
 def write_record(axis: Axis) -> Procedure[None]:
     """Write the images of the position set-point by SDO, in the order of the record."""
-    for mux in axis.set_point_objects:
+    for mux in axis.set_points.objects:
         if mux in axis.node.dictionary:
             yield from write(axis.node, mux, axis.node.values.store[mux])
 
@@ -227,7 +228,7 @@ def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Pr
         yield from enable(axis)  # in cst power alone may let a load move
         start = yield from align(axis)
         now = yield from current_time()
-        carriers = axis.rpdos_with(carried)
+        carriers = rpdos_with(axis.node, carried)
         for number in (*carriers, *_rpdos_of_offsets(axis, mode)):
             node.enable_rpdo(number, now)
         if carriers and not any(node.rpdos[number].is_live for number in carriers):

@@ -188,11 +188,11 @@ class _Feeder:
     def _absolute(self, point: Target, before: int | None) -> int | None:
         """Return a target in counts; None if it counts from a position that only shows on the way."""
         if point.relative_to is None:
-            return self._axis.to_counts(point.position)
+            return self._axis.scale.to_counts(point.position)
         return before + self._way(point) if before is not None and point.relative_to is RelativeTo.PREVIOUS else None
 
     def _way(self, point: Target) -> int:
-        return self._axis.to_counts(point.position) - self._axis.settings.offset
+        return self._axis.scale.to_counts(point.position) - self._axis.settings.offset
 
     def _profile_of(self, point: Target) -> dict[Mux, int]:
         """Return the values of a target's profile on the wire. Raises LimitReached for a speed beyond max_speed."""
@@ -203,9 +203,9 @@ class _Feeder:
             raise LimitReached(axis, f"was not moved at {fastest:g} per second", reason=reason, remedy=OTHER_TARGET, looks=False)
         found = {}
         for key, value, convert in (
-            (objects.PROFILE_VELOCITY, point.velocity, axis.speed_to_wire),
-            (objects.PROFILE_ACCELERATION, point.acceleration, axis.rate_to_wire),
-            (objects.PROFILE_DECELERATION, point.deceleration, axis.rate_to_wire),
+            (objects.PROFILE_VELOCITY, point.velocity, axis.scale.speed_to_wire),
+            (objects.PROFILE_ACCELERATION, point.acceleration, axis.scale.rate_to_wire),
+            (objects.PROFILE_DECELERATION, point.deceleration, axis.scale.rate_to_wire),
         ):
             if value is not None:
                 found[key] = number = convert(value)
@@ -213,7 +213,7 @@ class _Feeder:
                     failed = f"cannot take {value:g}: it is less than one unit of {mux_text(key)}"
                     raise DriveError(axis, failed, remedy="a larger value", looks=False)
         if point.end_velocity or objects.END_VELOCITY in axis.node.dictionary:
-            found[objects.END_VELOCITY] = axis.speed_to_wire(point.end_velocity) if point.end_velocity else 0
+            found[objects.END_VELOCITY] = axis.scale.speed_to_wire(point.end_velocity) if point.end_velocity else 0
         return found
 
     def give(self, number: int) -> Procedure[None]:

@@ -51,7 +51,7 @@ def apply_torque(
     """
     if duration < 0:
         raise LocalProtocolError(f"duration must not be below 0; it is {duration!r}")
-    target = axis.torque_to_wire(torque)
+    target = axis.scale.torque_to_wire(torque)
     if torque and not target:
         raise DriveError(axis, f"gets no torque of {torque:g}", reason="0x6071 counts thousandths of the rated torque")
     steepness = None if slope is None else _slope_number(axis, slope)
@@ -64,7 +64,7 @@ def apply_torque(
         )
     axis.node.encode(objects.TARGET_TORQUE, target)  # now: nothing may fail once the drive has power
     yield from halt(axis)
-    held = axis.torque_to_wire((yield from holding_torque(axis)))
+    held = axis.scale.torque_to_wire((yield from holding_torque(axis)))
     yield from write(axis.node, objects.TARGET_TORQUE, held)
     if steepness is not None:
         yield from write(axis.node, objects.TORQUE_SLOPE, steepness)

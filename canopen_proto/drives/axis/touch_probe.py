@@ -129,7 +129,7 @@ def _command(axis: Axis, probe: int, function: int) -> Procedure[None]:
 def read_probe(axis: Axis, probe: int = 1) -> Procedure[ProbeReading]:
     """Return the positions that a probe has latched since it was armed."""
     shown = yield from _look(axis, probe, 0)
-    return ProbeReading(*(None if each.counts is None else axis.from_counts(each.counts) for each in shown))
+    return ProbeReading(*(None if each.counts is None else axis.scale.from_counts(each.counts) for each in shown))
 
 
 @accounted
@@ -164,7 +164,7 @@ def watch_probe(axis: Axis, probe: int = 1, *, interval: Time = POLL_INTERVAL) -
         for is_positive, old, new in zip((True, False), before, now, strict=True):
             if new.counts is not None and new != old:
                 missed = _between(old.counter, new.counter)
-                position = axis.from_counts(new.counts)
+                position = axis.scale.from_counts(new.counts)
                 node.out.events.append(ProbeLatched(node.node_id, probe, is_positive, position, missed, axis.number))
         before = now
 

@@ -50,7 +50,7 @@ def read_statusword(axis: Axis) -> Procedure[int]:
 @accounted
 def read_position(axis: Axis) -> Procedure[float]:
     """Read the actual position (0x6064) by SDO; return it in the user's unit."""
-    return axis.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))
+    return axis.scale.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))
 
 
 @accounted

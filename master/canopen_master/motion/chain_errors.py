@@ -24,6 +24,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis import DriveError, DriveFault, ReferenceLost
 from canopen_proto.drives.axis.grip import NotHeldError
 from canopen_proto.drives.axis.reasons import Reason, outer_reason
+from canopen_proto.drives.axis.view import view_of
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import SdoFailed
 
@@ -105,7 +106,7 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
 
 def joint_fault(chain: str, device: Device, reason: str, cause: Reason | None = None) -> ChainFault:
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
-    view = device.last_look or device.axis.view()
+    view = device.last_look or view_of(device.axis)
     # It took positions until then, so it is no drive that takes none before it is homed
     found = cause or outer_reason(replace(view, is_homed=None))
     step = FIND if found is None or device.has_fault else found.remedy

@@ -229,7 +229,7 @@ def follow(
     yield from halt(axis)
     device.limits = yield from read_limits(axis, mode)
     limit = yield from following_limit(axis, device.limits)
-    if is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is None:
+    if is_carried(axis, objects.VELOCITY_OFFSET) and axis.scale.velocity_unit is None:
         yield from learn_units(axis)  # see feed_forward.py
     acceleration = device.limits.acceleration
     ramps = 0.0 if acceleration is None else min(2 * device.limits.speed.value / acceleration.value, LONGEST_CATCH_UP)
