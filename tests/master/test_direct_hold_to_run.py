@@ -37,7 +37,7 @@ def arm(request: pytest.FixtureRequest) -> Iterator[Devices]:
 def session(arm: Devices, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
     monkeypatch.setattr(hold_to_run, "DEAD_MAN", LIMIT)  # a busy computer is late; the tests of the switch itself lower it
     with Session() as session:
-        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE), session.last_error()
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE), session.last_error()
         session.init_nmt()
         assert session.init_device(12)
         assert session.set_sync_interval(12, INTERVAL)

@@ -63,8 +63,8 @@ class AxisStateChanged(Event):
         self.statusword = statusword
 
 
-class AxisGrip(Protocol):
-    """Makes a drive stop by itself if its master is gone; see drives/axis/grip.py."""
+class AxisWatchdog(Protocol):
+    """Makes a drive stop by itself if its master is gone; see drives/axis/watchdog.py."""
 
     def hold(self) -> Procedure[None]:
         """Take hold of the drive: it is about to be enabled."""
@@ -77,14 +77,14 @@ class Axis:
     """One drive as its master sees it; see this module's text. Properties show what was heard; they send nothing.
 
     number: of the axis, 0 for the first one of a node. node: as this axis sees it, with the numbers of the first axis
-    (axis_node.py); remote: the node itself. settings: those in force; open ones are filled in once `is_identified`; may be
-    set. scale: between the user's units and the wire. set_points: what the drive is given at each SYNC. grip: takes hold before
+    (axis_node.py); remote: the node itself. settings: those in force; open ones are filled in once `is_identified`; may be set.
+    scale: between the user's units and the wire. set_points: what the drive is given at each SYNC. watchdog: takes hold before
     the drive is enabled, and lets go once it is shut down. started_at: when the drive last got a rising bit 4 of the controlword,
-    which starts a motion; OBEYED once the drive has shown that it took it. selected_mode:
-    the mode of operation that this master selected last; None: none since the drive's last boot. unanswered: what the drive
-    was told and did not answer in time, in words; "": nothing. answer_time: ns, see above; None: not known. commanded_at,
-    selected_at: when this master last sent a controlword, and a mode; None: not since then. has_opened_brake: whether this
-    master holds the brake open by an output, see digital_io.py. occupancy: the motion under way, see one_motion.py.
+    which starts a motion; OBEYED once the drive has shown that it took it. selected_mode: the mode of operation that this master
+    selected last; None: none since the drive's last boot. unanswered: what the drive was told and did not answer in time, in
+    words; "": nothing. answer_time: ns, see above; None: not known. commanded_at, selected_at: when this master last sent a
+    controlword, and a mode; None: not since then. has_opened_brake: whether this master holds the brake open by an output, see
+    digital_io.py. occupancy: the motion under way, see one_motion.py.
     """
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN, number: int = 0) -> None:
@@ -102,7 +102,7 @@ class Axis:
         self.state = State.UNKNOWN
         self._shown: int | None = None  # the statusword that `state` was taken from
         self._is_homed = self._was_homed = False
-        self.grip: AxisGrip | None = None
+        self.watchdog: AxisWatchdog | None = None
         self.started_at: Time = OBEYED
         self.unanswered = ""
         self.answer_time: Time | None = None

@@ -46,8 +46,8 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
 
     A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
     when it is led up, or reaches a state twice: something else commands it. Raises DriveFault, NodeLost, StepTimeout, SdoFailed.
-    On the way to Operation enabled, `axis.grip` first makes the drive watch its master. On the way to any other state, the drive
-    first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a stop, see
+    On the way to Operation enabled, `axis.watchdog` first makes the drive watch its master. On the way to any other state, the
+    drive first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a stop, see
     one_motion.py.
     """
     lead = _change_state_up if target is State.OPERATION_ENABLED else _change_state_down
@@ -55,8 +55,8 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
 
 
 def _lead(axis: Axis, target: State) -> Procedure[int]:
-    if target is State.OPERATION_ENABLED and axis.grip is not None:
-        yield from axis.grip.hold()
+    if target is State.OPERATION_ENABLED and axis.watchdog is not None:
+        yield from axis.watchdog.hold()
     if target is not State.OPERATION_ENABLED:
         yield from return_brake(axis)
     if target in STAYS:  # the drive may be there already, and hold an RPDO that would lead it away
@@ -271,7 +271,7 @@ def engage_brake(axis: Axis) -> Procedure[None]:
 @stops(halt_after)
 @accounted
 def shut_down(axis: Axis) -> Procedure[None]:
-    """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.grip` go.
+    """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.watchdog` go.
 
     A drive in Fault has no power, and stays there. A drive in its fault reaction still has power and brakes: it is awaited. A
     drive that may have power, and does not show its state by PDO, is commanded before anything is read.
@@ -286,8 +286,8 @@ def shut_down(axis: Axis) -> Procedure[None]:
     now = yield from current_time()
     for number in _own_rpdos(axis):
         axis.node.enable_rpdo(number, now, False)
-    if axis.grip is not None:
-        yield from axis.grip.let_go()
+    if axis.watchdog is not None:
+        yield from axis.watchdog.let_go()
 
 
 def _own_rpdos(axis: Axis) -> list[int]:

@@ -4,8 +4,8 @@
     vl   0x6042 = 0, mode, enable, 0x000F, 0x6042 = velocity, 0x007F (bits 4, 5, 6)   end: halt (bit 8), standstill, 0x6042 = 0
 
 **Dead man.** A velocity holds only while the procedure runs: its end, a cancellation and a failure halt the drive, and its
-standstill is seen. Then its target is 0, so that no later controlword sends it on. If the master itself is gone, `axis.grip` lets
-the drive stop by itself.
+standstill is seen. Then its target is 0, so that no later controlword sends it on. If the master itself is gone, `axis.watchdog`
+lets the drive stop by itself.
 
 **Position limits** (min_position and max_position of the settings; 0x607D). Drives differ in whether 0x607D holds in these modes.
 So the procedure watches the position (0x6064), and halts the drive before a limit: as early as it needs for `obeys_within` of the

@@ -22,9 +22,9 @@ from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis import DriveError, DriveFault, ReferenceLost
-from canopen_proto.drives.axis.grip import NotHeldError
 from canopen_proto.drives.axis.reasons import Reason, outer_reason
 from canopen_proto.drives.axis.view import view_of
+from canopen_proto.drives.axis.watchdog import NotHeldError
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import SdoFailed
 
@@ -50,8 +50,8 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     elif isinstance(error, SdoFailed):
         code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
     elif isinstance(error, NotHeldError):
-        cause = "Grip.required says that no such drive is enabled"
-        tries = ("open_master(..., grip=Grip()) enables it all the same, and names it",)
+        cause = "Watchdog.required says that no such drive is enabled"
+        tries = ("open_master(..., watchdog=Watchdog()) enables it all the same, and names it",)
     failure = f"chain {chain} could not {operation}: {device.where}: {what}"
     return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 
