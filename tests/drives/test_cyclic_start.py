@@ -12,7 +12,7 @@ import pytest
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis.bounds import Bounds
+from canopen_proto.drives.axis.bounds import MotionBounds
 from canopen_proto.drives.axis.following import Following, FollowingLost
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -64,9 +64,9 @@ def velocity_of(rig: Rig) -> float:
     return rig.drive._servo.velocity
 
 
-def watched(rig: Rig, mode: Mode, bounds: Bounds) -> Following:
+def watched(rig: Rig, mode: Mode, bounds: MotionBounds) -> Following:
     following = Following(rig.axis)
-    following.begin_within(bounds, mode, cyclic=CYCLIC)
+    following.begin_with_bounds(bounds, mode, cyclic=CYCLIC)
     assert following.unsent == set()
     return following
 
@@ -187,7 +187,7 @@ def test_what_else_ends_it(mode: Mode) -> None:
 
 def test_a_drive_that_holds_a_load_goes_on_holding_it() -> None:
     rig = rig_of(CST, replace(JOINT, load=2.0), max_speed=2.0)
-    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.select_motionless_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
     rig.bus.run(SECOND)
     position = rig.run(drive.read_position(rig.axis))
@@ -249,7 +249,7 @@ def kept(rig: Rig, mode: Mode) -> RequestId:
     """A drive that follows, and is kept within its bounds."""
     bounds = rig.run(drive.bounds_of(rig.axis))
     rig.run({CSV: drive.start_cyclic_velocity, CST: drive.start_cyclic_torque}[mode](rig.axis, CYCLE))
-    return rig.master.run(drive.keep_within(Following(rig.axis), bounds, mode, cyclic=CYCLIC), rig.bus.now)
+    return rig.master.run(drive.watch_bounds(Following(rig.axis), bounds, mode, cyclic=CYCLIC), rig.bus.now)
 
 
 def give(rig: Rig, mode: Mode, cycles: int) -> None:

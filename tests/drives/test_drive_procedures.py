@@ -55,7 +55,7 @@ def test_a_fault_is_reset_by_a_rising_edge_and_only_on_request(shape: Shape) -> 
     rig.run(drive.enable(rig.axis))
     rig.node.raise_fault(0x3220, rig.bus.now)
     rig.bus.run(200 * MILLISECOND)  # what a TPDO said before is too old now
-    with pytest.raises(drive.DriveFault, match=r"drive 5 is in fault and cannot go to operation enabled.*0x3220"):
+    with pytest.raises(drive.DriveInFault, match=r"drive 5 is in fault and cannot go to operation enabled.*0x3220"):
         rig.run(drive.enable(rig.axis))
     rig.bus.sent.clear()
     rig.run(drive.reset_fault(rig.axis))
@@ -68,7 +68,7 @@ def test_a_fault_is_reset_by_a_rising_edge_and_only_on_request(shape: Shape) -> 
 def test_a_fault_whose_cause_stays_is_told() -> None:
     rig = Rig(Shape.STANDARD)
     rig.node.raise_fault(0x3220, rig.bus.now, lasting=True)
-    with pytest.raises(drive.DriveFault, match="that a fault reset did not clear"):
+    with pytest.raises(drive.DriveInFault, match="that a fault reset did not clear"):
         rig.run(drive.reset_fault(rig.axis))
 
 
@@ -129,7 +129,7 @@ def test_a_fault_in_the_middle_of_homing_is_told_with_its_emcy() -> None:
     rig.node.raise_fault(0x2310, rig.bus.now)
     ended = rig.outcome(request)
     assert isinstance(ended, ProcedureFailed)
-    assert isinstance(ended.error, drive.DriveFault)
+    assert isinstance(ended.error, drive.DriveInFault)
     assert "while waiting for the end of homing" in str(ended.error)
     assert "last EMCY 0x2310" in str(ended.error)
 
@@ -314,7 +314,7 @@ def test_the_fault_of_a_node_that_falls_silent_is_told_all_the_same() -> None:
     rig.node.raise_fault(0x3220, rig.bus.now)
     rig.bus.run(2 * CYCLE)
     rig.bus.detach(rig.device)
-    with pytest.raises(drive.DriveFault, match="its error code could not be read: node 5 did not answer"):
+    with pytest.raises(drive.DriveInFault, match="its error code could not be read: node 5 did not answer"):
         rig.run(drive.enable(rig.axis))
 
 
@@ -370,7 +370,7 @@ def test_a_mechanical_block_becomes_a_following_error() -> None:
     rig = Rig(Shape.STANDARD)
     rig.run(drive.home(rig.axis))
     rig.node.block(True, rig.bus.now)
-    with pytest.raises(drive.DriveFault, match="0x8611"):
+    with pytest.raises(drive.DriveInFault, match="0x8611"):
         rig.run(drive.move_to(rig.axis, 1.0, timeout=20 * SECOND))
 
 

@@ -138,7 +138,7 @@ def test_what_does_not_come_in_time_names_the_obstacle() -> None:
         rig.run(drive.enable(rig.axis))
     rig = Rig(Shape.STANDARD, pdos=False)
     assert outer_reason(view_of(rig.axis)) is None  # nothing was heard yet
-    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.select_motionless_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
     assert outer_reason(view_of(rig.axis)) is None
 

@@ -17,7 +17,7 @@ from canopen_proto.drives.axis.following import Following, FollowingLost
 from canopen_proto.drives.axis.following_error import LAG
 from canopen_proto.drives.axis.interpolation import InterpolationBuffer
 from canopen_proto.drives.axis.limits import Limit
-from canopen_proto.drives.axis.sub_modes import Point, PositionAndVelocity
+from canopen_proto.drives.axis.sub_modes import PositionAndVelocity, RecordPoint
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, LocalProtocolError, Time
@@ -84,7 +84,7 @@ class NoSuch:
     number: int = -2
     objects: tuple[Mux, ...] = (mux(0x60C1, 2), mux(0x60C1, 1))
 
-    def record(self, point: Point) -> tuple[int, ...]:
+    def record(self, point: RecordPoint) -> tuple[int, ...]:
         return 0, point.position
 
 

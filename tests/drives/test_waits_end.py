@@ -112,9 +112,9 @@ def mode_by_somebody(rig: Rig) -> None:
 CAUSES: dict[str, tuple[Callable[[Rig], None], type[ProcedureError]]] = {
     "quick stop": (command_by_somebody(0x02), drive.StateLost),
     "disable": (command_by_somebody(0x00), drive.StateLost),
-    "fault": (lambda rig: rig.node.raise_fault(0x2310, rig.bus.now), drive.DriveFault),
-    "heartbeat lost": (lambda rig: rig.bus.detach(rig.device), drive.NodeLost),
-    "boot-up": (lambda rig: rig.bus.send("705#00"), drive.NodeLost),
+    "fault": (lambda rig: rig.node.raise_fault(0x2310, rig.bus.now), drive.DriveInFault),
+    "heartbeat lost": (lambda rig: rig.bus.detach(rig.device), drive.DriveLost),
+    "boot-up": (lambda rig: rig.bus.send("705#00"), drive.DriveLost),
     "mode change": (mode_by_somebody, drive.ModeLost),
 }
 REACHED = {

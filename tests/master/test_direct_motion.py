@@ -9,7 +9,7 @@ from canopen_master import MasterClosed, NodeSilent, standard_drives
 from canopen_master.direct import Session
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import PdoNotFound
-from canopen_proto.drives.axis import DriveFault
+from canopen_proto.drives.axis import DriveInFault
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
@@ -174,7 +174,7 @@ def test_a_fault_in_the_middle_of_a_move_is_raised(session: Session, arm: Device
     session.send_pos(12, 3100)
     session.send_sync(5)
     arm.break_down(12, 0x8611)
-    with pytest.raises(DriveFault, match="0x8611"):
+    with pytest.raises(DriveInFault, match="0x8611"):
         go_on(session, 12)
     with pytest.raises(LocalProtocolError):
         session.send_pos(12, 3100)

@@ -414,7 +414,7 @@ class MasterAndDrive(RuleBasedStateMachine):
                 if not self.was_disturbed:
                     is_lost = isinstance(error, drive.ReferenceLost)  # a homing before it was cancelled
                     assert is_lost or not (self.is_clear and is_ours), f"nothing stood in the way: {says}"
-                    assert not isinstance(error, drive.DriveFault) or "0x2310" in says or "0x3210" in says
+                    assert not isinstance(error, drive.DriveInFault) or "0x2310" in says or "0x3210" in says
         if not task.moves or not is_ours or "halt" in says or not (task.halts or self.has_commanded()):
             return
         if not (isinstance(ended, ProcedureFinished) and task.follows):

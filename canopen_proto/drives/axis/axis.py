@@ -31,7 +31,7 @@ from typing import Final, Protocol
 from canopen_proto.drives.axis.axis_node import node_of_axis
 from canopen_proto.drives.axis.occupancy import Occupancy
 from canopen_proto.drives.axis.scale import Scale
-from canopen_proto.drives.axis.set_points import SetPoints
+from canopen_proto.drives.axis.set_points import AxisSetPoints
 from canopen_proto.drives.axis.settings import MILLIDEGREES_PER_RADIAN as MILLIDEGREES_PER_RADIAN
 from canopen_proto.drives.axis.settings import SCHUNK_POWERBALL as SCHUNK_POWERBALL
 from canopen_proto.drives.axis.settings import AxisSettings as AxisSettings
@@ -84,7 +84,7 @@ class Axis:
     selected last; None: none since the drive's last boot. unanswered: what the drive was told and did not answer in time, in
     words; "": nothing. answer_time: ns, see above; None: not known. commanded_at, selected_at: when this master last sent a
     controlword, and a mode; None: not since then. has_opened_brake: whether this master holds the brake open by an output, see
-    digital_io.py. occupancy: the motion under way, see one_motion.py.
+    digital_io.py. occupancy: the motion under way, see exclusive_motion.py.
     """
 
     def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN, number: int = 0) -> None:
@@ -97,7 +97,7 @@ class Axis:
         self._store, self._heard_at = self.node.values.store, self.node.heard_at  # as near as can be: looked at for each PDO
         self._settings = self._given = settings
         self.scale = Scale(self.title, settings)
-        self.set_points = SetPoints(self.node, self.scale, self.title)
+        self.set_points = AxisSetPoints(self.node, self.scale, self.title)
         self.is_identified = False
         self.state = State.UNKNOWN
         self._shown: int | None = None  # the statusword that `state` was taken from

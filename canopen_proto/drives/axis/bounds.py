@@ -1,4 +1,4 @@
-"""`Bounds`: the watch on a drive that is commanded no position: its actual position and speed against the limits of the axis.
+"""`MotionBounds`: a drive that is commanded no position: its actual position and speed against the limits of the axis.
 
 In velocity and torque modes nothing says where the drive should be, so there is no following error. The drive's own limits may
 not act there (0x607D, 0x607F, 0x6080: makers differ), and no limit stops a drive that is pushed. So the master compares each
@@ -37,7 +37,7 @@ MAX_MISSED: Final = 10
 _TOLERANCE: Final = 1 + 1e-6
 
 
-class Bounds:
+class MotionBounds:
     """The bounds of one axis. limits: as they were read. Its judgement begins with the first value that it sees."""
 
     def __init__(self, axis: Axis, limits: SetPointLimits) -> None:
@@ -121,7 +121,7 @@ class Bounds:
 
 
 @accounted
-def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
+def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[MotionBounds]:
     """Read the units and the limits of a drive, and return the bounds for a motion without commanded positions.
 
     max_speed: in the user's unit per second; it counts if it is lower than the other limits of the speed; math.inf: there need be
@@ -143,7 +143,7 @@ def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
             reason="nothing limits its speed: neither the settings nor the drive (0x607F, 0x6080) say how fast it may go",
             remedy="max_speed (--max-speed); inf (--any-speed) allows any speed",
         )
-    bounds = Bounds(axis, limits)
+    bounds = MotionBounds(axis, limits)
     if not bounds.watched and not math.isinf(limits.speed.value):
         raise DriveError(axis, "is not moved", reason="it shows neither its position (0x6064) nor its speed (0x606C)")
     return bounds

@@ -67,7 +67,7 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
     for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
     SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
     then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: as in
-    `procedures.objects.write`. Raises SdoFailed, NodeLost.
+    `procedures.objects.write`. Raises SdoFailed, DriveLost.
     """
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:

@@ -92,11 +92,11 @@ _WHAT_TOOK_IT = (
 )
 
 
-class DriveFault(DriveError):
+class DriveInFault(DriveError):
     """The drive is in Fault, or went into Fault during a wait."""
 
 
-class NodeLost(DriveError):
+class DriveLost(DriveError):
     """The drive's node booted, fell silent (heartbeat, node guarding) or was stopped during a wait."""
 
 
@@ -165,7 +165,7 @@ def accounted(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callab
     return run
 
 
-def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
+def fault_of(axis: Axis, when: str) -> Procedure[DriveInFault]:
     """Read the error code (0x603F) of a drive in fault; return the error to raise, with that code and the last EMCY."""
     try:
         yield from read_if_present(axis.node, objects.ERROR_CODE)
@@ -173,7 +173,7 @@ def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
         when = f"{when} (its error code could not be read: {error})"
     code = axis.error_code
     reason = f"0x{code:04X} {error_text(code)}" if code else ""
-    return DriveFault(axis, f"is in fault {when}", reason=reason, remedy="find the cause, then reset the fault", looks=False)
+    return DriveInFault(axis, f"is in fault {when}", reason=reason, remedy="find the cause, then reset the fault", looks=False)
 
 
 def late(axis: Axis, failed: str, *, looks: bool = True) -> Procedure[DriveTimeout]:
@@ -207,7 +207,7 @@ def is_loss_of(node: AxisNode, report: Event) -> bool:
     return lost or (isinstance(report, NmtStateReported) and report.state is NmtState.STOPPED)
 
 
-def node_lost(axis: Axis, report: Event, goal: str) -> NodeLost:
+def node_lost(axis: Axis, report: Event, goal: str) -> DriveLost:
     """Return the error to raise for such an event."""
     match report:
         case HeartbeatLost(timeout=timeout):
@@ -219,7 +219,7 @@ def node_lost(axis: Axis, report: Event, goal: str) -> NodeLost:
         case _:
             seen = "it was stopped (NMT)"
     remedy = "look at the drive, its power and its cable"
-    return NodeLost(axis, f"was lost while waiting for {goal}", reason=seen, remedy=remedy)
+    return DriveLost(axis, f"was lost while waiting for {goal}", reason=seen, remedy=remedy)
 
 
 def require_reference(axis: Axis) -> None:

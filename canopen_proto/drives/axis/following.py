@@ -31,12 +31,12 @@ reason. `late_sync` tells by how much SYNC was late, so that an error can name t
     following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic={STATUSWORD: 1, POSITION_ACTUAL_VALUE: 1})
     network.run(read_unsent([following]), now)
 
-**Velocities and torques.** `keep_within` is the watch together with its consequence: the drive is halted. Run it beside the loop
+**Velocities and torques.** `watch_bounds` is the watch together with its consequence: the drive is halted. Run it beside the loop
 that gives the set-points; it ends only by an error, or when it is cancelled:
 
     bounds = yield from bounds_of(axis, max_speed)
     yield from start_cyclic_torque(axis, cycle_time)
-    yield from keep_within(following, bounds, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cyclic=cyclic)
+    yield from watch_bounds(following, bounds, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cyclic=cyclic)
 
 Source: IEC 61800-7-201 (CiA 402-2): statusword, interpolated position mode, cyclic synchronous position mode, following error.
 """
@@ -47,7 +47,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final, NamedTuple, NoReturn
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.bounds import MAX_MISSED, Bounds
+from canopen_proto.drives.axis.bounds import MAX_MISSED, MotionBounds
 from canopen_proto.drives.axis.controlword import put
 from canopen_proto.drives.axis.failures import DriveError
 from canopen_proto.drives.axis.following_error import LAG, UNCERTAIN, FollowingError
@@ -254,7 +254,7 @@ class Following:
         self.bits = _Bits()
         self.silence = _Silence(axis)
         self._timing = _SyncTiming()
-        self.bounds: Bounds | None = None  # of a drive that follows velocities or torques
+        self.bounds: MotionBounds | None = None  # of a drive that follows velocities or torques
         self.nmt_state: NmtState | None = None  # when the watch began
         self._syncs_to_turn = 0  # 0: no turn is awaited
         self._turn_not_before: Time = 0
@@ -305,16 +305,16 @@ class Following:
         self._timing.begin(period, forgives=forgives)
         self._begin(mode, cyclic, silent_syncs)
 
-    def begin_within(
+    def begin_with_bounds(
         self,
-        bounds: Bounds,
+        bounds: MotionBounds,
         mode: int,
         *,
         cyclic: Mapping[Mux, int],
         silent_syncs: int = SILENT_SYNCS,
         max_missed: int = MAX_MISSED,
     ) -> None:
-        """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py. `keep_within` halts it, too.
+        """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py. `watch_bounds` halts it, too.
 
         It has no following error: its position and its speed must stay within `bounds`, and it must get a new set-point at each
         SYNC, or one of `max_missed` + 1 in a row. Else as `begin`.
@@ -417,7 +417,7 @@ _OFF: Final = "is {:.4g} off its path: it is at {:.4g} and should be at {:.4g}; 
 _SILENT: Final = "is silent: no PDO with its {} for {:.3g} ms, behind {} SYNCs"
 
 
-class Rule(NamedTuple):
+class FollowingRule(NamedTuple):
     """A rule of the watch.
 
     name: as in this module's text. looks_at: the object that it judges when its value comes, or what else it judges. speaks:
@@ -471,17 +471,19 @@ def _no_set_point(watch: Following) -> tuple[str] | None:
 
 
 RULES: Final = (
-    Rule("mode", _MODE, _other_mode, "changed its mode of operation: 0x6061 shows {}, not {}"),
-    Rule("state", _WORD, _other_state, "left operation enabled by itself: {}"),
-    Rule("bit 12", _WORD, _bit_12_is_0, _BIT_12),
-    Rule("bit 13", _WORD, _bit_13_is_1, "reports a following error: bit 13 of its statusword is 1", still_follows=True),
-    Rule("bit 11", _WORD, _bit_11_is_1, _BIT_11, still_follows=True),
-    Rule("following error", objects.POSITION_ACTUAL_VALUE, lambda watch: watch.deviation.excess(), _OFF, still_follows=True),
-    Rule("bounds", _BOUNDS, _out_of_bounds, "{}"),
-    Rule("NMT state", _SYNC, _left_operational, "left NMT state Operational: {}"),
-    Rule("silence", _SYNC, lambda watch: watch.silence.found, _SILENT, is_silent=True),
-    Rule("set-points", _SET_POINTS, _no_set_point, "{}"),
-    Rule("boot-up", _BOOT_UP, lambda watch: (), "was reset, or lost its power"),
+    FollowingRule("mode", _MODE, _other_mode, "changed its mode of operation: 0x6061 shows {}, not {}"),
+    FollowingRule("state", _WORD, _other_state, "left operation enabled by itself: {}"),
+    FollowingRule("bit 12", _WORD, _bit_12_is_0, _BIT_12),
+    FollowingRule("bit 13", _WORD, _bit_13_is_1, "reports a following error: bit 13 of its statusword is 1", still_follows=True),
+    FollowingRule("bit 11", _WORD, _bit_11_is_1, _BIT_11, still_follows=True),
+    FollowingRule(
+        "following error", objects.POSITION_ACTUAL_VALUE, lambda watch: watch.deviation.excess(), _OFF, still_follows=True
+    ),
+    FollowingRule("bounds", _BOUNDS, _out_of_bounds, "{}"),
+    FollowingRule("NMT state", _SYNC, _left_operational, "left NMT state Operational: {}"),
+    FollowingRule("silence", _SYNC, lambda watch: watch.silence.found, _SILENT, is_silent=True),
+    FollowingRule("set-points", _SET_POINTS, _no_set_point, "{}"),
+    FollowingRule("boot-up", _BOOT_UP, lambda watch: (), "was reset, or lost its power"),
 )
 _RULES_FOR: Final = {each.looks_at: tuple(rule for rule in RULES if rule.looks_at == each.looks_at) for each in RULES}
 
@@ -566,9 +568,9 @@ class OutOfBounds(DriveError):
     """The watch on a drive that follows velocities or torques found something: a limit that was left, silence, another mode."""
 
 
-def keep_within(
+def watch_bounds(
     following: Following,
-    bounds: Bounds,
+    bounds: MotionBounds,
     mode: int,
     *,
     cyclic: Mapping[Mux, int],
@@ -577,15 +579,15 @@ def keep_within(
 ) -> Procedure[NoReturn]:
     """Watch a drive in csv or cst until it has to be stopped, and halt it then.
 
-    following: of its axis. The rest is as of `Following.begin_within`. Raises OutOfBounds, which says what was found. Halts the
-    drive too if it is cancelled. If the halt fails, a note says so.
+    following: of its axis. The rest is as of `Following.begin_with_bounds`. Raises OutOfBounds, which says what was found. Halts
+    the drive too if it is cancelled. If the halt fails, a note says so.
     """
     axis = following.axis
 
     def forget() -> Procedure[None]:
         return act(lambda now: put(axis, SET_POINT_OF[mode], 0, now))
 
-    following.begin_within(bounds, mode, cyclic=cyclic, silent_syncs=silent_syncs, max_missed=max_missed)
+    following.begin_with_bounds(bounds, mode, cyclic=cyclic, silent_syncs=silent_syncs, max_missed=max_missed)
     try:
         yield from all_of(_until_lost(following), read_unsent([following]))
         raise AssertionError("the watch ends by an error")

@@ -7,15 +7,15 @@ from typing import Final
 
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReached, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import EXACT, limits_of
-from canopen_proto.drives.axis.one_motion import moves
+from canopen_proto.drives.axis.motionless_mode import takes
 from canopen_proto.drives.axis.reasons import LIMIT_SWITCHES
-from canopen_proto.drives.axis.standing import takes
 from canopen_proto.drives.axis.state import enable, set_mode, settle
-from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch, wait_for_statusword
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.drives.cia402.positioning import (
@@ -59,7 +59,7 @@ def move_to(
     direction: the way to the target of an axis without end, in the user's direction; None leaves 0x60F2 as it is.
     timeout: ns for the whole way. Raises LimitReached; nothing is sent if the target is beyond min_position or max_position of
     the settings, if 0x6081 is beyond their max_speed, or if the target does not fit 0x607A (ValueRangeError). Raises
-    DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is not relative.
+    DriveInFault, StateLost, ModeLost, DriveLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is not relative.
     The drive is halted if this fails or is cancelled.
     """
     if not relative:
@@ -267,7 +267,7 @@ def _arrival(axis: Axis, target: int, timeout: Time) -> Procedure[int]:
     """Wait until the drive says that it is at its target (bit 10), or shows a limit (bit 11) and comes no nearer; return its
     statusword. A drive that a limit switch has stopped need not set bit 10."""
     position = objects.POSITION_ACTUAL_VALUE
-    watch: Watch[int] = Watch(
+    watch: DriveWait[int] = DriveWait(
         axis, "its target position", mode=Mode.PROFILE_POSITION, stays=State.OPERATION_ENABLED, reads={position: FRESH}
     )
     held_since: Time | None = None

@@ -1,4 +1,4 @@
-"""`SetPoints`: what a drive is given at each SYNC, in each cyclic mode, and in slow pp: its set-points and offsets.
+"""`AxisSetPoints`: what a drive is given at each SYNC, in each cyclic mode, and in slow pp: its set-points and offsets.
 
 Each cyclic mode has its own object, and the RPDO behind the next SYNC takes its image along: `set_position` (ip and csp; `select`
 says which), `set_velocity` (csv), `set_torque` (cst), `set_offsets`.
@@ -26,7 +26,7 @@ from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_variable
 from canopen_proto.drives.axis.axis_node import AxisNode, rpdos_with
 from canopen_proto.drives.axis.scale import Scale
-from canopen_proto.drives.axis.sub_modes import Point, SubMode
+from canopen_proto.drives.axis.sub_modes import RecordPoint, SubMode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
@@ -125,13 +125,13 @@ class RecordSetPoint(SetPoint):
     def _encoded(self, number: int, velocity: float | None) -> tuple[int, ...]:
         if velocity is None:
             velocity = (number - self._position) * SECOND / self._period
-        values = self._sub_mode.record(Point(number, velocity, self._period))
+        values = self._sub_mode.record(RecordPoint(number, velocity, self._period))
         for variable, value in zip(self._variables, values, strict=True):
             variable.encode(value)
         return values
 
 
-class SetPoints:
+class AxisSetPoints:
     """The set-points of one axis; see this module's text. given: how many velocities and torques were set so far."""
 
     def __init__(self, node: AxisNode, scale: Scale, title: str) -> None:

@@ -26,10 +26,10 @@ from typing import Final
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command, syncs_passed
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import accounted, require_reference
 from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.halting import halt, halt_after
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.profile_position import make_room, set_options
 from canopen_proto.drives.axis.state import enable, set_mode
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, wait_for_statusword
@@ -61,7 +61,7 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
     """Make the drive take targets in profile position mode; return the position where it starts, which is its first target.
 
     RPDOs that are exchanged with the node and carry controlword or target are used; without, both go by SDO. Raises
-    ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost, StepTimeout, SdoFailed. The drive is halted if
+    ReferenceLost, ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost, StepTimeout, SdoFailed. The drive is halted if
     this is cancelled.
     """
     require_reference(axis)

@@ -8,11 +8,11 @@ from typing import Final
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, put
 from canopen_proto.drives.axis.digital_io import return_brake
+from canopen_proto.drives.axis.exclusive_motion import moves, stops
 from canopen_proto.drives.axis.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
 from canopen_proto.drives.axis.halting import halt, halt_after, may_be_enabled
-from canopen_proto.drives.axis.one_motion import moves, stops
 from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES
-from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axis_of
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
@@ -45,10 +45,10 @@ def change_state(axis: Axis, target: State) -> Procedure[int]:
     """Lead the drive to a state, one command after the other; return the statusword.
 
     A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
-    when it is led up, or reaches a state twice: something else commands it. Raises DriveFault, NodeLost, StepTimeout, SdoFailed.
-    On the way to Operation enabled, `axis.watchdog` first makes the drive watch its master. On the way to any other state, the
-    drive first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a stop, see
-    one_motion.py.
+    when it is led up, or reaches a state twice: something else commands it. Raises DriveInFault, DriveLost, StepTimeout,
+    SdoFailed. On the way to Operation enabled, `axis.watchdog` first makes the drive watch its master. On the way to any other
+    state, the drive first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a
+    stop, see exclusive_motion.py.
     """
     lead = _change_state_up if target is State.OPERATION_ENABLED else _change_state_down
     return (yield from lead(axis, target))
@@ -133,7 +133,7 @@ def _change_state_down(axis: Axis, target: State) -> Procedure[int]:
 def reset_fault(axis: Axis) -> Procedure[None]:
     """Clear a fault by a rising edge of bit 7. A drive without a fault stays as it is, or at worst loses its power.
 
-    Returns when the drive has left Fault. Raises DriveFault if it stays there: the cause persists.
+    Returns when the drive has left Fault. Raises DriveInFault if it stays there: the cause persists.
     """
     statusword = yield from wait_for_statusword(
         axis,
@@ -162,10 +162,10 @@ def reset_fault(axis: Axis) -> Procedure[None]:
 @moves
 @accounted
 def enable(axis: Axis) -> Procedure[None]:
-    """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed.
+    """Lead the drive to Operation enabled. Raises DriveInFault, StepTimeout, SdoFailed.
 
     In velocity, torque and cyclic modes the drive then obeys its last target at once, from whatever source: select a mode first,
-    or call `select_standing_mode`.
+    or call `select_motionless_mode`.
     """
     yield from change_state(axis, State.OPERATION_ENABLED)
 
@@ -186,8 +186,8 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
 
     Raises ModeUnsupported, with nothing written, if 0x6502 lacks the mode (without 0x6502 the mode is simply tried); also if the
     drive does not take up the mode within `state_timeout`. waive_check: write the mode although 0x6502 lacks it (Schunk's
-    homing). Modes of the maker, below 0, have no bit in 0x6502. Raises DriveFault, StateLost (the drive was enabled, and no
-    longer is), NodeLost.
+    homing). Modes of the maker, below 0, have no bit in 0x6502. Raises DriveInFault, StateLost (the drive was enabled, and no
+    longer is), DriveLost.
 
     A drive that by its settings (mode_change_state, changes_mode_halted) takes no other mode in its present state is first halted
     and led down to a state in which it does; it stays there. One that shows the mode already is left as it is.
@@ -210,7 +210,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
         yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
     axis.selected_mode, axis.selected_at = mode, (yield from current_time())
     yield from bring(axis, objects.MODES_OF_OPERATION, mode)
-    watch: Watch[bool] = Watch(
+    watch: DriveWait[bool] = DriveWait(
         axis,
         mode_name(mode),
         accept_fault=state in FAULT_STATES,

@@ -12,7 +12,7 @@ Interpolated position mode (ip) begins in the same way; see interpolation.py. Ea
 So nothing jumps. If a start fails or is cancelled, it halts the drive. From then on the caller gives set-points
 (`Axis.set_points`), and watches the drive (`Following`).
 
-In csv and cst no position is commanded, and there is no following error. `keep_within` watches and halts such a drive instead.
+In csv and cst no position is commanded, and there is no following error. `watch_bounds` watches and halts such a drive instead.
 
 Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position, velocity, torque mode; interpolation time period 60C2h.
 """
@@ -27,10 +27,10 @@ from canopen_proto.datatypes import range_of
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.set_points import OFFSETS_OF
 from canopen_proto.drives.axis.state import enable, set_mode
 from canopen_proto.drives.axis.watching import read_statusword, wait_for_statusword
@@ -55,7 +55,7 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     """Make the drive follow one position per SYNC in cyclic synchronous position mode; return the position where it starts.
 
     cycle_time: ns between two SYNCs. sends_itself: the caller sends the set-points by a PDO of its own; else an RPDO that the
-    node exchanges must carry 0x607A. Raises ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost,
+    node exchanges must carry 0x607A. Raises ReferenceLost, ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost,
     StepTimeout; DriveError if no RPDO carries set-points, or none is sent.
     """
     require_reference(axis)
@@ -96,7 +96,7 @@ def start_cyclic_torque(
 
     torque: the one at which it starts, as a share of the rated torque; None: the actual one (0x6077) of a drive that is enabled
     and stands, else 0. **A load that a brake or the drive holds falls if this is too small.** Only the caller's torques and its
-    watch (`keep_within`) limit speed and position. Else as `start_cyclic_position`.
+    watch (`watch_bounds`) limit speed and position. Else as `start_cyclic_position`.
     """
     carried = (objects.TARGET_TORQUE,)
     require_carried(axis, carried, sends_itself)

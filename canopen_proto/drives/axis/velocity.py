@@ -27,13 +27,13 @@ from typing import Final, NamedTuple
 
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import bring, command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReached, ModeUnsupported, accounted, late, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after, halt_and_forget, halt_ramp
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import Limit, read_limits
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.state import enable, set_mode
-from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, ModeStatus, mode_name, supported, supported_modes
 from canopen_proto.drives.cia402.states import Command, State, StatusBit
@@ -84,7 +84,7 @@ def run_at(
     Raises with nothing sent: ModeUnsupported; LimitReached for a velocity beyond max_speed of the settings, 0x607F or 0x6080 (see
     limits.py), and for a position limit that is too near; ReferenceLost if the settings have position limits; DriveError for a
     unit that is not known, or a velocity below it; ValueRangeError. Later: LimitReached at a limit of the position or of the
-    drive, DriveTimeout if it does not reach the velocity, DriveFault, StateLost, ModeLost, NodeLost. The drive is halted then.
+    drive, DriveTimeout if it does not reach the velocity, DriveInFault, StateLost, ModeLost, DriveLost. The drive is halted then.
     """
     if duration is not None and duration < 0:
         raise LocalProtocolError(f"duration must not be below 0, or None for no end; it is {duration!r}")
@@ -301,7 +301,7 @@ class _Run:
         present = {key: pause for key, pause in reads.items() if key in axis.node.dictionary}
         reach = yield from self._time_to_reach()
         end = NEVER if duration is None else self._began + duration
-        watch: Watch[bool] = Watch(axis, "its velocity", mode=self._mode, stays=State.OPERATION_ENABLED, reads=present)
+        watch: DriveWait[bool] = DriveWait(axis, "its velocity", mode=self._mode, stays=State.OPERATION_ENABLED, reads=present)
 
         def judge(statusword: int, heard_at: Time) -> bool | None:
             self._keep_limits(watch, statusword, heard_at)
@@ -328,7 +328,7 @@ class _Run:
         slope = abs(self._number * self._unit) / ramp if ramp else 0.0
         return axis.settings.reaction_time + axis.settings.state_timeout + round(slope * SECOND)
 
-    def _keep_limits(self, watch: Watch[bool], statusword: int, heard_at: Time) -> None:
+    def _keep_limits(self, watch: DriveWait[bool], statusword: int, heard_at: Time) -> None:
         """Raise LimitReached if the drive has to stop now, or a limit of its own holds it."""
         axis, position = self._axis, self._axis.position_counts
         known_at = watch.heard(objects.POSITION_ACTUAL_VALUE)
@@ -368,7 +368,7 @@ class _Run:
         told = abs(self._number * self._unit)
         return self._margin * max(1.0, (speed / told) ** 2) if told else self._margin
 
-    def _shows_velocity(self, watch: Watch[bool], statusword: int, heard_at: Time) -> bool:
+    def _shows_velocity(self, watch: DriveWait[bool], statusword: int, heard_at: Time) -> bool:
         """Return whether the drive shows that it runs at its velocity."""
         if self._mode is Mode.PROFILE_VELOCITY:
             is_new = not statusword & ModeStatus.SPEED_ZERO or heard_at - self._began >= self._axis.settings.reaction_time

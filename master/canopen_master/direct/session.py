@@ -278,7 +278,7 @@ class Session:
         position: absolute, in millidegrees (the drive's counts). The rPDO also carries the controlword that was commanded last.
         Raises SetPointRefused, with nothing sent, for a position beyond the drive's limits (0x607D), or further from the last one
         than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises LocalProtocolError before
-        enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveFault in fault, NodeSilent if its
+        enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveInFault in fault, NodeSilent if its
         PDOs no longer come, else ProcedureError. The error names our own SYNC first if that was late. If the drive is a joint of
         a chain, the master's next cycle sends the set-point; raises ChainFault and ChainHalted as the chain does.
         """

@@ -21,7 +21,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.drives.axis import DriveError, DriveFault, ReferenceLost
+from canopen_proto.drives.axis import DriveError, DriveInFault, ReferenceLost
 from canopen_proto.drives.axis.reasons import Reason, outer_reason
 from canopen_proto.drives.axis.view import view_of
 from canopen_proto.drives.axis.watchdog import NotHeldError
@@ -35,7 +35,7 @@ FIND: Final = "find the cause"
 def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     """The error for a joint whose procedure failed in `operation`."""
     device, error = failed.device, failed.error
-    if isinstance(error, DriveFault):
+    if isinstance(error, DriveInFault):
         return joint_fault(chain, device, "is in fault", Reason(error.reason, FIND) if error.reason else None)
     if isinstance(error, ReferenceLost):
         return reference_lost(chain, operation, [device])

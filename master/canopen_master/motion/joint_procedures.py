@@ -17,7 +17,7 @@ from canopen_proto.drives.axis import (
     halt,
     learn_units,
     reset_fault,
-    select_standing_mode,
+    select_motionless_mode,
     shut_down,
     start_cyclic_position,
     start_interpolation,
@@ -200,7 +200,7 @@ def reset_and_enable(device: Device) -> Procedure[None]:
     """Halt the joint, which another program may have left running, and bring it into Operation enabled."""
     yield from halt(device.axis)
     yield from reset_fault(device.axis)
-    yield from select_standing_mode(device.axis)
+    yield from select_motionless_mode(device.axis)
     yield from enable(device.axis)
 
 
