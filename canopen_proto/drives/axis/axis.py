@@ -224,7 +224,7 @@ class Axis:
         return self._int(objects.STATUSWORD)
 
     def identify(self, vendor_id: int | None) -> None:
-        """Fill in open settings (None) by the drive's vendor-ID (None: it has none). Later calls change nothing."""
+        """Fill in open settings (None) by the drive's vendor-ID. Later calls change nothing. vendor_id: None: it has none."""
         if not self.is_identified:
             self.settings, self.is_identified = self._given.of_vendor(vendor_id), True
 

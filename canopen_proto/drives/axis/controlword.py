@@ -81,8 +81,9 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
 def bring(axis: Axis, mux: Mux, value: int, *, urgent: bool = False) -> Procedure[None]:
     """Bring the value of an object to the drive, as `command` brings a controlword.
 
-    From then on the object is ours (`RemoteNode.commanded`): its image keeps this value whatever is read, and a write of it by
-    SDO is not undone by an RPDO that the drive holds. Raises ValueRangeError, with nothing sent, for a value that does not fit.
+    urgent: as of `command`. From then on the object is ours (`RemoteNode.commanded`): its image keeps this value whatever is
+    read, and a write of it by SDO is not undone by an RPDO that the drive holds. Raises ValueRangeError, with nothing sent, for a
+    value that does not fit.
     """
     node = axis.node
     node.dictionary.variable(mux).encode(value)
@@ -120,7 +121,7 @@ def command_held(axis: Axis, controlword: int) -> Procedure[None]:
 
 
 def syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
-    """Wait for that many SYNCs; return False if one does not come within SYNC_ALIVE."""
+    """Wait for `count` SYNCs; return False if one does not come within SYNC_ALIVE."""
     node = axis.node
 
     def concerns(report: Event) -> bool:

@@ -317,7 +317,7 @@ class Following:
         """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py. `watch_bounds` halts it, too.
 
         It has no following error: its position and its speed must stay within `bounds`, and it must get a new set-point at each
-        SYNC, or one of `max_missed` + 1 in a row. Else as `begin`.
+        SYNC, or one of `max_missed` + 1 in a row. mode, cyclic, silent_syncs: as of `begin`.
         """
         self.bounds = bounds
         bounds.expect_set_points(mode, max_missed)
@@ -336,7 +336,10 @@ class Following:
         self.is_on = True
 
     def expect(self, cyclic: Mapping[Mux, int]) -> None:
-        """Expect these objects at SYNCs: mux -> n for "at every n-th SYNC". Other watched objects that it has are `unsent`."""
+        """Expect objects at SYNCs. Other watched objects that the drive has are `unsent`.
+
+        cyclic: mux -> n for "at every n-th SYNC".
+        """
         self.silence.expect(cyclic)
         watched = (*_WATCHED, *(self.bounds.watched if self.bounds else ()))
         self.unsent = {mux for mux in watched if mux not in cyclic and mux in self.axis.node.dictionary}
@@ -347,7 +350,10 @@ class Following:
         self.deviation.present = 0.0
 
     def lose(self, cause: str, *, is_silent: bool = False, still_follows: bool = False, late: int = 0) -> None:
-        """End the watch with FollowingLost, if it is on: for a cause that only the caller can see."""
+        """End the watch with FollowingLost, if it is on: for a cause that only the caller can see.
+
+        cause, is_silent, still_follows, late: as of FollowingLost.
+        """
         if self.is_on:
             self.is_on = False
             node = self.axis.node
@@ -579,8 +585,8 @@ def watch_bounds(
 ) -> Procedure[NoReturn]:
     """Watch a drive in csv or cst until it has to be stopped, and halt it then.
 
-    following: of its axis. The rest is as of `Following.begin_with_bounds`. Raises OutOfBounds, which says what was found. Halts
-    the drive too if it is cancelled. If the halt fails, a note says so.
+    following: of its axis. bounds, mode, cyclic, silent_syncs, max_missed: as of `Following.begin_with_bounds`. Raises
+    OutOfBounds, which says what was found. Halts the drive too if it is cancelled. If the halt fails, a note says so.
     """
     axis = following.axis
 

@@ -69,7 +69,7 @@ class FollowingError:
         self._pdos: dict[int, int] = {}  # how many came of each kind of PDO with a position
 
     def begin(self, limit: Limit, lag: int, slack: int) -> None:
-        """Begin with a drive that stands at the present set-point. The parameters are those of `Following.begin`."""
+        """Begin with a drive that stands at the present set-point. limit, lag, slack: as of `Following.begin`."""
         self.limit, self._lag, self._window, self.present = limit, lag, lag + slack + 1, 0.0
         self._points = deque([self._axis.set_points.counts] * (lag + 1), maxlen=max(self._window, REMEMBERED))
         self._syncs = 0

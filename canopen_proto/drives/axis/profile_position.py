@@ -126,8 +126,8 @@ def require_option(axis: Axis, direction: Direction | None, relative_to: Relativ
 
 
 def option_code(axis: Axis, present: int, direction: Direction | None = None, relative_to: RelativeTo | None = None) -> int:
-    """Return 0x60F2 with these options; None leaves one as it is. Bits 4 and 5 become 0: the master itself clears bit 4 of the
-    controlword, and an acknowledge that falls by itself could be missed."""
+    """Return 0x60F2 (`present`) with these options; None leaves one as it is. Bits 4 and 5 become 0: the master itself
+    clears bit 4 of the controlword, and an acknowledge that falls by itself could be missed."""
     option = present & ~REQUEST_RESPONSE_OPTION
     if direction is not None:
         if axis.settings.direction < 0:
@@ -137,7 +137,7 @@ def option_code(axis: Axis, present: int, direction: Direction | None = None, re
 
 
 def set_options(axis: Axis, direction: Direction | None = None) -> Procedure[None]:
-    """Make 0x60F2 fit: see `option_code`. Does nothing if the drive lacks it."""
+    """Make 0x60F2 fit `direction`: see `option_code`. Does nothing if the drive lacks it."""
     present = yield from read_if_present(axis.node, objects.POSITIONING_OPTION_CODE)
     if isinstance(present, int) and present != (option := option_code(axis, present, direction)):
         yield from write(axis.node, objects.POSITIONING_OPTION_CODE, option)
@@ -178,7 +178,7 @@ def make_room(axis: Axis, word: int) -> Procedure[None]:
 
 
 def require_within_limits(axis: Axis, start: int, target: int) -> None:
-    """Raise LimitReached for a target, in counts, beyond the limits of the settings."""
+    """Raise LimitReached for a target beyond the limits of the settings. start, target: counts."""
     limit = limits_of(axis).position_excess(axis.scale.from_counts(start), axis.scale.from_counts(target))
     if limit is not None:
         raise LimitReached(
@@ -236,7 +236,10 @@ def wait_for_acknowledge(axis: Axis, wanted: bool, timeout: Time | None = None) 
 
 
 def wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, relative: bool) -> Procedure[None]:
-    """Wait for bit 10 at the target. For `reaction_time` it may still belong to the target before."""
+    """Wait for bit 10 at the target. For `reaction_time` it may still belong to the target before.
+
+    target: counts. given_at: when the drive got it. timeout: ns. relative: the drive decided what the target counts from.
+    """
     deadline = (yield from current_time()) + timeout
     while True:
         left = max(0, deadline - (yield from current_time()))

@@ -42,7 +42,7 @@ def _leaves(state: State) -> Callable[[int], bool]:
 
 @accounted
 def change_state(axis: Axis, target: State) -> Procedure[int]:
-    """Lead the drive to a state, one command after the other; return the statusword.
+    """Lead the drive to the state `target`, one command after the other; return the statusword.
 
     A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
     when it is led up, or reaches a state twice: something else commands it. Raises DriveInFault, DriveLost, StepTimeout,

@@ -71,7 +71,8 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
 def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow one velocity per SYNC (0x60FF) in cyclic synchronous velocity mode; return the first one, 0.
 
-    The drive's units are read first. Raises DriveError if its velocity unit is not known; else as `start_cyclic_position`.
+    cycle_time, sends_itself: as of `start_cyclic_position`. The drive's units are read first. Raises DriveError if its velocity
+    unit is not known; else as `start_cyclic_position`.
     """
     carried = (objects.TARGET_VELOCITY,)
     require_carried(axis, carried, sends_itself)
@@ -96,7 +97,7 @@ def start_cyclic_torque(
 
     torque: the one at which it starts, as a share of the rated torque; None: the actual one (0x6077) of a drive that is enabled
     and stands, else 0. **A load that a brake or the drive holds falls if this is too small.** Only the caller's torques and its
-    watch (`watch_bounds`) limit speed and position. Else as `start_cyclic_position`.
+    watch (`watch_bounds`) limit speed and position. cycle_time, sends_itself, errors: as of `start_cyclic_position`.
     """
     carried = (objects.TARGET_TORQUE,)
     require_carried(axis, carried, sends_itself)
@@ -146,7 +147,10 @@ def require_carried(axis: Axis, carried: Collection[Mux], sends_itself: bool) ->
 
 
 def prepare(axis: Axis, mode: Mode, cycle_time: Time, align: Align) -> Procedure[None]:
-    """Halt the drive, give it the set-point that it has, clear its offsets, select the mode, and write the period."""
+    """Halt the drive, give it the set-point that it has, clear its offsets, select the mode, and write the period.
+
+    cycle_time: ns between two SYNCs. align: gives it that set-point.
+    """
     yield from halt(axis)  # a moving drive would jump back to the position that was read
     yield from align(axis)  # in csp the drive follows as soon as it has mode and power
     yield from clear_offsets(axis, mode)
@@ -219,7 +223,10 @@ def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
 
 
 def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Procedure[float]:
-    """Enable the drive, have it follow the set-points in `carried`, and return the one at which it starts."""
+    """Enable the drive, have it follow the set-points in `carried`, and return the one at which it starts.
+
+    mode: ip, csp, csv or cst, which `prepare` has selected. align: gives the drive the set-point that it has.
+    """
     node = axis.node
     is_ip = mode == Mode.INTERPOLATED_POSITION
     goal = "interpolation active (bit 12)" if is_ip else "follows command (bit 12)"

@@ -92,6 +92,7 @@ def arm_probe(
 ) -> Procedure[None]:
     """Arm a probe for these edges, the first or `each`; what it latched before is forgotten.
 
+    probe: 1 or 2. positive, negative: the edges that latch. each: every edge; else the first one. source: of the edges.
     Raises DriveTimeout if the drive does not show it as enabled within `state_timeout`, SdoFailed if it refuses;
     LocalProtocolError for a probe other than 1 and 2, or without an edge.
     """
