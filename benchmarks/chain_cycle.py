@@ -169,7 +169,7 @@ async def _measure(joints: int, cycle_time: float, cycles: int, profile: cProfil
     async with trio.open_nursery() as nursery:
         await nursery.start(_serve, drives, node_ids)
         bus = Recorder("arm")
-        async with open_master(bus, grip=None) as master:
+        async with open_master(bus, watchdog=None) as master:
             text = "arm " + " ".join(f"joint{node_id} arm {node_id}" for node_id in node_ids)
             arm = master.load_chains(text=text, settings=ChainSettings(cycle_time=cycle_time))["arm"]
             await arm.initialise()

@@ -24,7 +24,7 @@ Left out: node guarding, which shares the CAN-ID but uses remote frames (guardin
 masked out here, so that a node that another master guards is still understood. The node of a device sends EMCY 0x8130 and reacts
 to a lost heartbeat.
 
-`OwnHeartbeat` is the heartbeat of a participant that is no device: a master whose drives watch over it (drives/axis/grip.py).
+`OwnHeartbeat` is the heartbeat of a participant that is no device: a master whose drives watch over it (drives/axis/watchdog.py).
 """
 
 from __future__ import annotations

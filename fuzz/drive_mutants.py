@@ -303,10 +303,10 @@ DRIVE_MUTANTS: Final = tuple(
             "an event-driven TPDO does not tell a new mode",
             WALK,
         ),
-        # ---- the grip ----
+        # ---- the watchdog ----
         (
             "watch_too_long",
-            "drives/axis/grip.py",
+            "drives/axis/watchdog.py",
             "return self.node_id << 16 | self.timeout // MILLISECOND",
             "return self.node_id << 16 | 4 * self.timeout // MILLISECOND",
             "a drive that watches for its master four times too long",
@@ -330,7 +330,7 @@ DRIVE_MUTANTS: Final = tuple(
         ),
         (
             "following_limit_too_late",
-            "drives/axis/following.py",
+            "drives/axis/following_error.py",
             "UNCERTAIN: Final = 2",
             "UNCERTAIN: Final = 4",
             "a drive may be four cycles of its motion behind, not two",

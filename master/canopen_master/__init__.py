@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from canopen_master.errors import SetPointRefused as SetPointRefused
     from canopen_master.errors import UnexpectedAnswer as UnexpectedAnswer
     from canopen_master.errors import UnknownChain as UnknownChain
-    from canopen_master.grip import NodeIdTaken as NodeIdTaken
-    from canopen_master.grip import NotHeld as NotHeld
     from canopen_master.master import Master as Master
     from canopen_master.motion.chain import Chain as Chain
     from canopen_master.motion.chain import ChainSettings as ChainSettings
@@ -71,10 +69,12 @@ if TYPE_CHECKING:
     from canopen_master.simulation.host import powerballs as powerballs
     from canopen_master.simulation.host import simulate as simulate
     from canopen_master.simulation.host import standard_drives as standard_drives
+    from canopen_master.watchdog import NodeIdTaken as NodeIdTaken
+    from canopen_master.watchdog import NotHeld as NotHeld
     from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL as SCHUNK_POWERBALL
     from canopen_proto.drives.axis.axis import AxisSettings as AxisSettings
     from canopen_proto.drives.axis.axis import HomingStyle as HomingStyle
-    from canopen_proto.drives.axis.grip import Grip as Grip
+    from canopen_proto.drives.axis.watchdog import Watchdog as Watchdog
     from canopen_transports.realtime import Realtime as Realtime
 else:
     from canopen_proto.lazy_names import lazy_names
@@ -89,7 +89,7 @@ else:
                 "SdoError SdoGivenUp SdoNotConfirmed SdoRefused SdoTimeout "
                 "SetPointRefused UnexpectedAnswer UnknownChain"
             ),
-            "canopen_master.grip": "NodeIdTaken NotHeld",
+            "canopen_master.watchdog": "NodeIdTaken NotHeld",
             "canopen_master.master": "Master",
             "canopen_master.motion.chain": "Chain ChainSettings ChainState",
             "canopen_master.motion.chain_file": "ChainDescription JointDescription parse_chains read_chains",
@@ -107,7 +107,7 @@ else:
             "canopen_master.participant.patient_clock": "PatientClock",
             "canopen_master.participant.subscription": "Subscription",
             "canopen_proto.drives.axis.axis": "AxisSettings HomingStyle SCHUNK_POWERBALL",
-            "canopen_proto.drives.axis.grip": "Grip",
+            "canopen_proto.drives.axis.watchdog": "Watchdog",
             "canopen_transports.realtime": "Realtime",
         },
     )

@@ -15,7 +15,6 @@ from trio.lowlevel import enable_ki_protection
 
 from canopen_data import load_dictionary
 from canopen_data.descriptions import load_description_with_names
-from canopen_master.grip import Grips, NodeGrip
 from canopen_master.motion.chain import Chain, ChainSettings
 from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
 from canopen_master.motion.chain_view import ChainState
@@ -26,9 +25,10 @@ from canopen_master.node import Node
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, nanoseconds
 from canopen_master.participant.subscription import Subscription
+from canopen_master.watchdog import NodeWatchdog, Watchdogs
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.axis import Axis, AxisSettings
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.machine import Event, LocalProtocolError
 from canopen_proto.procedures.steps import all_of
 from canopen_proto.remote_node import RemoteNode
@@ -63,7 +63,7 @@ class Master(Participant):
         sdo_timeout: float = SDO_TIMEOUT,
         heartbeat_timeout: float = 0.0,
         dictionary: ObjectDictionary | None = None,
-        grip: Grip | None = DEFAULT_GRIP,
+        watchdog: Watchdog | None = DEFAULT_WATCHDOG,
     ) -> None:
         """transports: open ones, by name. aliases: more names for them. For the rest, see `open_master`."""
         super().__init__(transports, aliases)
@@ -78,7 +78,7 @@ class Master(Participant):
         self.joints: dict[str, Device] = {}
         self.halts: list[Halt] = []
         self.realtime: tuple[Measure, ...] = ()
-        self.grips = Grips(self, grip)
+        self.watchdogs = Watchdogs(self, watchdog)
 
     @property
     def dictionary(self) -> ObjectDictionary:
@@ -124,7 +124,7 @@ class Master(Participant):
             heartbeat_timeout=self._heartbeat_timeout,
         )
         where.network.attach(remote)
-        node = self._nodes[where, node_id] = Node(self, where, remote, self.grips)
+        node = self._nodes[where, node_id] = Node(self, where, remote, self.watchdogs)
         where.renew_filters()
         if has_file if pdos is None else pdos:
             node.keep_pdos()
@@ -143,7 +143,7 @@ class Master(Participant):
         device = self.devices.get((node, axis))
         if device is None:
             drive = Axis(node.remote, AxisSettings() if settings is None else settings, axis)
-            drive.grip = NodeGrip(self.grips, node, axis)
+            drive.watchdog = NodeWatchdog(self.watchdogs, node, axis)
             device = self.devices[node, axis] = Device(name, node, drive)
         else:
             if settings is not None:
@@ -216,9 +216,9 @@ class Master(Participant):
         halted: dict[Node, list[Halt]] = defaultdict(list)
         for halt in self.halts:
             halted[halt.node].append(halt)
-        disabled = [node for node in self.grips.drives_held() if node not in halted and not node.bus_has_failed]
-        halts = (halt_node(each, self.grips) for node, each in halted.items() if not node.bus_has_failed)
-        self.launch(all_of(*halts, *map(self.grips.let_go, disabled)))
+        disabled = [node for node in self.watchdogs.drives_held() if node not in halted and not node.bus_has_failed]
+        halts = (halt_node(each, self.watchdogs) for node, each in halted.items() if not node.bus_has_failed)
+        self.launch(all_of(*halts, *map(self.watchdogs.let_go, disabled)))
         await self.finish(scope, longest, in_a_hurry)
 
     async def _brake_along_paths(self, scope: trio.CancelScope, in_a_hurry: Callable[[], bool]) -> None:

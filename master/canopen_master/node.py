@@ -11,7 +11,6 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, SdoError, UnexpectedAnswer
-from canopen_master.grip import Grips
 from canopen_master.node_pdos import NodePdos
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant
@@ -19,10 +18,11 @@ from canopen_master.participant.peer import Peer
 from canopen_master.participant.subscription import Subscription
 from canopen_master.silence import missing_frame
 from canopen_master.streams import Pieces, ReadStream, write_stream
+from canopen_master.watchdog import Watchdogs
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.grip import NotHeldError
+from canopen_proto.drives.axis.watchdog import NotHeldError
 from canopen_proto.drives.cia402.axes import axes_of, axis_of, swapped
 from canopen_proto.drives.cia402.names import names_in_mode
 from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_DISPLAY, STATUSWORD
@@ -55,9 +55,9 @@ class Node(Peer):
     device has it.
     """
 
-    def __init__(self, participant: Participant, bus: Bus, remote: RemoteNode, grips: Grips) -> None:
+    def __init__(self, participant: Participant, bus: Bus, remote: RemoteNode, watchdogs: Watchdogs) -> None:
         super().__init__(participant, bus, remote)
-        self._grips = grips
+        self._watchdogs = watchdogs
         self._controlwords = {swapped(CONTROLWORD, axis): axis for axis in axes_of(remote.dictionary) or (0,)}
         remote.commanded.update(self._controlwords)  # a drive that somebody else has enabled is not ours to halt
         self._enabled_by_hand: set[int] = set()  # axes; a write may be executed though no task has waited for its confirmation
@@ -130,7 +130,7 @@ class Node(Peer):
 
         Raises ValueRangeError, ConstantNotFound, LocalProtocolError (read-only), with nothing sent, if the dictionary forbids it.
         After SdoNotConfirmed, or if cancelled, the write may have been executed nevertheless. It is never repeated by itself.
-        Before a controlword that enables operation, the master takes hold of the drive (grip.py). Raises NodeIdTaken or
+        Before a controlword that enables operation, the master takes hold of the drive (watchdog.py). Raises NodeIdTaken or
         NotHeldError, with nothing sent, if it cannot.
         """
         variable, meant, _ = self.remote.encode(key, value)
@@ -233,7 +233,7 @@ class Node(Peer):
 
         It stops when the node boots. Raises LocalProtocolError if this RPDO is not exchanged. An RPDO with a controlword may
         enable a drive: the master takes hold of the drive beside it (`hold` does so before it). Raises NotHeldError if the drive
-        has to be held first (`Grip.required`).
+        has to be held first (`Watchdog.required`).
         """
         if enabled and number in self.remote.rpdos:
             for key in self._controlwords.keys() & set(self.remote.rpdos[number].mapping.muxes):
@@ -259,14 +259,14 @@ class Node(Peer):
     # ---- network management ----
 
     async def hold(self, axis: int = 0) -> None:
-        """Have the drive on this node watch over this master, and stop by itself when the master falls silent; see grip.py.
+        """Have the drive on this node watch over this master, and stop by itself when the master falls silent; see watchdog.py.
 
         axis: of the node, 0 for its first one.
 
         Commands that enable a drive do so by themselves; call this before you send controlwords by RPDO. Raises NodeIdTaken,
         NotHeldError.
         """
-        await self._participant.run(self._grips.hold(self, axis))
+        await self._participant.run(self._watchdogs.hold(self, axis))
 
     async def start(self) -> None:
         """Start the node (NMT, to Operational). If its file is known, wait before until its PDOs are exchanged, so that none is
@@ -349,16 +349,17 @@ class Node(Peer):
 
     def _may_enable(self, axis: int) -> None:
         """Take hold of the drive beside the next frame, which may enable it and cannot wait."""
-        settings = self._grips.settings
-        if settings is not None and settings.required and not self._grips.holds(self, axis):
-            raise NotHeldError(f"{self.where} is not held, and Grip.required says that it must; try `await node.hold()` before")
-        self._grips.hold_beside(self, axis)
+        settings = self._watchdogs.settings
+        if settings is not None and settings.required and not self._watchdogs.holds(self, axis):
+            failed = f"{self.where} is not held, and Watchdog.required says that it must"
+            raise NotHeldError(f"{failed}; try `await node.hold()` before")
+        self._watchdogs.hold_beside(self, axis)
 
     def _on_written(self, report: SdoDownloaded) -> None:
         """Take hold of a drive that was enabled past `write`: by `remote.write`, or a procedure of the core."""
         axis = self._controlwords.get(mux(report.index, report.subindex))
         if axis is not None and self.was_axis_enabled(axis):
-            self._grips.hold_beside(self, axis)
+            self._watchdogs.hold_beside(self, axis)
 
     async def _upload(self, submit: Callable[[Time], RequestId]) -> SdoUploaded:
         outcome = await self.request(submit)

@@ -35,7 +35,7 @@ from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.plain_text import clean
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_transports import NarrowTransport, Transport, TransportError, open_transport
 from canopen_transports.realtime import Grant, Realtime
@@ -60,7 +60,7 @@ def open_master(
     sdo_timeout: float | None = None,
     heartbeat_timeout: float | None = None,
     dictionary: ObjectDictionary | None = None,
-    grip: Grip | None = DEFAULT_GRIP,
+    watchdog: Watchdog | None = DEFAULT_WATCHDOG,
     realtime: Realtime | bool | None = None,
 ) -> MasterSession:
     """Open a master of one or several buses: `async with open_master("socketcan:can0") as master: ...`
@@ -68,14 +68,14 @@ def open_master(
     locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
     names may mean one bus. sdo_timeout: seconds that a device may take for each answer; by default 0.5. heartbeat_timeout:
     seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats); by default 0, no
-    supervision. dictionary: for nodes that are given none; by default that of the data files. grip: how drives notice that this
-    master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for no grip. See grip.py.
+    supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how drives notice that
+    this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none. See watchdog.py.
     realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for `Realtime()`; by default
     nothing. `Master.realtime` and the log say what was given. It is for the thread that runs trio; at the end it is given back.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the
-    file says; a grip that is DEFAULT_GRIP is not given. Raises DataError, DictionaryError with every error in the file.
+    file says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file.
 
     Entering the block raises BusError if a bus cannot be opened, RealtimeRefused for `Realtime(required=True)`. On leaving it,
     see this module's text.
@@ -90,7 +90,7 @@ def open_master(
         told = machine.master
         sdo_timeout = told.timeout / SECOND if sdo_timeout is None else sdo_timeout
         heartbeat_timeout = told.heartbeat_timeout / SECOND if heartbeat_timeout is None else heartbeat_timeout
-        grip = told.grip if grip is DEFAULT_GRIP else grip
+        watchdog = told.watchdog if watchdog is DEFAULT_WATCHDOG else watchdog
         realtime = told.realtime if realtime is None else realtime
     for number, locator in enumerate(locators):
         name = locator if isinstance(locator, str) else getattr(locator, "locator", f"bus{number}")
@@ -108,7 +108,7 @@ def open_master(
             sdo_timeout=SDO_TIMEOUT if sdo_timeout is None else sdo_timeout,
             heartbeat_timeout=heartbeat_timeout or 0.0,
             dictionary=dictionary,
-            grip=grip,
+            watchdog=watchdog,
         )
         if machine is not None:
             assemble(master, machine)

@@ -10,7 +10,7 @@ import trio
 from canopen_master.errors import MotionReplaced, PlanRefused, SetPointRefused
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.path_motion import Motion
-from canopen_proto.drives.axis.following import LAG
+from canopen_proto.drives.axis.following_error import LAG
 from canopen_proto.drives.trajectory import Path, PathClock, PathError, PathPoint
 from canopen_ros.goals import (
     Feedback,

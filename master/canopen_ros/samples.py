@@ -41,7 +41,7 @@ def si_per_unit(device: Device) -> float:
     """Return the radians, or metres, in one unit of a joint. Raises ChainError for a joint whose unit is not known (yet)."""
     settings = device.axis.settings
     unit = Unit.RADIAN if settings.unit is None and _is_powerball(settings) else settings.unit
-    if unit is None or not device.axis.has_scale:
+    if unit is None or not device.axis.scale.is_known:
         raise _no_unit(device)
     return SI[unit]
 
@@ -98,7 +98,7 @@ def sample_of(devices: Iterable[Device], now: Time, wall: int) -> Sample:
 
 
 def _effort(device: Device) -> float | None:
-    share, rated = device.torque, device.axis.units.rated_torque
+    share, rated = device.torque, device.axis.scale.units.rated_torque
     return None if share is None or rated is None else share * rated
 
 

@@ -32,7 +32,7 @@ from canopen_master.simulation.hooks import ScriptError
 from canopen_master.simulation.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.drives.axis import DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.drives.axis import DriveInFault, HomingFailed, ModeUnsupported
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.machine import LocalProtocolError, Outbox
 from canopen_proto.manager.programs.download import ProgramDownload, ProgramDownloadFailed
@@ -81,7 +81,7 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (SdoFailed(aborted(AbortOrigin.CONTESTED), "reading"), ExitCode.SDO_ABORT, "CO206"),
         (SdoFailed(aborted(AbortOrigin.TIMEOUT, AbortCode.CANNOT_TRANSFER), "reading"), ExitCode.SDO_ABORT, "CO203"),
         (UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1"), ExitCode.SDO_ABORT, "CO204"),
-        (DriveFault(AXIS, "is in fault", reason="x", remedy="reset it"), ExitCode.DRIVE_FAULT, "CO402"),
+        (DriveInFault(AXIS, "is in fault", reason="x", remedy="reset it"), ExitCode.DRIVE_FAULT, "CO402"),
         (HomingFailed(AXIS, "reports a homing error"), ExitCode.DRIVE_FAULT, "CO406"),
         (ModeUnsupported(AXIS, "does not support it"), ExitCode.DRIVE_FAULT, "CO405"),
         (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
@@ -132,7 +132,7 @@ def test_notes_are_told_too() -> None:
 
 
 def test_of_several_errors_the_one_that_is_not_ours_comes_first() -> None:
-    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveFault(AXIS, "is in fault")])])
+    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveInFault(AXIS, "is in fault")])])
     problem = problem_of(group)
     assert problem.code == "CO402"
     assert "CO900" in problem.also[0]
@@ -328,7 +328,7 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
             signal.raise_signal(signal.SIGINT)
             await trio.sleep(5)
         finally:
-            raise DriveFault(AXIS, "is in fault", reason="it burns", remedy="water")
+            raise DriveInFault(AXIS, "is in fault", reason="it burns", remedy="water")
 
     with pytest.raises(Problem) as caught:
         run(Settings(), Screen(), command)

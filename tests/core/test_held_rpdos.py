@@ -49,7 +49,7 @@ class Hands:
             rig.bus.run(CYCLE)
 
     def send_set_point(self, step: int) -> None:
-        self.rig.axis.set_position_counts(self.rig.axis.set_point_counts + step)
+        self.rig.axis.set_points.set_position_counts(self.rig.axis.set_points.counts + step)
         assert self.rig.remote.send_rpdo(self.producer, self.rig.bus.now)
 
     def sync(self, is_ours: bool = True) -> None:

@@ -161,7 +161,7 @@ def test_a_torque_that_ends_in_time_on_a_drive_that_coasts_leaves_it_standing() 
 def test_a_load_that_the_drive_holds_does_not_fall() -> None:
     """Enabled and holding 2 N·m of a weight, it begins with that torque."""
     rig = rig_of(replace(JOINT, load=2.0), max_speed=2.0)
-    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.select_motionless_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
     rig.bus.run(SECOND)
     lowest = 0.0
@@ -213,7 +213,7 @@ def test_a_fault_and_another_mode_end_it() -> None:
     request = rig.master.run(drive.apply_torque(rig.axis, 0.05, 10 * SECOND), rig.bus.now)
     rig.bus.run(300 * MILLISECOND)
     rig.node.raise_fault(0x2310, rig.bus.now)
-    assert isinstance(rig.outcome(request).error, drive.DriveFault)  # type: ignore[union-attr]
+    assert isinstance(rig.outcome(request).error, drive.DriveInFault)  # type: ignore[union-attr]
 
     rig = rig_of(max_speed=10.0)
     request = rig.master.run(drive.apply_torque(rig.axis, 0.05, 10 * SECOND), rig.bus.now)

@@ -12,6 +12,7 @@ from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis, AxisSettings, AxisStateChanged
+from canopen_proto.drives.axis.view import view_of
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
@@ -31,13 +32,13 @@ def test_a_scale_that_is_none_is_refused(scale: float) -> None:
 
 def test_without_a_scale_positions_are_counts() -> None:
     axis = Axis(RemoteNode(Outbox(), 5, drive_dictionary()), AxisSettings(direction=-1, offset=100))
-    assert (axis.to_counts(-7), axis.from_counts(107)) == (107, -7)
+    assert (axis.scale.to_counts(-7), axis.scale.from_counts(107)) == (107, -7)
 
 
 def test_a_node_never_heard_has_no_position_and_no_state() -> None:
     axis = Axis(RemoteNode(Outbox(), 5, drive_dictionary()))
     assert (axis.position, axis.velocity, axis.torque, axis.mode, axis.state) == (None, None, None, None, State.UNKNOWN)
-    assert axis.describe() == "its statusword was not heard yet"
+    assert view_of(axis).describe() == "its statusword was not heard yet"
 
 
 @pytest.mark.parametrize("shape", list(Shape))
@@ -60,8 +61,8 @@ def test_a_drive_that_boots_is_not_homed_any_more_and_its_state_is_not_known(sha
 def test_the_set_point_of_a_drive_without_60c1_is_its_target_position() -> None:
     objects = [each for index, each in drive_dictionary().objects.items() if index != 0x60C1]
     axis = Axis(RemoteNode(Outbox(), 5, ObjectDictionary(objects)), MILLIDEGREES)
-    axis.set_position(0.25)
-    assert axis.set_point == pytest.approx(0.25, abs=1e-4)
+    axis.set_points.set_position(0.25)
+    assert axis.set_points.position == pytest.approx(0.25, abs=1e-4)
 
 
 def axis_with(*set_points: Variable) -> Axis:
@@ -88,44 +89,44 @@ def test_a_set_point_must_fit_the_object_that_carries_it(
     """The object of the mode decides, and its name is told; the image of the other one is not touched."""
     target = Variable(0x607A, 0, "target_position", data_type, Access.RW)
     axis = axis_with(IP_DATA, target)
-    axis.set_position_counts(7)
-    axis.select_set_point(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    axis.set_points.set_position_counts(7)
+    axis.set_points.select(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     for counts in fits:
-        axis.check_set_point(counts)
-        axis.set_position_counts(counts)
-        assert (axis.set_point_counts, axis.node.values[target.mux], axis.node.values[IP_DATA.mux]) == (counts, counts, 7)
+        axis.set_points.check(counts)
+        axis.set_points.set_position_counts(counts)
+        assert (axis.set_points.counts, axis.node.values[target.mux], axis.node.values[IP_DATA.mux]) == (counts, counts, 7)
     for counts in (too_small, too_large):
         with pytest.raises(ValueRangeError, match="target_position"):
-            axis.set_position_counts(counts)
+            axis.set_points.set_position_counts(counts)
         with pytest.raises(ValueRangeError):
-            axis.check_set_point(counts)
-        assert axis.set_point_counts == fits[-1]
-    axis.select_set_point(Mode.INTERPOLATED_POSITION)
-    assert axis.set_point_counts == 7
+            axis.set_points.check(counts)
+        assert axis.set_points.counts == fits[-1]
+    axis.set_points.select(Mode.INTERPOLATED_POSITION)
+    assert axis.set_points.counts == 7
 
 
 @pytest.mark.parametrize("counts", [1.0, 1.5, math.nan, "1", None])
 def test_a_set_point_that_is_no_integer_is_refused(counts: object) -> None:
     axis = axis_with(IP_DATA)
     with pytest.raises(ValueRangeError, match="ip_data_position"):
-        axis.check_set_point(counts)  # type: ignore[arg-type]
+        axis.set_points.check(counts)  # type: ignore[arg-type]
 
 
 def test_a_set_point_for_an_object_that_holds_no_integer_is_tried() -> None:
     """Some drives take set-points as REAL32: which numbers fit is for the type to say."""
     axis = axis_with(Variable(0x607A, 0, "target_position", DataType.REAL32, Access.RW))
-    axis.check_set_point(1_000)
+    axis.set_points.check(1_000)
     with pytest.raises(ValueRangeError, match="target_position"):
-        axis.check_set_point(10**40)
+        axis.set_points.check(10**40)
 
 
 def test_other_settings_count_at_once() -> None:
     axis = axis_with(IP_DATA)
-    axis.set_position_counts(5_100)
+    axis.set_points.set_position_counts(5_100)
     axis.settings = AxisSettings(counts_per_unit=1000.0, direction=-1, offset=100)
-    assert (axis.set_point, axis.to_counts(-5.0), axis.has_scale) == (-5.0, 5_100, True)
+    assert (axis.set_points.position, axis.scale.to_counts(-5.0), axis.scale.is_known) == (-5.0, 5_100, True)
     axis.settings = AxisSettings()
-    assert (axis.set_point, axis.has_scale) == (5_100, False)
+    assert (axis.set_points.position, axis.scale.is_known) == (5_100, False)
 
 
 @pytest.mark.parametrize("enabled", [False, True])
@@ -149,8 +150,8 @@ def test_a_halt_of_a_moving_axis_in_csp_ends_when_it_stands() -> None:
     position = rig.axis.position
     for _ in range(20):
         position += 0.002
-        rig.axis.set_position(position)
-        rig.node.values.store[0x607A00] = rig.axis.to_counts(position)  # as an RPDO of it would
+        rig.axis.set_points.set_position(position)
+        rig.node.values.store[0x607A00] = rig.axis.scale.to_counts(position)  # as an RPDO of it would
         rig.drive.written(0x607A, 0, rig.bus.now)
         rig.bus.run(CYCLE)
     assert abs(rig.drive._servo.velocity) > 10_000

@@ -12,7 +12,7 @@ import pytest
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis.bounds import Bounds
+from canopen_proto.drives.axis.bounds import MotionBounds
 from canopen_proto.drives.axis.following import Following, FollowingLost
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -64,9 +64,9 @@ def velocity_of(rig: Rig) -> float:
     return rig.drive._servo.velocity
 
 
-def watched(rig: Rig, mode: Mode, bounds: Bounds) -> Following:
+def watched(rig: Rig, mode: Mode, bounds: MotionBounds) -> Following:
     following = Following(rig.axis)
-    following.begin_within(bounds, mode, cyclic=CYCLIC)
+    following.begin_with_bounds(bounds, mode, cyclic=CYCLIC)
     assert following.unsent == set()
     return following
 
@@ -85,10 +85,10 @@ def test_velocities_are_followed_from_standstill() -> None:
     assert rig.run(drive.start_cyclic_velocity(rig.axis, CYCLE)) == 0
     watched(rig, CSV, bounds)
     for step in range(100):
-        rig.axis.set_velocity(min(1.0, step / 50))
+        rig.axis.set_points.set_velocity(min(1.0, step / 50))
         rig.bus.run(CYCLE)
     assert rig.axis.velocity == pytest.approx(1.0, rel=0.01)
-    rig.axis.set_velocity(0.0)  # it stands: no further set-point is needed
+    rig.axis.set_points.set_velocity(0.0)  # it stands: no further set-point is needed
     rig.bus.run(30 * CYCLE)
     assert not rig.bus.take_events(FollowingLost)
     assert abs(velocity_of(rig)) < 50
@@ -144,9 +144,9 @@ def test_bounds_that_are_left_are_told_and_a_halt_then_stops_it(
     following = watched(rig, mode, bounds)
     for _ in range(200):
         if mode == CSV:
-            rig.axis.set_velocity(velocity)
+            rig.axis.set_points.set_velocity(velocity)
         else:
-            rig.axis.set_torque(velocity / 5)
+            rig.axis.set_points.set_torque(velocity / 5)
         rig.bus.run(CYCLE)
         if not following.is_on:
             break
@@ -187,7 +187,7 @@ def test_what_else_ends_it(mode: Mode) -> None:
 
 def test_a_drive_that_holds_a_load_goes_on_holding_it() -> None:
     rig = rig_of(CST, replace(JOINT, load=2.0), max_speed=2.0)
-    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.select_motionless_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
     rig.bus.run(SECOND)
     position = rig.run(drive.read_position(rig.axis))
@@ -195,7 +195,7 @@ def test_a_drive_that_holds_a_load_goes_on_holding_it() -> None:
     assert held == pytest.approx(0.2, abs=0.035)  # 2 of 10 N·m; friction takes its part
     rig.bus.run(50 * CYCLE)
     assert rig.axis.position == pytest.approx(position, abs=0.01)
-    assert rig.axis.set_torque(0.3) == 0.3
+    assert rig.axis.set_points.set_torque(0.3) == 0.3
     rig.bus.run(20 * CYCLE)
     assert rig.axis.position > position + 0.01
     rig.run(drive.halt(rig.axis))
@@ -249,7 +249,7 @@ def kept(rig: Rig, mode: Mode) -> RequestId:
     """A drive that follows, and is kept within its bounds."""
     bounds = rig.run(drive.bounds_of(rig.axis))
     rig.run({CSV: drive.start_cyclic_velocity, CST: drive.start_cyclic_torque}[mode](rig.axis, CYCLE))
-    return rig.master.run(drive.keep_within(Following(rig.axis), bounds, mode, cyclic=CYCLIC), rig.bus.now)
+    return rig.master.run(drive.watch_bounds(Following(rig.axis), bounds, mode, cyclic=CYCLIC), rig.bus.now)
 
 
 def give(rig: Rig, mode: Mode, cycles: int) -> None:
@@ -257,9 +257,9 @@ def give(rig: Rig, mode: Mode, cycles: int) -> None:
         if any(isinstance(event, FollowingLost) for event in rig.bus.events):
             return
         if mode == CSV:
-            rig.axis.set_velocity(0.5)
+            rig.axis.set_points.set_velocity(0.5)
         else:
-            rig.axis.set_torque(0.1)
+            rig.axis.set_points.set_torque(0.1)
         rig.bus.run(CYCLE)
 
 
@@ -342,7 +342,7 @@ def test_feed_forward_of_torque_takes_the_load_from_the_loop() -> None:
     rig.run(write(rig.remote, "0x60B2", 150))
     rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
     assert rig.node.values.store[objects.TORQUE_OFFSET] == 0
-    rig.axis.set_offsets(torque=0.2)
+    rig.axis.set_points.set_offsets(torque=0.2)
     rig.bus.run(100 * CYCLE)
     assert rig.node.values.store[objects.TORQUE_OFFSET] == 200
     assert rig.axis.torque == pytest.approx(0.2, abs=0.035)

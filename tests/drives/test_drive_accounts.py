@@ -13,6 +13,7 @@ from canopen_proto.dictionary import Direction
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.axis.view import view_of
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.drive_bit import DriveBit
 from canopen_proto.drives.cia402.modes import Mode
@@ -264,7 +265,7 @@ def test_a_fault_bears_its_code_and_the_emergency(operation: str) -> None:
     rig.axis.settings = SHORT
     rig.node.raise_fault(0x8611, rig.bus.now, lasting=True)
     rig.bus.run(MILLISECOND)
-    with pytest.raises(drive.DriveFault) as caught:
+    with pytest.raises(drive.DriveInFault) as caught:
         rig.run(OPERATIONS[operation](rig.axis))
     told(caught.value, "0x8611 following error", "reset the fault")
     assert "error code 0x8611" in str(caught.value)
@@ -275,7 +276,7 @@ def test_a_fault_that_stays_says_so() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     rig.node.raise_fault(0x4310, rig.bus.now, lasting=True)
     rig.bus.run(MILLISECOND)
-    with pytest.raises(drive.DriveFault, match="that a fault reset did not clear: 0x4310") as caught:
+    with pytest.raises(drive.DriveInFault, match="that a fault reset did not clear: 0x4310") as caught:
         rig.run(drive.reset_fault(rig.axis))
     told(caught.value, "0x4310", "find the cause")
 
@@ -377,13 +378,13 @@ def test_the_rpdo_of_another_master_that_only_the_file_knows() -> None:
 def test_a_pdo_without_a_command_is_nobodys_fault() -> None:
     """Another device may send the drive a PDO that has nothing to do with commands."""
     rig, _ = rig_in_motion()
-    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.select_motionless_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
     carries = Mapping([MappedEntry.of(rig.node.dictionary.variable(objects.TARGET_POSITION))])
     rig.remote.add_rpdo(2, 0x305, carries, 255)  # type: ignore[arg-type]
     rig.bus.send("305#06000000")
     rig.run(drive.read_statusword(rig.axis))
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
 
 
 def test_another_mode_by_another_master() -> None:
@@ -421,19 +422,19 @@ def test_a_drive_that_has_left_operational_unheard(halts: bool, word: str) -> No
 
 def test_what_agrees_with_us_or_is_long_ago_is_no_reason() -> None:
     rig, foreign = rig_in_motion()
-    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.select_motionless_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
     foreign.write(objects.CONTROLWORD, rig.axis.controlword)
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
     foreign.write(objects.CONTROLWORD, 0x010F)
     rig.run(drive.read_statusword(rig.axis))
-    assert str(rig.axis.view().foreign).startswith("another master commanded 0x010F")
+    assert str(view_of(rig.axis).foreign).startswith("another master commanded 0x010F")
     rig.bus.run(6 * SECOND)
     rig.run(drive.read_statusword(rig.axis))
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
     foreign.write(objects.CONTROLWORD, 0x010F)
     rig.run(drive.command(rig.axis, 0x0007))  # ours came later, and counts
-    assert rig.axis.view().foreign is None
+    assert view_of(rig.axis).foreign is None
 
 
 def test_only_commands_of_others_are_listened_to() -> None:

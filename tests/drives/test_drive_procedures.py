@@ -55,7 +55,7 @@ def test_a_fault_is_reset_by_a_rising_edge_and_only_on_request(shape: Shape) -> 
     rig.run(drive.enable(rig.axis))
     rig.node.raise_fault(0x3220, rig.bus.now)
     rig.bus.run(200 * MILLISECOND)  # what a TPDO said before is too old now
-    with pytest.raises(drive.DriveFault, match=r"drive 5 is in fault and cannot go to operation enabled.*0x3220"):
+    with pytest.raises(drive.DriveInFault, match=r"drive 5 is in fault and cannot go to operation enabled.*0x3220"):
         rig.run(drive.enable(rig.axis))
     rig.bus.sent.clear()
     rig.run(drive.reset_fault(rig.axis))
@@ -68,7 +68,7 @@ def test_a_fault_is_reset_by_a_rising_edge_and_only_on_request(shape: Shape) -> 
 def test_a_fault_whose_cause_stays_is_told() -> None:
     rig = Rig(Shape.STANDARD)
     rig.node.raise_fault(0x3220, rig.bus.now, lasting=True)
-    with pytest.raises(drive.DriveFault, match="that a fault reset did not clear"):
+    with pytest.raises(drive.DriveInFault, match="that a fault reset did not clear"):
         rig.run(drive.reset_fault(rig.axis))
 
 
@@ -129,7 +129,7 @@ def test_a_fault_in_the_middle_of_homing_is_told_with_its_emcy() -> None:
     rig.node.raise_fault(0x2310, rig.bus.now)
     ended = rig.outcome(request)
     assert isinstance(ended, ProcedureFailed)
-    assert isinstance(ended.error, drive.DriveFault)
+    assert isinstance(ended.error, drive.DriveInFault)
     assert "while waiting for the end of homing" in str(ended.error)
     assert "last EMCY 0x2310" in str(ended.error)
 
@@ -140,10 +140,10 @@ def test_interpolation_starts_where_the_drive_stands_and_follows(shape: Shape) -
     rig.run(drive.home(rig.axis))
     rig.start_sync()
     start = rig.run(drive.start_interpolation(rig.axis, CYCLE))
-    assert start == rig.axis.set_point == 0
+    assert start == rig.axis.set_points.position == 0
     assert rig.axis.statusword & 0x1000
     for step in range(1, 51):
-        rig.axis.set_position(step * 0.002)
+        rig.axis.set_points.set_position(step * 0.002)
         rig.bus.run(CYCLE)
     rig.bus.run(10 * CYCLE)
     assert rig.axis.position == pytest.approx(0.1, abs=1e-4)
@@ -239,7 +239,7 @@ def test_halt_brake_and_shut_down(shape: Shape, by_pdo: bool) -> None:
         rig.start_sync()
         rig.run(drive.start_interpolation(rig.axis, CYCLE))
         for step in range(1, 20):
-            rig.axis.set_position(step * 0.002)
+            rig.axis.set_points.set_position(step * 0.002)
             rig.bus.run(CYCLE)
         assert moving(rig)
     rig.run(drive.halt(rig.axis))
@@ -314,7 +314,7 @@ def test_the_fault_of_a_node_that_falls_silent_is_told_all_the_same() -> None:
     rig.node.raise_fault(0x3220, rig.bus.now)
     rig.bus.run(2 * CYCLE)
     rig.bus.detach(rig.device)
-    with pytest.raises(drive.DriveFault, match="its error code could not be read: node 5 did not answer"):
+    with pytest.raises(drive.DriveInFault, match="its error code could not be read: node 5 did not answer"):
         rig.run(drive.enable(rig.axis))
 
 
@@ -370,7 +370,7 @@ def test_a_mechanical_block_becomes_a_following_error() -> None:
     rig = Rig(Shape.STANDARD)
     rig.run(drive.home(rig.axis))
     rig.node.block(True, rig.bus.now)
-    with pytest.raises(drive.DriveFault, match="0x8611"):
+    with pytest.raises(drive.DriveInFault, match="0x8611"):
         rig.run(drive.move_to(rig.axis, 1.0, timeout=20 * SECOND))
 
 
@@ -469,10 +469,10 @@ def test_a_second_cancel_and_a_late_one_change_nothing() -> None:
 def test_units_direction_and_offset() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     axis = Axis(rig.remote, AxisSettings(counts_per_unit=1000.0, direction=-1, offset=50))
-    assert axis.to_counts(1.5) == -1450
-    assert axis.from_counts(-1450) == 1.5
-    axis.set_position(1.5)
-    assert axis.set_point == 1.5
+    assert axis.scale.to_counts(1.5) == -1450
+    assert axis.scale.from_counts(-1450) == 1.5
+    axis.set_points.set_position(1.5)
+    assert axis.set_points.position == 1.5
     assert rig.remote.values.read("6064") == 0
     with pytest.raises(LocalProtocolError):
         AxisSettings(direction=2)
@@ -482,10 +482,10 @@ def test_units_direction_and_offset() -> None:
 
 def test_a_set_point_beyond_the_object_is_refused_and_the_last_one_stays() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
-    rig.axis.set_position(1.0)
+    rig.axis.set_points.set_position(1.0)
     with pytest.raises(ValueError, match="607A|60C1"):
-        rig.axis.set_position(1e9)
-    assert rig.axis.set_point == pytest.approx(1.0, abs=1e-4)
+        rig.axis.set_points.set_position(1e9)
+    assert rig.axis.set_points.position == pytest.approx(1.0, abs=1e-4)
 
 
 def test_actual_values_and_settings_of_a_drive() -> None:

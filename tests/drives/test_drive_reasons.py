@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.reasons import Reason, look_at, outer_reason, reasons
-from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.axis.view import DriveView, view_of
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.machine import SECOND
@@ -137,10 +137,10 @@ def test_what_does_not_come_in_time_names_the_obstacle() -> None:
     with pytest.raises(StepTimeout, match=r"within 3 s: its power stage has no voltage .*\. Try: look at the motor supply"):
         rig.run(drive.enable(rig.axis))
     rig = Rig(Shape.STANDARD, pdos=False)
-    assert outer_reason(rig.axis.view()) is None  # nothing was heard yet
-    rig.run(drive.select_standing_mode(rig.axis))
+    assert outer_reason(view_of(rig.axis)) is None  # nothing was heard yet
+    rig.run(drive.select_motionless_mode(rig.axis))
     rig.run(drive.enable(rig.axis))
-    assert outer_reason(rig.axis.view()) is None
+    assert outer_reason(view_of(rig.axis)) is None
 
 
 def test_it_is_read_from_the_drive() -> None:

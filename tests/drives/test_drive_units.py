@@ -121,13 +121,13 @@ def test_an_acceleration_unit(case: str) -> None:
 def test_accelerations_go_in_the_drives_own_unit() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     rig.axis.settings = AxisSettings(counts_per_unit=1000.0)
-    rig.axis.units = units_of({mux(0x6097, 1): 1, mux(0x6097, 2): 100})
-    assert (rig.axis.rate_to_wire(5.0), rig.axis.speed_to_wire(5.0)) == (50, 5000)
-    rig.axis.units = units_of({SI_ACCELERATION: 0x00B44700} | ENCODER)
+    rig.axis.scale.units = units_of({mux(0x6097, 1): 1, mux(0x6097, 2): 100})
+    assert (rig.axis.scale.rate_to_wire(5.0), rig.axis.scale.speed_to_wire(5.0)) == (50, 5000)
+    rig.axis.scale.units = units_of({SI_ACCELERATION: 0x00B44700} | ENCODER)
     with pytest.raises(LocalProtocolError, match=r"cannot be converted \(0x60AA = 0x00B44700\)"):
-        rig.axis.rate_to_wire(5.0)
+        rig.axis.scale.rate_to_wire(5.0)
     rig.axis.settings = AxisSettings(counts_per_unit=1000.0, acceleration_unit=10.0)
-    assert rig.axis.rate_to_wire(5.0) == 500
+    assert rig.axis.scale.rate_to_wire(5.0) == 500
 
 
 def test_torque_polarity_and_offset() -> None:

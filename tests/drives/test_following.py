@@ -12,9 +12,9 @@ from canopen_data import load_dictionary
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis, AxisSettings
-from canopen_proto.drives.axis.following import SILENT_TIME, Following, FollowingLost, following_limit
+from canopen_proto.drives.axis.following import READ_INTERVAL, SILENT_TIME, Following, FollowingLost, read_unsent
+from canopen_proto.drives.axis.following_error import following_limit
 from canopen_proto.drives.axis.limits import DEFAULT_SPEED, Limit, limits_of
-from canopen_proto.drives.axis.unsent import READ_INTERVAL, read_unsent
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.objects import (
     FOLLOWING_ERROR_WINDOW,
@@ -50,7 +50,7 @@ class Desk:
         self.node.add_pdo(tpdo, 0)
         self.axis = Axis(self.node, AxisSettings(counts_per_unit=1.0))
         self.following = Following(self.axis)
-        self.axis.set_position_counts(start)
+        self.axis.set_points.set_position_counts(start)
         self.send(start, statusword)
         self.following.begin(LIMIT, Mode.INTERPOLATED_POSITION, cyclic=cyclic, lag=lag)
 
@@ -64,7 +64,7 @@ class Desk:
         self.node.on_sync(None, self.now)
 
     def cycle(self, set_point: int, position: int, statusword: int = FOLLOWS) -> None:
-        self.axis.set_position_counts(set_point)
+        self.axis.set_points.set_position_counts(set_point)
         self.sync()
         self.send(position, statusword)
 
@@ -89,7 +89,7 @@ def test_positions_that_come_late_are_told_from_a_drive_that_lags() -> None:
     points = [0, 0]
     for number in range(100):
         points.append(10 * number)
-        desk.axis.set_position_counts(points[-1])
+        desk.axis.set_points.set_position_counts(points[-1])
         desk.sync()
         if number % 2 == 0 and not desk.lost:
             desk.send(points[number // 2])
@@ -100,7 +100,7 @@ def test_positions_that_come_late_are_told_from_a_drive_that_lags() -> None:
 def test_lost_pdos_do_not_make_a_blocked_drive_a_late_one() -> None:
     desk = Desk()
     for number in range(200):
-        desk.axis.set_position_counts(10 * number)
+        desk.axis.set_points.set_position_counts(10 * number)
         desk.sync()
         if number % 10 and not desk.lost:
             desk.send(10 * min(number, 150))

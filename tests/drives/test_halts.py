@@ -189,7 +189,7 @@ def test_a_drive_in_its_fault_reaction_is_shut_down_when_it_stands() -> None:
     running(rig, 10_000)
     speeds: list[float] = []
 
-    class Grip:
+    class Watchdog:
         def hold(self) -> Procedure[None]:
             yield from sleep(0)
 
@@ -197,7 +197,7 @@ def test_a_drive_in_its_fault_reaction_is_shut_down_when_it_stands() -> None:
             speeds.append(speed_of(rig))
             yield from sleep(0)
 
-    rig.axis.grip = Grip()
+    rig.axis.watchdog = Watchdog()
     rig.node.raise_fault(0x2310, rig.bus.now)
     assert speed_of(rig) == SPEED
     rig.run(drive.shut_down(rig.axis))

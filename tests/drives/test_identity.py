@@ -95,8 +95,8 @@ def test_the_scale_of_a_named_unit_is_the_drives(unit: Unit, counts: float) -> N
     axis = identified(given)
     assert axis.settings.counts_per_unit == pytest.approx(counts)
     assert dataclasses.replace(axis.settings, counts_per_unit=None) == dataclasses.replace(given, homing=HomingStyle.STANDARD)
-    assert axis.has_scale
-    assert axis.to_counts(1) == round(counts)
+    assert axis.scale.is_known
+    assert axis.scale.to_counts(1) == round(counts)
     axis.check_settings(given)
 
 
@@ -117,7 +117,7 @@ def test_a_drive_that_does_not_tell_its_scale_is_not_used(shape: Shape, unit: Un
     axis = Axis((rig := Rig(shape, pdos=False)).remote, AxisSettings(unit=unit))
     with pytest.raises(ProcedureError, match=r"how many counts a millimetre has .*\. Try: counts_per_unit, by its manual"):
         rig.run(identify(axis))
-    assert not axis.has_scale
+    assert not axis.scale.is_known
 
 
 def test_a_drive_is_asked_once_and_units_that_were_given_stay() -> None:

@@ -13,10 +13,11 @@ import pytest
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.dictionary.model import Object
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis.following import LAG, Following, FollowingLost
+from canopen_proto.drives.axis.following import Following, FollowingLost
+from canopen_proto.drives.axis.following_error import LAG
 from canopen_proto.drives.axis.interpolation import InterpolationBuffer
 from canopen_proto.drives.axis.limits import Limit
-from canopen_proto.drives.axis.sub_modes import Point, PositionAndVelocity
+from canopen_proto.drives.axis.sub_modes import PositionAndVelocity, RecordPoint
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, LocalProtocolError, Time
@@ -83,7 +84,7 @@ class NoSuch:
     number: int = -2
     objects: tuple[Mux, ...] = (mux(0x60C1, 2), mux(0x60C1, 1))
 
-    def record(self, point: Point) -> tuple[int, ...]:
+    def record(self, point: RecordPoint) -> tuple[int, ...]:
         return 0, point.position
 
 
@@ -106,8 +107,8 @@ def test_a_sub_mode_that_the_drive_refuses_is_named_and_nothing_moves() -> None:
 def test_a_record_is_written_by_sdo_in_its_own_order() -> None:
     rig = rig_with_records()
     sub_mode = replace(PositionAndVelocity(), objects=(mux(0x60C1, 2), mux(0x60C1, 1)))
-    rig.axis.select_record(sub_mode, CYCLE)
-    assert rig.axis.set_point_objects == (mux(0x60C1, 2), mux(0x60C1, 1))
+    rig.axis.set_points.select_record(sub_mode, CYCLE)
+    assert rig.axis.set_points.objects == (mux(0x60C1, 2), mux(0x60C1, 1))
 
 
 @pytest.mark.parametrize("told", [True, False])
@@ -116,14 +117,14 @@ def test_records_of_position_and_velocity_are_followed(told: bool) -> None:
     rig = rig_with_records()
     rig.start_sync()
     position = rig.run(drive.start_interpolation(rig.axis, CYCLE, sub_mode=PositionAndVelocity()))
-    assert position == rig.axis.set_point
-    start = rig.axis.set_point_counts
+    assert position == rig.axis.set_points.position
+    start = rig.axis.set_points.counts
     velocities = []
     for step in range(1, 50):
         time = step * CYCLE / SECOND
         counts = start + round(10_000 * time * time)
-        rig.axis.set_position_counts(counts, 20_000 * time if told else None)
-        assert rig.axis.set_point_counts == counts
+        rig.axis.set_points.set_position_counts(counts, 20_000 * time if told else None)
+        assert rig.axis.set_points.counts == counts
         rig.bus.run(CYCLE)
         rig.drive.refresh(rig.bus.now)
         velocities.append(rig.drive.values.store[objects.VELOCITY_DEMAND_VALUE])
@@ -143,10 +144,10 @@ def test_the_sub_mode_of_the_documentation_works() -> None:
     start = rig.run(drive.start_interpolation(rig.axis, CYCLE, sub_mode=names["Cubic"]()))
     assert rig.node.values.store[objects.INTERPOLATION_SUB_MODE_SELECT] == -1
     for step in range(1, 20):
-        rig.axis.set_position(start + 0.001 * step, velocity=0.1)
+        rig.axis.set_points.set_position(start + 0.001 * step, velocity=0.1)
         rig.bus.run(CYCLE)
     rig.drive.refresh(rig.bus.now)
-    assert rig.drive.values.store[objects.VELOCITY_DEMAND_VALUE] == pytest.approx(rig.axis.to_counts(0.1), rel=0.02)
+    assert rig.drive.values.store[objects.VELOCITY_DEMAND_VALUE] == pytest.approx(rig.axis.scale.to_counts(0.1), rel=0.02)
     assert rig.axis.statusword & 0x1000
 
 
@@ -160,11 +161,11 @@ def stream(rig: Rig, following: Following, lead: int, missing: int) -> None:
     """Follow 5,000 counts/s. The RPDOs of `missing` SYNCs in a row are lost in the middle."""
     cyclic = {objects.VELOCITY_ACTUAL_VALUE: 1, objects.POSITION_ACTUAL_VALUE: 1}
     following.begin(Limit(500, "this test"), Mode.INTERPOLATED_POSITION, cyclic=cyclic, lag=LAG + lead)
-    start = rig.axis.set_point_counts
+    start = rig.axis.set_points.counts
     for step in range(1, 60):
         rig.remote.rpdos[4].set_enabled(not 30 <= step < 30 + missing, rig.bus.now)
         if not 30 <= step < 30 + missing:
-            rig.axis.set_position_counts(start + 50 * step)
+            rig.axis.set_points.set_position_counts(start + 50 * step)
         rig.bus.run(CYCLE)
 
 

@@ -12,13 +12,13 @@ from typing import Final, NamedTuple
 import pytest
 
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip, NotHeldError
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, NotHeldError, Watchdog
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand
-from tests.drives.grip_world import NODE, World, without
+from tests.drives.watchdog_world import NODE, World, without
 
 FASTEST: Final = 25_000
 """0x607F: no mode goes faster, torque control neither."""
@@ -68,12 +68,14 @@ BY_SYNC = [name for name, motion in MOTIONS.items() if motion.each_cycle]
 class Cell:
     """A held drive in motion, its master, and who keeps it going."""
 
-    def __init__(self, name: str, dictionary: ObjectDictionary | None = None, grip: Grip | None = DEFAULT_GRIP) -> None:
+    def __init__(
+        self, name: str, dictionary: ObjectDictionary | None = None, watchdog: Watchdog | None = DEFAULT_WATCHDOG
+    ) -> None:
         self.world = world = World(dictionary)
         self.bus, self.motion = world.bus, MOTIONS[name]
         self.bus.send(f"000#01{NODE:02X}")
         self.bus.run(MILLISECOND)
-        self.gap = world.take_hold(grip) if grip else ""
+        self.gap = world.take_hold(watchdog) if watchdog else ""
         for key, value in (RATES | self.motion.before).items():
             if key in world.store:
                 world.put(key, value)
@@ -167,7 +169,7 @@ class Kill(NamedTuple):
     told: type[Event] | None = None
 
 
-CONSUMER_TIME = DEFAULT_GRIP.timeout
+CONSUMER_TIME = DEFAULT_WATCHDOG.timeout
 KILLS = {
     "master": Kill(kill_master, CONSUMER_TIME, QUICK_STOP),
     "master, not SYNC": Kill(kill_master_but_not_its_sync, CONSUMER_TIME, QUICK_STOP),
@@ -202,8 +204,8 @@ SYNC_TIME = 100 * MILLISECOND
 
 
 @pytest.mark.parametrize("name", BY_SYNC)
-def test_without_a_grip_a_lost_sync_stops_the_modes_that_need_it(name: str) -> None:
-    cell = Cell(name, grip=None)
+def test_without_a_watchdog_a_lost_sync_stops_the_modes_that_need_it(name: str) -> None:
+    cell = Cell(name, watchdog=None)
     kill_master(cell)
     assert cell.time_to_stand() <= SYNC_TIME + ramp(QUICK_STOP) + SETTLING + CYCLE
     assert cell.world.node.drive.state is State.OPERATION_ENABLED
@@ -214,8 +216,8 @@ def test_without_a_grip_a_lost_sync_stops_the_modes_that_need_it(name: str) -> N
     [(1, QUICK_STOP, State.FAULT), (2, 0, State.SWITCH_ON_DISABLED), (3, QUICK_STOP, State.SWITCH_ON_DISABLED)],
 )
 @pytest.mark.parametrize("name", MOTIONS)
-def test_each_reaction_that_a_grip_may_ask_for(name: str, option: int, rate: int, state: State) -> None:
-    cell = Cell(name, grip=Grip(abort_connection=option))
+def test_each_reaction_that_a_watchdog_may_ask_for(name: str, option: int, rate: int, state: State) -> None:
+    cell = Cell(name, watchdog=Watchdog(abort_connection=option))
     assert cell.gap == ""
     kill_master(cell)
     assert cell.time_to_stand() <= allowed(Kill(kill_master, CONSUMER_TIME, rate))
@@ -232,4 +234,4 @@ def test_a_drive_that_cannot_notice_it_is_named_before_it_moves(name: str, lacks
     kill_master(cell)
     assert (cell.time_to_stand() < 3 * SECOND) is (name in BY_SYNC)
     with pytest.raises(NotHeldError, match=f"would not stop by itself .*0x{lacks:04X}"):
-        World(without(lacks)).take_hold(Grip(required=True))
+        World(without(lacks)).take_hold(Watchdog(required=True))

@@ -7,7 +7,9 @@ import pytest
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives.axis import LimitReached, move_to, start_cyclic_position, start_interpolation
 from canopen_proto.drives.axis.axis import AxisSettings
+from canopen_proto.drives.axis.controlword import put
 from canopen_proto.drives.axis.reasons import look_at, reasons
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import ModeStatus
 from canopen_proto.drives.cia402.states import StatusBit
 from canopen_proto.machine import MILLISECOND, SECOND
@@ -59,8 +61,8 @@ def test_set_points_away_from_the_switch_are_followed(mode: str) -> None:
     def follow(step: int, cycles: int) -> None:
         begin = rig.run(STARTS[mode](rig.axis, CYCLE))
         for number in range(cycles):
-            rig.axis.set_position(begin + step * number)
-            rig.axis.set_controlword(rig.axis.controlword, rig.bus.now)  # sends the event-driven RPDO of csp
+            rig.axis.set_points.set_position(begin + step * number)
+            put(rig.axis, objects.CONTROLWORD, rig.axis.controlword, rig.bus.now)  # sends the event-driven RPDO of csp
             rig.bus.run(CYCLE)
 
     follow(200, 120)  # 24 000 counts: over the switch

@@ -213,10 +213,10 @@ def test_a_position_is_refused_if_its_counts_are_outside_the_drives_limits(
     """Whatever scale, direction and offset are; and the limit that is named is the one that is passed."""
     axis = axis_of(settings)
     low, high = ends
-    start = axis.from_counts(data.draw(st.integers(low, high)))
+    start = axis.scale.from_counts(data.draw(st.integers(low, high)))
     target = data.draw(st.sampled_from([target, low - 1, low, high, high + 1]))
     limits = limits_of(axis, DriveLimits(Limit(low, "min"), Limit(high, "max"), Limit(math.inf, "speed")))
-    excess = limits.excess(start, axis.from_counts(target), CYCLE)
+    excess = limits.excess(start, axis.scale.from_counts(target), CYCLE)
     expected = "min" if target < low else "max" if target > high else None
     assert (None if excess is None else excess.limit.source) == expected
     assert limits.lowest is not None
@@ -232,11 +232,11 @@ def test_what_is_let_through_is_never_too_fast_and_never_further_out(
     axis = axis_of(settings)
     low, high = ends
     limits = limits_of(axis, DriveLimits(Limit(low, "min"), Limit(high, "max"), Limit(speed, "speed")))
-    position = axis.from_counts(start)
+    position = axis.scale.from_counts(start)
     for step in steps:
-        target = position + settings.direction * axis.amount_from_counts(step)
+        target = position + settings.direction * axis.scale.amount_from_counts(step)
         if limits.excess(position, target, CYCLE) is None:
-            before, after = axis.to_counts(position), axis.to_counts(target)
+            before, after = axis.scale.to_counts(position), axis.scale.to_counts(target)
             assert abs(after - before) <= speed / 100 * 1.001 + 1  # a count of rounding
             assert after <= max(high, before)
             assert after >= min(low, before)

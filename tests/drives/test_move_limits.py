@@ -88,7 +88,7 @@ def test_a_profile_velocity_beyond_max_speed_is_refused(along: bool) -> None:
 
     def move(**velocity: float) -> None:
         if along:
-            rig.run(drive.move_along(rig.axis, [drive.Target(5.0, **velocity)], timeout=60 * SECOND))
+            rig.run(drive.move_along(rig.axis, [drive.ProfileTarget(5.0, **velocity)], timeout=60 * SECOND))
         else:
             rig.run(drive.move_to(rig.axis, 5.0, timeout=60 * SECOND))
 

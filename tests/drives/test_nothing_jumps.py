@@ -70,7 +70,7 @@ def cancelled_move(rig: Rig) -> None:
 def follow(rig: Rig) -> None:
     position = rig.run(drive.start_interpolation(rig.axis, CYCLE))
     for step in range(1, 30):
-        rig.axis.set_position(position + step * min(step, 20) * 0.0002)
+        rig.axis.set_points.set_position(position + step * min(step, 20) * 0.0002)
         rig.bus.run(CYCLE)
 
 
@@ -177,7 +177,7 @@ def test_a_move_after_a_cancelled_one_goes_straight_to_its_own_target(
 ) -> None:
     rig = rig_of(reaction * MILLISECOND)
     start = halted_move(rig, later)
-    end = rig.axis.to_counts(target) + (start if relative else 0)
+    end = rig.axis.scale.to_counts(target) + (start if relative else 0)
     request = rig.master.run(drive.move_to(rig.axis, target, timeout=60 * SECOND, relative=relative), rig.bus.now)
     while rig.master.runner.busy:
         rig.bus.run(2 * MILLISECOND)

@@ -8,7 +8,7 @@ import pytest
 
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis import Direction, RelativeTo, Target
+from canopen_proto.drives.axis import Direction, ProfileTarget, RelativeTo
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.slow_position import start_slow_position
 from canopen_proto.drives.cia402 import objects
@@ -51,7 +51,7 @@ def test_the_way_to_a_target(direction: Direction, target: float, way: float) ->
     for along in (False, True):
         rig = turntable()
         moving = (
-            drive.move_along(rig.axis, [Target(target, direction=direction)], timeout=LIMIT)
+            drive.move_along(rig.axis, [ProfileTarget(target, direction=direction)], timeout=LIMIT)
             if along
             else drive.move_to(rig.axis, target, timeout=LIMIT, direction=direction)
         )
@@ -102,7 +102,7 @@ def test_the_handshake_is_the_masters_whatever_60f2_was(response: int, second: s
     elif second == "move_to":
         rig.run(drive.move_to(rig.axis, 20, timeout=LIMIT))
     else:
-        rig.run(drive.move_along(rig.axis, [Target(20), Target(30), Target(20)], timeout=LIMIT))
+        rig.run(drive.move_along(rig.axis, [ProfileTarget(20), ProfileTarget(30), ProfileTarget(20)], timeout=LIMIT))
     assert rig.node.values.store[objects.POSITIONING_OPTION_CODE] == 1
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(10 if second == "slow" else 20, abs=0.01)
 
@@ -136,7 +136,7 @@ def test_a_drive_without_60f2_gets_no_direction() -> None:
     rig = Rig(Shape.STANDARD, pdos=False, dictionary=ObjectDictionary(rest))
     for moving in (
         drive.move_to(rig.axis, 0.1, timeout=LIMIT, direction=Direction.SHORTEST),
-        drive.move_along(rig.axis, [Target(0.1, direction=Direction.SHORTEST)], timeout=LIMIT),
+        drive.move_along(rig.axis, [ProfileTarget(0.1, direction=Direction.SHORTEST)], timeout=LIMIT),
     ):
         before = len(rig.bus.sent)
         with pytest.raises(drive.DriveError, match="has no 0x60F2: it goes its own way"):
@@ -146,7 +146,7 @@ def test_a_drive_without_60f2_gets_no_direction() -> None:
 
 def test_a_relative_target_takes_no_direction() -> None:
     with pytest.raises(LocalProtocolError, match="by its sign"):
-        Target(1, relative_to=RelativeTo.DEMAND, direction=Direction.POSITIVE)
+        ProfileTarget(1, relative_to=RelativeTo.DEMAND, direction=Direction.POSITIVE)
     rig = turntable()
     with pytest.raises(LocalProtocolError, match="by its sign"):
         rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT, relative=True, direction=Direction.POSITIVE))

@@ -13,6 +13,7 @@ from canopen_proto.drives.axis.axis_node import FurtherAxis
 from canopen_proto.drives.axis.following import Following, FollowingLost
 from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.axis.motion_plan import exchange_planned, plan_motion
+from canopen_proto.drives.axis.view import view_of
 from canopen_proto.drives.cia402 import axes, objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
@@ -138,10 +139,10 @@ def test_two_axes_home_and_move_at_once_each_on_its_own() -> None:
 def test_two_axes_follow_set_points_at_once_each_in_its_mode(modes: tuple[Mode, Mode]) -> None:
     rig = TwoAxes()
     rig.follow(*modes)
-    start = rig.first.set_point
+    start = rig.first.set_points.position
     for step in range(1, 101):
-        rig.first.set_position(start + 10 * step)
-        rig.second.set_position(start - 20 * step)
+        rig.first.set_points.set_position(start + 10 * step)
+        rig.second.set_points.set_position(start - 20 * step)
         rig.bus.run(CYCLE)
     rig.bus.run(20 * CYCLE)
     assert rig.first.position == pytest.approx(start + 1_000, abs=5)
@@ -153,9 +154,9 @@ def test_a_fault_of_one_axis_leaves_the_other_under_its_command() -> None:
     rig = TwoAxes()
     rig.follow(Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
     rig.node.raise_fault(0x3210, rig.bus.now, axis=1)
-    start = rig.first.set_point
+    start = rig.first.set_points.position
     for step in range(1, 51):
-        rig.first.set_position(start + 10 * step)
+        rig.first.set_points.set_position(start + 10 * step)
         rig.bus.run(CYCLE)
     rig.bus.run(20 * CYCLE)
     assert rig.second.state is State.FAULT
@@ -190,7 +191,7 @@ def test_the_watch_names_the_axis_that_was_lost() -> None:
     rig.node.block(True, rig.bus.now, axis=1)
     for _ in range(200):
         for axis in (rig.first, rig.second):
-            axis.set_position(axis.set_point + 20)
+            axis.set_points.set_position(axis.set_points.position + 20)
         rig.bus.run(CYCLE)
     (lost,) = (each for each in rig.bus.events if isinstance(each, FollowingLost))
     assert lost.axis == 1
@@ -211,7 +212,7 @@ def test_nmt_stop_reaches_all_axes() -> None:
 def test_an_error_of_a_further_axis_names_it_and_its_objects() -> None:
     rig = TwoAxes()
     rig.node.raise_fault(0x3210, rig.bus.now, axis=1, lasting=True)
-    with pytest.raises(drive.DriveFault, match=r"drive 5, axis 1 is in fault .*0x3210") as failed:
+    with pytest.raises(drive.DriveInFault, match=r"drive 5, axis 1 is in fault .*0x3210") as failed:
         rig.run(drive.enable(rig.second))
     assert failed.value.axis == 1
     rig.run(drive.enable(rig.first))
@@ -224,8 +225,8 @@ def test_a_command_of_another_master_is_named_at_the_axis_that_it_is_for() -> No
     rig.bus.send("605#2B40680006000000")
     rig.bus.run(100 * MILLISECOND)
     rig.run(read_int(rig.second.node, objects.STATUSWORD))
-    assert rig.first.view().foreign is None
-    assert "commanded 0x0006" in str(rig.second.view().foreign)
+    assert view_of(rig.first).foreign is None
+    assert "commanded 0x0006" in str(view_of(rig.second).foreign)
 
 
 @pytest.mark.parametrize("axis", range(8))

@@ -67,7 +67,7 @@ def test_a_target_is_in_the_drive_before_bit_4_rises(transmission_type: int) -> 
     feeding = Feeding(transmission_type)
     rig = feeding.rig
     for target in (4_000, 5_000, 3_500):
-        rig.axis.set_position_counts(target)
+        rig.axis.set_points.set_position_counts(target)
         rig.bus.run(600 * MILLISECOND)
     commands = feeding.commands()
     edges = edges_of(commands)
@@ -81,7 +81,7 @@ def test_a_target_is_in_the_drive_before_bit_4_rises(transmission_type: int) -> 
 def test_the_newest_set_point_is_next_and_the_others_are_skipped() -> None:
     feeding = Feeding(1)
     for step in range(50):
-        feeding.rig.axis.set_position_counts(3_000 + 10 * step)
+        feeding.rig.axis.set_points.set_position_counts(3_000 + 10 * step)
         feeding.rig.bus.run(CYCLE)
     commands = feeding.commands()
     targets = [commands[place][1] for place in edges_of(commands)]
@@ -93,7 +93,7 @@ def test_a_quick_drive_gets_no_more_than_20_targets_a_second() -> None:
     feeding = Feeding(255)
     before = len(edges_of(feeding.commands()))
     for step in range(100):
-        feeding.rig.axis.set_position_counts(3_000 + 10 * step)
+        feeding.rig.axis.set_points.set_position_counts(3_000 + 10 * step)
         feeding.rig.bus.run(CYCLE)
     assert 15 < len(edges_of(feeding.commands())) - before <= 21
 
@@ -101,7 +101,7 @@ def test_a_quick_drive_gets_no_more_than_20_targets_a_second() -> None:
 def test_a_slow_drive_gets_its_next_target_once_it_has_taken_the_last_one() -> None:
     feeding = Feeding(255, reaction=50 * MILLISECOND)
     for step in range(100):
-        feeding.rig.axis.set_position_counts(3_000 + 10 * step)
+        feeding.rig.axis.set_points.set_position_counts(3_000 + 10 * step)
         feeding.rig.bus.run(CYCLE)
     assert 5 < len(edges_of(feeding.commands())) <= 11  # 50 ms for each edge of bit 4
 
@@ -109,7 +109,7 @@ def test_a_slow_drive_gets_its_next_target_once_it_has_taken_the_last_one() -> N
 def test_the_target_that_a_halt_has_kept_is_dropped_before_the_drive_may_move() -> None:
     feeding = Feeding(1)  # there are SYNCs in between, in which it could move
     rig = feeding.rig
-    rig.axis.set_position_counts(90_000)
+    rig.axis.set_points.set_position_counts(90_000)
     rig.bus.run(SECOND)
     feeding.halt()
     positions = set()
@@ -130,7 +130,7 @@ def test_a_fed_drive_that_loses_its_mode_ends_the_watch() -> None:
     rig = feeding.rig
     rig.node.values.store[objects.MODES_OF_OPERATION] = 3
     rig.drive.written(0x6060, 0, rig.bus.now)
-    rig.axis.set_position_counts(4_000)
+    rig.axis.set_points.set_position_counts(4_000)
     rig.bus.run(10 * SECOND)
     (lost,) = [event for event in rig.bus.events if isinstance(event, FollowingLost)]
     assert "takes no more targets" in lost.cause or "changed its mode" in lost.cause

@@ -14,7 +14,7 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.slow_position import start_slow_position
-from canopen_proto.drives.axis.target_sequence import RelativeTo, Start, Target
+from canopen_proto.drives.axis.target_sequence import ProfileTarget, RelativeTo, Start
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import POWERED, State
@@ -38,11 +38,11 @@ def rig_at_zero(**settings: object) -> Rig:
     return rig
 
 
-def along(rig: Rig, *targets: Target) -> Procedure[None]:
+def along(rig: Rig, *targets: ProfileTarget) -> Procedure[None]:
     return drive.move_along(rig.axis, targets, timeout=LIMIT)
 
 
-def turning_points(rig: Rig, *targets: Target) -> list[float]:
+def turning_points(rig: Rig, *targets: ProfileTarget) -> list[float]:
     """Run through targets; the places, in degrees, where the drive stood for a moment."""
     rig.master.run(along(rig, *targets), rig.bus.now)
     places: list[float] = []
@@ -65,18 +65,23 @@ def words_of(rig: Rig) -> list[int]:
 
 
 def test_one_after_the_other_each_with_a_stop() -> None:
-    assert turning_points(rig_at_zero(), Target(10), Target(5), Target(20)) == [0, 10, 5, 20]
+    assert turning_points(rig_at_zero(), ProfileTarget(10), ProfileTarget(5), ProfileTarget(20)) == [0, 10, 5, 20]
 
 
 @pytest.mark.parametrize("reaction", [20, 300])
 def test_a_drive_that_obeys_late(reaction: int) -> None:
-    targets = Target(5), Target(3), Target(4, start=Start.ON_THE_WAY), Target(2, relative_to=RelativeTo.PREVIOUS)
+    targets = (
+        ProfileTarget(5),
+        ProfileTarget(3),
+        ProfileTarget(4, start=Start.ON_THE_WAY),
+        ProfileTarget(2, relative_to=RelativeTo.PREVIOUS),
+    )
     assert turning_points(rig_at_zero(reaction=reaction * MILLISECOND), *targets) == [0, 5, 3, 4, 6]
 
 
 def test_the_handshake() -> None:
     rig = rig_at_zero()
-    rig.run(along(rig, Target(1), Target(2), Target(3, start=Start.ON_THE_WAY)))
+    rig.run(along(rig, ProfileTarget(1), ProfileTarget(2), ProfileTarget(3, start=Start.ON_THE_WAY)))
     words = words_of(rig)
     assert words[words.index(0x0F) + 1 :] == [0x2F, 0x3F, 0x2F, 0x0F, 0x1F, 0x0F, 0x20F, 0x21F, 0x20F]
 
@@ -84,7 +89,12 @@ def test_the_handshake() -> None:
 def test_on_the_way_nothing_stops_and_each_profile_is_its_own() -> None:
     rig = rig_at_zero()
     rig.master.run(
-        along(rig, Target(10, velocity=10, acceleration=50), Target(20, start=Start.ON_THE_WAY, velocity=5, deceleration=20)), 0
+        along(
+            rig,
+            ProfileTarget(10, velocity=10, acceleration=50),
+            ProfileTarget(20, start=Start.ON_THE_WAY, velocity=5, deceleration=20),
+        ),
+        0,
     )
     speeds = {}
     while rig.master.runner.busy:
@@ -99,12 +109,16 @@ def test_on_the_way_nothing_stops_and_each_profile_is_its_own() -> None:
 
 
 def test_at_once_drops_the_one_before() -> None:
-    assert turning_points(rig_at_zero(), Target(90), Target(2, start=Start.AT_ONCE, pause=500 * MILLISECOND))[-1] == 2
+    assert (
+        turning_points(rig_at_zero(), ProfileTarget(90), ProfileTarget(2, start=Start.AT_ONCE, pause=500 * MILLISECOND))[-1] == 2
+    )
 
 
 def test_values_are_written_only_where_they_change() -> None:
     rig = rig_at_zero()
-    rig.run(along(rig, Target(1, velocity=5), Target(2, velocity=5), Target(3), Target(4, velocity=6)))
+    rig.run(
+        along(rig, ProfileTarget(1, velocity=5), ProfileTarget(2, velocity=5), ProfileTarget(3), ProfileTarget(4, velocity=6))
+    )
     written = [frame.data[4:8] for _, frame in rig.bus.sent if frame.can_id == 0x605 and frame.data[:4] == b"\x23\x81\x60\x00"]
     assert [int.from_bytes(each, "little") for each in written] == [5_000, 6_000]
 
@@ -114,44 +128,44 @@ def test_values_are_written_only_where_they_change() -> None:
 def test_relative_whatever_60f2_was(option: int, relative_to: RelativeTo) -> None:
     rig = rig_at_zero()
     rig.node.values.store[objects.POSITIONING_OPTION_CODE] = option
-    rig.run(along(rig, Target(10, relative_to=relative_to), Target(5, relative_to=RelativeTo.PREVIOUS)))
+    rig.run(along(rig, ProfileTarget(10, relative_to=relative_to), ProfileTarget(5, relative_to=RelativeTo.PREVIOUS)))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(15, abs=0.05)
 
 
 def test_relative_to_the_demand_on_the_way() -> None:
     rig = rig_at_zero()
-    point = Target(2, relative_to=RelativeTo.DEMAND, start=Start.AT_ONCE, pause=500 * MILLISECOND)
-    rig.run(along(rig, Target(50), point))
+    point = ProfileTarget(2, relative_to=RelativeTo.DEMAND, start=Start.AT_ONCE, pause=500 * MILLISECOND)
+    rig.run(along(rig, ProfileTarget(50), point))
     end = rig.run(drive.read_position(rig.axis))
     assert 6 < end < 15  # half a second of the way, and 2 degrees more
 
 
 def test_an_end_velocity_and_none_that_another_tool_left() -> None:
     rig = rig_at_zero()
-    assert turning_points(rig, Target(10, end_velocity=5), Target(20)) == [0, 20]
+    assert turning_points(rig, ProfileTarget(10, end_velocity=5), ProfileTarget(20)) == [0, 20]
     rig.node.values.store[objects.END_VELOCITY] = 5_000
-    rig.run(along(rig, Target(10)))
+    rig.run(along(rig, ProfileTarget(10)))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(10, abs=0.05)
     rig.node.values.store[objects.END_VELOCITY] = 5_000
     rig.run(drive.move_to(rig.axis, 0.0, timeout=LIMIT))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0, abs=0.05)
     with pytest.raises(LocalProtocolError, match="end velocity"):
-        rig.run(along(rig, Target(10, end_velocity=5)))
+        rig.run(along(rig, ProfileTarget(10, end_velocity=5)))
 
 
 def test_a_drive_without_a_queue() -> None:
     rig = rig_at_zero(set_points=0)
     with pytest.raises(drive.DriveError, match="queues_set_points=False"):
-        rig.run(along(rig, Target(10), Target(5)))
+        rig.run(along(rig, ProfileTarget(10), ProfileTarget(5)))
     rig.axis.settings = replace(DEGREES, queues_set_points=False)
-    assert turning_points(rig, Target(10), Target(5), Target(20))[-3:] == [10, 5, 20]
+    assert turning_points(rig, ProfileTarget(10), ProfileTarget(5), ProfileTarget(20))[-3:] == [10, 5, 20]
     with pytest.raises(drive.DriveError, match="can pass none on the way"):
-        rig.run(along(rig, Target(10), Target(5, start=Start.ON_THE_WAY)))
+        rig.run(along(rig, ProfileTarget(10), ProfileTarget(5, start=Start.ON_THE_WAY)))
 
 
 def test_a_longer_queue_is_used() -> None:
     rig = rig_at_zero(set_points=5)
-    rig.master.run(along(rig, *(Target(each) for each in (10, 5, 10, 5))), rig.bus.now)
+    rig.master.run(along(rig, *(ProfileTarget(each) for each in (10, 5, 10, 5))), rig.bus.now)
     rig.bus.run(300 * MILLISECOND)
     assert len(rig.drive._mode._waiting) == 3  # type: ignore[attr-defined]
 
@@ -159,13 +173,13 @@ def test_a_longer_queue_is_used() -> None:
 @pytest.mark.parametrize(
     ("targets", "error"),
     [
-        ([Target(10), Target(50)], "max_position"),
-        ([Target(10), Target(25, relative_to=RelativeTo.PREVIOUS)], "max_position"),
-        ([Target(10), Target(5, velocity=31)], "max_speed"),
-        ([Target(10), Target(5, velocity=20, end_velocity=31), Target(0)], "max_speed"),
+        ([ProfileTarget(10), ProfileTarget(50)], "max_position"),
+        ([ProfileTarget(10), ProfileTarget(25, relative_to=RelativeTo.PREVIOUS)], "max_position"),
+        ([ProfileTarget(10), ProfileTarget(5, velocity=31)], "max_speed"),
+        ([ProfileTarget(10), ProfileTarget(5, velocity=20, end_velocity=31), ProfileTarget(0)], "max_speed"),
     ],
 )
-def test_a_target_beyond_a_limit_is_refused_before_the_first_begins(targets: list[Target], error: str) -> None:
+def test_a_target_beyond_a_limit_is_refused_before_the_first_begins(targets: list[ProfileTarget], error: str) -> None:
     rig = rig_at_zero()
     rig.axis.settings = replace(DEGREES, max_position=30.0, min_position=-30.0, max_speed=30.0)
     with pytest.raises(drive.LimitReached, match=error):
@@ -177,16 +191,18 @@ def test_a_way_from_the_demand_is_checked_when_it_is_known() -> None:
     rig = rig_at_zero()
     rig.axis.settings = replace(DEGREES, max_position=30.0)
     with pytest.raises(drive.LimitReached, match="max_position"):
-        rig.run(along(rig, Target(20), Target(15, relative_to=RelativeTo.DEMAND)))
+        rig.run(along(rig, ProfileTarget(20), ProfileTarget(15, relative_to=RelativeTo.DEMAND)))
     assert rig.drive._servo.at_rest
     assert rig.axis.controlword & 0x100
 
 
-@pytest.mark.parametrize("target", [Target(1e9), Target(1, velocity=1e9), Target(1e9, relative_to=RelativeTo.DEMAND)])
-def test_what_no_object_can_hold(target: Target) -> None:
+@pytest.mark.parametrize(
+    "target", [ProfileTarget(1e9), ProfileTarget(1, velocity=1e9), ProfileTarget(1e9, relative_to=RelativeTo.DEMAND)]
+)
+def test_what_no_object_can_hold(target: ProfileTarget) -> None:
     rig = rig_at_zero()
     with pytest.raises(ValueRangeError):
-        rig.run(along(rig, Target(1), target))
+        rig.run(along(rig, ProfileTarget(1), target))
     assert words_of(rig) == []
 
 
@@ -194,23 +210,23 @@ def test_a_speed_below_the_drives_unit() -> None:
     rig = rig_at_zero()
     rig.axis.settings = replace(DEGREES, velocity_unit=1000.0)
     with pytest.raises(drive.DriveError, match=r"less than one unit of 0x6081"):
-        rig.run(along(rig, Target(1, velocity=0.5)))
+        rig.run(along(rig, ProfileTarget(1, velocity=0.5)))
 
 
 def test_a_drive_without_60f2_counts_from_the_previous_target_only() -> None:
     rig = rig_at_zero()
     objects_left = [each for index, each in rig.node.dictionary.objects.items() if index != 0x60F2]
     rig.remote.dictionary = ObjectDictionary(objects_left)
-    rig.run(along(rig, Target(3), Target(-1, relative_to=RelativeTo.PREVIOUS)))
+    rig.run(along(rig, ProfileTarget(3), ProfileTarget(-1, relative_to=RelativeTo.PREVIOUS)))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(2, abs=0.05)
     with pytest.raises(drive.DriveError, match="no 0x60F2"):
-        rig.run(along(rig, Target(10), Target(5, relative_to=RelativeTo.DEMAND)))
+        rig.run(along(rig, ProfileTarget(10), ProfileTarget(5, relative_to=RelativeTo.DEMAND)))
 
 
 def test_the_whole_has_a_limit_of_time() -> None:
     rig = rig_at_zero()
     with pytest.raises(StepTimeout):
-        rig.run(drive.move_along(rig.axis, [Target(10), Target(0), Target(10)], timeout=SECOND))
+        rig.run(drive.move_along(rig.axis, [ProfileTarget(10), ProfileTarget(0), ProfileTarget(10)], timeout=SECOND))
     assert rig.drive._servo.at_rest
 
 
@@ -221,10 +237,10 @@ def test_no_targets_do_nothing() -> None:
 
 
 TARGETS = (
-    Target(10, velocity=15),
-    Target(20, start=Start.ON_THE_WAY),
-    Target(-5, relative_to=RelativeTo.PREVIOUS),
-    Target(5, relative_to=RelativeTo.DEMAND, start=Start.AT_ONCE, pause=100 * MILLISECOND),
+    ProfileTarget(10, velocity=15),
+    ProfileTarget(20, start=Start.ON_THE_WAY),
+    ProfileTarget(-5, relative_to=RelativeTo.PREVIOUS),
+    ProfileTarget(5, relative_to=RelativeTo.DEMAND, start=Start.AT_ONCE, pause=100 * MILLISECOND),
 )
 
 
@@ -260,7 +276,7 @@ def test_whenever_it_ends_the_drive_stands_or_has_no_power(at: int, how: str) ->
 def test_what_waited_in_a_cancelled_set_stands_in_nobodys_way(points: int, settings: dict[str, Any], second: str) -> None:
     rig = rig_at_zero(set_points=points, **{k: v for k, v in settings.items() if k == "mode_change_state"})
     rig.axis.settings = replace(DEGREES, queues_set_points=bool(points), **settings)
-    targets = [Target(60 + each) for each in range(points + 3)]
+    targets = [ProfileTarget(60 + each) for each in range(points + 3)]
     request_id = rig.master.run(along(rig, *targets), rig.bus.now)
     rig.bus.run(500 * MILLISECOND)
     rig.master.cancel(request_id, rig.bus.now)
@@ -271,6 +287,6 @@ def test_what_waited_in_a_cancelled_set_stands_in_nobodys_way(points: int, setti
         rig.bus.run(SECOND)
         assert rig.drive._servo.demand_velocity == 0
         return
-    rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT) if second == "move_to" else along(rig, Target(1)))
+    rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT) if second == "move_to" else along(rig, ProfileTarget(1)))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(1, abs=0.05)
     assert rig.bus.now - began < 4 * SECOND, "it went there at once"

@@ -112,9 +112,9 @@ def mode_by_somebody(rig: Rig) -> None:
 CAUSES: dict[str, tuple[Callable[[Rig], None], type[ProcedureError]]] = {
     "quick stop": (command_by_somebody(0x02), drive.StateLost),
     "disable": (command_by_somebody(0x00), drive.StateLost),
-    "fault": (lambda rig: rig.node.raise_fault(0x2310, rig.bus.now), drive.DriveFault),
-    "heartbeat lost": (lambda rig: rig.bus.detach(rig.device), drive.NodeLost),
-    "boot-up": (lambda rig: rig.bus.send("705#00"), drive.NodeLost),
+    "fault": (lambda rig: rig.node.raise_fault(0x2310, rig.bus.now), drive.DriveInFault),
+    "heartbeat lost": (lambda rig: rig.bus.detach(rig.device), drive.DriveLost),
+    "boot-up": (lambda rig: rig.bus.send("705#00"), drive.DriveLost),
     "mode change": (mode_by_somebody, drive.ModeLost),
 }
 REACHED = {
@@ -202,10 +202,10 @@ def test_a_move_of_a_late_drive_ends_at_its_target(reaction: int) -> None:
     for target in (0.2, -0.1, -0.1):
         rig.run(drive.move_to(rig.axis, target, timeout=60 * SECOND))
         rig.drive.refresh(rig.bus.now)
-        assert rig.drive._servo.position == pytest.approx(rig.axis.to_counts(target), abs=11)
+        assert rig.drive._servo.position == pytest.approx(rig.axis.scale.to_counts(target), abs=11)
     rig.run(drive.move_to(rig.axis, 0.3, timeout=60 * SECOND, relative=True))
     rig.drive.refresh(rig.bus.now)
-    assert rig.drive._servo.position == pytest.approx(rig.axis.to_counts(0.2), abs=11)
+    assert rig.drive._servo.position == pytest.approx(rig.axis.scale.to_counts(0.2), abs=11)
 
 
 def test_another_master_that_disables_a_drive_is_not_fought() -> None:

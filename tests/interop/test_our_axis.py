@@ -131,7 +131,7 @@ def test_a_fault_is_told_and_reset_by_an_edge(rig: Rig) -> None:
     rig.run(drive.enable(rig.axis))
     rig.drive.fail(0x2310)
     error = rig.error_of(drive.move_to(rig.axis, 10, timeout=20 * SECOND))
-    assert isinstance(error, drive.DriveFault)
+    assert isinstance(error, drive.DriveInFault)
     assert "0x2310" in str(error)
     rig.drive.word = 0x80  # another master has left the bit set
     rig.run(drive.reset_fault(rig.axis))

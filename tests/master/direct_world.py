@@ -18,7 +18,7 @@ from canopen_master.direct.background import Background
 from canopen_master.direct.drive import COUNTS
 from canopen_master.simulation.host import IN_PROCESS, DeviceMaker
 from canopen_proto.drives.axis import following
-from canopen_proto.drives.axis.grip import Grip
+from canopen_proto.drives.axis.watchdog import Watchdog
 from canopen_proto.machine import SECOND
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
@@ -28,7 +28,7 @@ LIMIT = 60.0
 """Seconds after which a test gives up."""
 PATIENT = 10.0
 """Seconds for an answer, for a computer that is busy with other things."""
-LOOSE = Grip(timeout=60 * SECOND)
+LOOSE = Watchdog(timeout=60 * SECOND)
 """Drives wait so long for the heartbeat of a master that is late."""
 
 INTERVAL = 100

@@ -10,10 +10,12 @@ from functools import partial
 
 import trio
 
-from canopen_master import Device, Grip, Master, open_master
+from canopen_master import Device, Master, Watchdog, open_master
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import AxisSettings
+from canopen_proto.drives.axis.controlword import put
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.configure import use_device_pdo
@@ -61,8 +63,8 @@ async def follow(master: Master, node_id: int, rpdo: int, start: Callable[..., o
     step = 0
     while True:
         step += 1
-        axis.set_position(position + 1.2 * SPEED * CYCLE * step)
-        axis.set_controlword(axis.controlword, master.now())  # which triggers an event-driven RPDO
+        axis.set_points.set_position(position + 1.2 * SPEED * CYCLE * step)
+        put(axis, objects.CONTROLWORD, axis.controlword, master.now())  # which triggers an event-driven RPDO
         master.pump.pump()
         await trio.sleep(CYCLE)
 
@@ -81,8 +83,8 @@ def move_all(locator: str) -> None:
     """Never returns."""
 
     async def main() -> None:
-        grip = Grip(timeout=3 * SECOND)  # and time for each answer: this is real time, on a machine that may be busy
-        async with open_master(locator, sdo_timeout=10, grip=grip) as master, trio.open_nursery() as nursery:
+        watchdog = Watchdog(timeout=3 * SECOND)  # and time for each answer: this is real time, on a machine that may be busy
+        async with open_master(locator, sdo_timeout=10, watchdog=watchdog) as master, trio.open_nursery() as nursery:
             for name, node_id in NODES.items():
                 await master.run(write(master.node(node_id).remote, "0x1006", 1_000_000))  # SYNC is lost after three seconds
                 nursery.start_soon(MOTIONS[name], master, node_id)

@@ -87,7 +87,7 @@ async def test_what_is_known_of_a_joint() -> None:
     async with following_arm(3, axes=FAST) as (host, _, arm):
         joint = arm.joints["joint1"]
         async for cycle in arm.cycles():
-            arm.set_positions([arm.devices[0].axis.from_counts(3000) + 0.01 * cycle.number])
+            arm.set_positions([arm.devices[0].axis.scale.from_counts(3000) + 0.01 * cycle.number])
             if cycle.number == 50:
                 break
         assert joint.velocity == pytest.approx(1, rel=0.05)

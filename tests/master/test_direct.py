@@ -34,7 +34,7 @@ def arm(two_joints: Devices) -> Devices:
 @pytest.fixture
 def session(arm: Devices) -> Iterator[Session]:
     with Session() as session:
-        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE), session.last_error()
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE), session.last_error()
         yield session
 
 
@@ -204,7 +204,7 @@ def test_the_manuals_sequence_twice(session: Session, arm: Devices) -> None:
         assert session.init_device(12)
         assert session.shutdown_device(12)
         session.close_connection()
-        assert session.open_connection(arm.bus, sdo_timeout=2, grip=LOOSE)
+        assert session.open_connection(arm.bus, sdo_timeout=2, watchdog=LOOSE)
 
 
 def test_a_fault_is_reset(session: Session, arm: Devices) -> None:
@@ -237,7 +237,7 @@ def test_the_sync_interval_is_told_to_the_drive(session: Session, arm: Devices) 
 
 def test_leaving_halts_a_drive_whose_node_was_stopped(arm: Devices) -> None:
     session = Session()
-    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE)
+    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
     assert session.init_device(12)
     session.send_nmt("stop_remote_node", 12)
     session.close_connection()
@@ -247,7 +247,7 @@ def test_leaving_halts_a_drive_whose_node_was_stopped(arm: Devices) -> None:
 def test_leaving_a_bus_that_does_not_answer_says_so(arm: Devices, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("canopen_master.session.SHUTDOWN_TIME", 1.0)
     session = Session()
-    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE)
+    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
     assert session.init_device(12)
     arm.do(lambda host: arm.node(12).sdo.disable())
     with pytest.raises(HaltNotConfirmed, match="node 12"):

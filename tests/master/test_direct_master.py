@@ -54,7 +54,7 @@ def session(arm: Devices) -> Iterator[Session]:
     with Session() as session:
         session.using_master_thread = True
         session.init_chain_map(text=CHAINS)
-        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE), session.last_error()
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE), session.last_error()
         session.init_nmt()
         session.init_listener_thread()
         yield session
@@ -311,7 +311,7 @@ def test_a_bus_that_fails_unnoticed_is_told_by_close(session: Session, arm: Devi
     until(lambda: not session._connection.is_open)
     with pytest.raises(BusError, match="the adapter is gone"):
         session.close_connection()
-    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE)
+    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
 
 
 def test_the_module_has_a_master_half_too() -> None:

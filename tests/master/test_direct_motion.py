@@ -9,7 +9,7 @@ from canopen_master import MasterClosed, NodeSilent, standard_drives
 from canopen_master.direct import Session
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import PdoNotFound
-from canopen_proto.drives.axis import DriveFault
+from canopen_proto.drives.axis import DriveInFault
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
@@ -27,7 +27,7 @@ def arm() -> Iterator[Devices]:
 @pytest.fixture
 def session(arm: Devices) -> Iterator[Session]:
     with Session() as session:
-        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE), session.last_error()
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE), session.last_error()
         yield session
 
 
@@ -110,7 +110,7 @@ def test_a_connection_that_is_closed_meanwhile_ends_the_calls(session: Session, 
 
 def test_a_drive_that_shows_homing_mode_homes_by_the_standard() -> None:
     with devices(makers=standard_drives(5)) as machine, Session() as session:
-        assert session.open_connection(machine.bus, sdo_timeout=PATIENT, grip=LOOSE)
+        assert session.open_connection(machine.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
         assert session.send_sdo(5, "homing_method", 37).value == 37  # where it stands
         assert session.homing(5)
         assert session.get_pos(5) == 0
@@ -149,7 +149,7 @@ def test_the_devices_pdos_come_to_the_queue(session: Session, arm: Devices) -> N
     assert received.get("position_actual_value") == 3000
     assert set(received.values) == {"statusword", "torque_actual_value", "position_actual_value"}
     session.close_connection()
-    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE)
+    assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
     assert len(session.incoming_pdos) == 0
 
 
@@ -174,7 +174,7 @@ def test_a_fault_in_the_middle_of_a_move_is_raised(session: Session, arm: Device
     session.send_pos(12, 3100)
     session.send_sync(5)
     arm.break_down(12, 0x8611)
-    with pytest.raises(DriveFault, match="0x8611"):
+    with pytest.raises(DriveInFault, match="0x8611"):
         go_on(session, 12)
     with pytest.raises(LocalProtocolError):
         session.send_pos(12, 3100)
@@ -190,7 +190,7 @@ def test_a_drive_that_leaves_operation_enabled_is_told(session: Session, arm: De
 
 def test_a_drive_whose_pdos_no_longer_come_is_silent(arm: Devices) -> None:
     session = Session()
-    assert session.open_connection(arm.bus, sdo_timeout=2, grip=LOOSE)
+    assert session.open_connection(arm.bus, sdo_timeout=2, watchdog=LOOSE)
     follow(session, 3, 12)
     session.send_sync(20)
     arm.send(0x000, "020C")  # somebody else: stop
@@ -252,7 +252,7 @@ def test_a_set_point_that_waits_for_sync_does_not_come_to_life_behind_the_brake(
 
 def test_define_pdo_makes_a_standard_drive_follow() -> None:
     with devices(makers=standard_drives(5)) as machine, Session() as session:
-        assert session.open_connection(machine.bus, sdo_timeout=PATIENT, grip=LOOSE)
+        assert session.open_connection(machine.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
         session.init_nmt()
         assert session.define_pdo(5, "schunk_default_rPDO"), session.last_error()
         assert session.define_pdo(5, "schunk_default_tPDO"), session.last_error()
@@ -275,7 +275,7 @@ def test_a_pdo_that_the_device_refuses_is_false(session: Session, arm: Devices) 
 
 def test_a_dictionary_without_the_manuals_pdos_has_no_set_points(arm: Devices) -> None:
     with Session(rpdo="none", tpdo="none") as session:
-        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, grip=LOOSE)
+        assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
         session.init_nmt()
         assert session.init_device(12)
         with pytest.raises(LocalProtocolError, match="define_pdo"):

@@ -61,7 +61,7 @@ class Script:
 
     def __init__(self, master: Master, host: Host, arm: Sequence[DirectDrive], hand_sync: HandSync) -> None:
         self.master, self.host, self.arm, self.hand_sync = master, host, arm, hand_sync
-        self.wanted = {drive: drive.axis.set_point for drive in arm}
+        self.wanted = {drive: drive.axis.set_points.position for drive in arm}
         self.synced: list[float] = []
         self.largest = 0.0
         self.pause = 0.0

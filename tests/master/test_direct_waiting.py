@@ -57,7 +57,7 @@ async def run(way: str, moment: float | None, is_ours: bool) -> None:
             await master.nmt(NmtCommand.START)
             await drive.change_state(State.OPERATION_ENABLED)
             await drive.follow()
-            start = drive.axis.set_point_counts
+            start = drive.axis.set_points.counts
             for step in range(3):
                 await drive.send_position(start + 100 * step)
                 await master.send_sync()

@@ -9,11 +9,11 @@ from contextlib import suppress
 import pytest
 import trio
 
-from canopen_master import Grip, HaltNotConfirmed, Host, Master, MasterError, Node, NodeIdTaken, open_master, standard_drives
-from canopen_master.grip import LOGGER
+from canopen_master import HaltNotConfirmed, Host, Master, MasterError, Node, NodeIdTaken, Watchdog, open_master, standard_drives
+from canopen_master.watchdog import LOGGER
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis.grip import NotHeldError
+from canopen_proto.drives.axis.watchdog import NotHeldError
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
@@ -188,7 +188,7 @@ async def test_an_enabling_word_that_was_not_confirmed_is_not_forgotten() -> Non
         assert drives(host)[0].drive.state is State.OPERATION_ENABLED
 
 
-# ---- the grip ----
+# ---- the watchdog ----
 
 
 @virtual_time
@@ -221,8 +221,8 @@ async def test_guarding_that_is_the_users_goes_on() -> None:
 
 
 @virtual_time
-async def test_who_insists_on_a_grip_has_it_before_an_rpdo_is_sent() -> None:
-    async with one_drive() as host, open_master(BUS, grip=Grip(required=True)) as master:
+async def test_who_insists_on_a_watchdog_has_it_before_an_rpdo_is_sent() -> None:
+    async with one_drive() as host, open_master(BUS, watchdog=Watchdog(required=True)) as master:
         node = master.node(NODE, drive_dictionary(), pdos=False)
         await master.run(use_device_pdo(node.remote, Direction.RPDO, 1))
         with pytest.raises(NotHeldError, match=r"try `await node.hold\(\)` before"):
@@ -233,7 +233,7 @@ async def test_who_insists_on_a_grip_has_it_before_an_rpdo_is_sent() -> None:
 
 
 @virtual_time
-async def test_a_grip_that_fails_beside_an_rpdo_is_told(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_watchdog_that_fails_beside_an_rpdo_is_told(caplog: pytest.LogCaptureFixture) -> None:
     async with one_drive() as host:
         async with open_master(BUS) as master, await open_transport(BUS) as other:
             await other.send(Frame(0x77F, b"\x05"))

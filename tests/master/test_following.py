@@ -78,7 +78,7 @@ class Scene:
     def true_position(self, node_id: int) -> float:
         """In radians, as the drive itself has it."""
         axis = next(device.axis for device in self.arm.devices if device.node.node_id == node_id)
-        return axis.from_counts(position_of(self.hosts[node_id], self.node(node_id)))
+        return axis.scale.from_counts(position_of(self.hosts[node_id], self.node(node_id)))
 
 
 @asynccontextmanager

@@ -15,8 +15,8 @@ from canopen_master.direct import Session
 from canopen_master.errors import ChainError, SetPointRefused
 from canopen_master.machine_file import machine_of_chains, machine_text, parse_machine
 from canopen_master.motion.chain_file import parse_chains
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import mux
 from canopen_proto.pdo.consumer import PdoReceived
@@ -28,7 +28,7 @@ CELL = """
 cycle = "20ms"
 timeout = "700ms"
 heartbeat_timeout = "2s"
-grip.node_id = 126
+watchdog.node_id = 126
 
 [buses.left]
 locator = "virtual:left"
@@ -107,16 +107,17 @@ async def test_settings_of_the_file_and_what_goes_before_them(cell: Path) -> Non
         assert node.remote.sdo.timeout == 700_000_000
         assert node.remote.heartbeat.timeout == 2_000_000_000
         assert node.dictionary.variable("beat").index == 0x1017
-        assert master.grips.settings == Grip(node_id=126)
+        assert master.watchdogs.settings == Watchdog(node_id=126)
         assert master.joints["shoulder"].axis.settings.unit is Unit.DEGREE
         assert (str(node.name), node.node_id) == ("io", 9)
     machine = parse_machine(CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', ""))
     buses = {"right": "virtual:other"}
-    async with open_master(machine=machine, buses=buses, sdo_timeout=1, heartbeat_timeout=0, grip=Grip(node_id=5)) as master:
+    watchdog = Watchdog(node_id=5)
+    async with open_master(machine=machine, buses=buses, sdo_timeout=1, heartbeat_timeout=0, watchdog=watchdog) as master:
         assert master.buses["right"].transport.locator == "virtual:other"  # type: ignore[attr-defined]
         assert master.nodes["io"].remote.sdo.timeout == 1_000_000_000
         assert master.nodes["io"].remote.heartbeat.timeout == 0
-        assert master.grips.settings == Grip(node_id=5)
+        assert master.watchdogs.settings == Watchdog(node_id=5)
         with pytest.raises(LocalProtocolError, match="has a chain 'arm' already"):
             master.load_chains(text="arm shoulder left 3")
     with pytest.raises(LocalProtocolError, match=r"has no bus 'rihgt'; did you mean right\?"):
@@ -164,7 +165,7 @@ async def test_a_joint_whose_drive_does_not_tell_its_scale_is_not_initialised(ce
 def patient_cell() -> str:
     """CELL without its device, for real time: late answers and a late master are waited for."""
     text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace("700ms", f"{PATIENT:g}s")
-    return text.replace("grip.node_id = 126", 'grip = { node_id = 126, timeout = "60s" }')
+    return text.replace("watchdog.node_id = 126", 'watchdog = { node_id = 126, timeout = "60s" }')
 
 
 def test_blocking_calls_take_names_and_units() -> None:
@@ -172,7 +173,7 @@ def test_blocking_calls_take_names_and_units() -> None:
         left = stack.enter_context(devices(makers=near_home(3)))
         right = stack.enter_context(devices(makers=near_home(3)))
         text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace(
-            "700ms", f'{PATIENT:g}s"\ngrip.timeout = "60s'
+            "700ms", f'{PATIENT:g}s"\nwatchdog.timeout = "60s'
         )
         text = text.replace("virtual:left", left.bus).replace("virtual:right", right.bus)
         session = stack.enter_context(Session())
@@ -200,7 +201,7 @@ def test_blocking_chains_of_a_machine_are_in_units() -> None:
         left = stack.enter_context(devices(makers=near_home(3)))
         right = stack.enter_context(devices(makers=near_home(3)))
         text = CELL.replace('file = "sample_io.eds"\noverlay = "units.toml"', "").replace(
-            "700ms", f'{PATIENT:g}s"\ngrip.timeout = "60s'
+            "700ms", f'{PATIENT:g}s"\nwatchdog.timeout = "60s'
         )
         text = text.replace("virtual:left", left.bus).replace("virtual:right", right.bus).replace("20ms", "100ms")
         session = stack.enter_context(Session())
@@ -218,4 +219,4 @@ def test_blocking_chains_of_a_machine_are_in_units() -> None:
 def test_a_connection_needs_a_bus_or_a_machine() -> None:
     with Session() as session, pytest.raises(LocalProtocolError, match="needs a bus"):
         session.open_connection()
-    assert Grip() == DEFAULT_GRIP
+    assert Watchdog() == DEFAULT_WATCHDOG

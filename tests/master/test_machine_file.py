@@ -36,9 +36,9 @@ from canopen_master.machine_file import (
 from canopen_master.machine_file.keys import KEYS, KINDS, MODES, kind_of
 from canopen_master.machine_file.toml_text import chain_defaults
 from canopen_master.simulation.plant import DeviceEntry
-from canopen_proto.drives.axis.grip import Grip
 from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES, AxisSettings, HomingStyle
 from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.watchdog import Watchdog
 from canopen_proto.drives.cia402.drive_bit import DriveBit
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import MILLISECOND, SECOND
@@ -50,7 +50,7 @@ CELL = """
 cycle = "4ms"
 timeout = "1s"
 heartbeat_timeout = "1.5s"
-grip = { node_id = 126, timeout = "300ms", required = true }
+watchdog = { node_id = 126, timeout = "300ms", required = true }
 
 [network]
 start = "all"
@@ -116,8 +116,8 @@ max_missed_cycles = 5
 
 def test_every_part_of_a_machine() -> None:
     machine = parse_machine(CELL)
-    grip = Grip(node_id=126, timeout=300 * MILLISECOND, required=True)
-    assert machine.master == MasterEntry(4 * MILLISECOND, SECOND, 1500 * MILLISECOND, grip)
+    watchdog = Watchdog(node_id=126, timeout=300 * MILLISECOND, required=True)
+    assert machine.master == MasterEntry(4 * MILLISECOND, SECOND, 1500 * MILLISECOND, watchdog)
     assert machine.state == "state.json"
     assert machine.network == NetworkSettings(StartOrder.ALL, LossReaction.STOP_ALL, 20 * SECOND)
     assert machine.buses == {
@@ -156,7 +156,7 @@ def test_every_part_of_a_machine() -> None:
 def test_the_shortest_machine_and_what_is_left_out() -> None:
     machine = parse_machine("[buses.can0]\n[nodes.io]\nid = 5\n")
     assert machine == MachineFile({"can0": BusEntry("can0", "can0")}, {"io": NodeEntry("io", "can0", DeviceEntry("", (5,)))})
-    assert parse_machine("[buses.can0]\n[master]\ngrip = false\n").master.grip is None
+    assert parse_machine("[buses.can0]\n[master]\nwatchdog = false\n").master.watchdog is None
 
 
 @pytest.mark.parametrize(("file", "own"), [("", False), ("file = 'sample_drive.eds'", True)])
@@ -198,8 +198,12 @@ ERRORS = [
     ("[buses.can0]\n[buses.b]\nlocator = 'can0'", "m.toml:2:2: error: buses.b: it has the locator of 'can0'"),
     ("[buses.can0]\n[master]\ncycle = '0'", "m.toml:3:1: error: master: cycle: a time such as"),
     ("[buses.can0]\n[master]\ncycle = 10", "m.toml:3:1: error: master: cycle: a time such as"),
-    ("[buses.can0]\n[master]\ngrip = true", "m.toml:3:1: error: master: grip: false, or a table is expected, not True"),
-    ("[buses.can0]\n[master.grip]\ntimeout = '1us'", "m.toml:2:2: error: master.grip: period 100000000 ns and timeout 1000 ns"),
+    ("[buses.can0]\n[master]\nwatchdog = true", "m.toml:3:1: error: master: watchdog: false, or a table is expected, not True"),
+    (
+        "[buses.can0]\n[master.watchdog]\ntimeout = '1us'",
+        "m.toml:2:2: error: master.watchdog: period 100000000 ns and timeout 1000 ns",
+    ),
+    ("[buses.can0]\n[master]\ngrip = false", "m.toml:3:1: error: master: grip: this entry is named watchdog"),
     ("[buses.can0]\n[nodes.a]", "m.toml:2:2: error: nodes.a: it has no id (node-ID)"),
     ("[buses.can0]\n[nodes]\na = 5", "m.toml:3:1: error: nodes: a: a table is expected, not 5"),
     ("[buses.can0]\n[nodes.a]\nid = 0", "m.toml:3:1: error: nodes.a: id: a node-ID of 1..127 is expected, not 0"),
@@ -310,7 +314,7 @@ def test_a_text_with_strings_of_several_lines_has_errors_without_lines() -> None
 
 
 def test_each_setting_has_a_kind_and_none_is_the_default_of_what_may_be_left_out() -> None:
-    for settings in (AxisSettings, ChainSettings, Grip, BootSettings, NetworkSettings):
+    for settings in (AxisSettings, ChainSettings, Watchdog, BootSettings, NetworkSettings):
         for each in fields(settings):
             if each.name == "mode":  # which may be None: "auto"
                 continue
@@ -383,8 +387,12 @@ def machines(draw: st.DrawFn) -> MachineFile:
     )
     axes = axes.map(lambda each: each if each.unit or each.counts_per_unit else replace(each, counts_per_unit=1.0))  # type: ignore
     times = st.integers(1, 5000).map(lambda value: value * MILLISECOND)
-    grip = st.builds(
-        Grip, st.integers(1, 127), st.just(2 * MILLISECOND), times.map(lambda time: time + 3 * MILLISECOND), st.integers(-5, 5)
+    watchdog = st.builds(
+        Watchdog,
+        st.integers(1, 127),
+        st.just(2 * MILLISECOND),
+        times.map(lambda time: time + 3 * MILLISECOND),
+        st.integers(-5, 5),
     )
     names = draw(st.lists(NAMES, max_size=5, unique=True))
     places = draw(
@@ -424,7 +432,7 @@ def machines(draw: st.DrawFn) -> MachineFile:
         nodes,
         joints,
         chains,
-        MasterEntry(cycle, draw(TIMES), draw(st.just(0) | TIMES), draw(st.none() | grip)),
+        MasterEntry(cycle, draw(TIMES), draw(st.just(0) | TIMES), draw(st.none() | watchdog)),
         draw(st.just("") | TEXTS),
         draw(of_class(NetworkSettings)),
     )
@@ -472,9 +480,9 @@ def test_each_key_stands_on_the_page_with_its_default() -> None:
     (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     machine = parse_machine(example, folder=Path())
     assert set(machine.chains) == {"arm", "lift"}
-    grip = re.search(r"\| `(\{ node_id.*?\})` \|", page)
-    assert grip is not None
-    assert parse_machine(f"[buses.can0]\n[master]\ngrip = {grip[1]}") == parse_machine("[buses.can0]")
+    watchdog = re.search(r"\| `(\{ node_id.*?\})` \|", page)
+    assert watchdog is not None
+    assert parse_machine(f"[buses.can0]\n[master]\nwatchdog = {watchdog[1]}") == parse_machine("[buses.can0]")
 
 
 def test_a_chain_of_joints_with_and_without_files() -> None:

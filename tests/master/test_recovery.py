@@ -144,7 +144,7 @@ async def test_the_cable_of_a_joint_is_pulled_and_plugged() -> None:
         fault = await fails(arm, two.pull_cable)
         assert (fault.joint, "is silent" in fault.reason) == ("joint2", True)
         await trio.sleep(GRIP + 0.2)
-        assert two.state is State.SWITCH_ON_DISABLED  # a quick stop, by its grip
+        assert two.state is State.SWITCH_ON_DISABLED  # a quick stop, by its watchdog
         assert await two.stands()
         assert one.state is State.OPERATION_ENABLED
         assert await one.stands()

@@ -144,8 +144,8 @@ def test_ros_canopen(imported: Import, tmp_path: Path) -> None:
     assert_every_key_is_told(made, tmp_path / "0.yaml")
     machine = machine_of(tmp_path)
     assert machine.master.cycle == 20 * MILLISECOND
-    assert machine.master.grip is not None
-    assert (machine.master.grip.node_id, machine.master.grip.period) == (0x7E, 100 * MILLISECOND)
+    assert machine.master.watchdog is not None
+    assert (machine.master.watchdog.node_id, machine.master.watchdog.period) == (0x7E, 100 * MILLISECOND)
     assert [each.locator for each in machine.buses.values()] == ["can1"]
     assert {name: each.node_id for name, each in machine.nodes.items()} == {"shoulder": 3, "elbow": 4}
     assert machine.chains["arm"].joints == ("shoulder", "elbow")
@@ -174,8 +174,8 @@ def test_ros2_canopen(imported: Import, tmp_path: Path) -> None:
     machine = machine_of(tmp_path)
     assert machine.master.cycle == 4 * MILLISECOND
     assert machine.master.heartbeat_timeout == 1500 * MILLISECOND
-    assert machine.master.grip is not None
-    assert (machine.master.grip.node_id, machine.master.grip.timeout) == (5, 1000 * MILLISECOND)
+    assert machine.master.watchdog is not None
+    assert (machine.master.watchdog.node_id, machine.master.watchdog.timeout) == (5, 1000 * MILLISECOND)
     assert [(each.locator, each.bitrate) for each in machine.buses.values()] == [("can0", 500_000)]
     assert {name: each.node_id for name, each in machine.nodes.items()} == {"lift": 2, "lamp": 9}
     assert machine.chains["chain1"].joints == ("lift",)

@@ -11,7 +11,7 @@ import pytest
 import trio
 
 from canopen_data import DictionaryError, load_dictionary
-from canopen_master import AxisSettings, Chain, ChainFault, ChainSettings, Grip, Host, Master, open_master
+from canopen_master import AxisSettings, Chain, ChainFault, ChainSettings, Host, Master, Watchdog, open_master
 from canopen_master.direct.drive import DirectDrive
 from canopen_master.machine_file.toml_text import machine_text, parse_machine
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
@@ -183,8 +183,8 @@ async def test_two_axes_move_at_once_and_the_master_halts_both_when_it_is_left()
 
 
 @virtual_time
-async def test_the_grip_holds_each_axis_until_the_last_one_is_shut_down() -> None:
-    async with simulated(makers=[two_axes]) as host, open_master(BUS, grip=Grip(required=True)) as master:
+async def test_the_watchdog_holds_each_axis_until_the_last_one_is_shut_down() -> None:
+    async with simulated(makers=[two_axes]) as host, open_master(BUS, watchdog=Watchdog(required=True)) as master:
         node = master.node(3, TWO)
         await node.start()
         first, second = (master.device(node, axis=axis) for axis in (0, 1))
@@ -194,7 +194,7 @@ async def test_the_grip_holds_each_axis_until_the_last_one_is_shut_down() -> Non
         await master.run(drive.enable(second.axis))
         assert (store[mux(0x6007)], store[mux(0x6807)]) == (3, 3)
         await master.run(drive.shut_down(first.axis))
-        assert store[mux(0x1016, 1)] == Grip().entry, "the other axis still needs it"
+        assert store[mux(0x1016, 1)] == Watchdog().entry, "the other axis still needs it"
         await master.run(drive.shut_down(second.axis))
         assert (store[mux(0x6007)], store[mux(0x6807)], store[mux(0x1016, 1)]) == (0, 0, 0)
 

@@ -27,7 +27,7 @@ PATIENT = """
 [master]
 cycle = "100ms"
 timeout = "20s"
-grip = { timeout = "5s" }
+watchdog = { timeout = "5s" }
 
 [defaults.joints]
 unit = "degree"

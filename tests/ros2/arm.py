@@ -28,7 +28,7 @@ MACHINE = """
 [master]
 cycle = "50ms" # and long times: this computer may be busy with other things
 timeout = "3s"
-grip = {{ timeout = "5s" }}
+watchdog = {{ timeout = "5s" }}
 
 [buses.can0]
 locator = "{locator}"

@@ -28,8 +28,8 @@ JOINTS = [f"joint{number}" for number in range(1, 7)]
 MACHINE = """
 [master]
 cycle = "10ms"
-timeout = "3s" # and a long grip: this computer may be busy with other things
-grip = { timeout = "5s" }
+timeout = "3s" # and a long watchdog: this computer may be busy with other things
+watchdog = { timeout = "5s" }
 
 [buses.can0]
 

@@ -149,7 +149,7 @@ TAKE_MODE: Final = [TASKS[name] for name in ("into pp", "into pv", "move", "home
 
 def is_at(rig: Rig, position: float) -> bool:
     """Whether the drive stands within its window of a target."""
-    return abs(rig.drive._servo.position - rig.drive._servo.zero - rig.axis.to_counts(position)) <= 11
+    return abs(rig.drive._servo.position - rig.drive._servo.zero - rig.axis.scale.to_counts(position)) <= 11
 
 
 class MasterAndDrive(RuleBasedStateMachine):
@@ -305,7 +305,7 @@ class MasterAndDrive(RuleBasedStateMachine):
     def give_set_points(self, step: int, cycles: int) -> None:
         axis = self.rig.axis
         for _ in range(cycles):
-            axis.set_position_counts(axis.set_point_counts + step)
+            axis.set_points.set_position_counts(axis.set_points.counts + step)
             self.let(CYCLE)
 
     # ---- everything else ----
@@ -414,7 +414,7 @@ class MasterAndDrive(RuleBasedStateMachine):
                 if not self.was_disturbed:
                     is_lost = isinstance(error, drive.ReferenceLost)  # a homing before it was cancelled
                     assert is_lost or not (self.is_clear and is_ours), f"nothing stood in the way: {says}"
-                    assert not isinstance(error, drive.DriveFault) or "0x2310" in says or "0x3210" in says
+                    assert not isinstance(error, drive.DriveInFault) or "0x2310" in says or "0x3210" in says
         if not task.moves or not is_ours or "halt" in says or not (task.halts or self.has_commanded()):
             return
         if not (isinstance(ended, ProcedureFinished) and task.follows):
@@ -454,7 +454,7 @@ class MasterAndDrive(RuleBasedStateMachine):
         self.agree(State.OPERATION_ENABLED)
         before = rig.drive._servo.position
         rig.run(drive.move_to(rig.axis, 0.02, timeout=MOVE, relative=True))
-        assert abs(rig.drive._servo.position - before - rig.axis.to_counts(0.02)) <= 25, self.truth()
+        assert abs(rig.drive._servo.position - before - rig.axis.scale.to_counts(0.02)) <= 25, self.truth()
         self.agree(State.OPERATION_ENABLED)
         rig.run(drive.shut_down(rig.axis))
         self.agree(State.SWITCH_ON_DISABLED)

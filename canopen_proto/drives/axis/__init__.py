@@ -2,7 +2,7 @@
 
     reset_fault   0x0000, then 0x0080: the reset is a rising edge             manual: faultReset
     enable        up to Operation enabled, step by step                       manual: initDevice
-    select_standing_mode    a mode in which power alone moves nothing
+    select_motionless_mode   a mode in which power alone moves nothing
     set_mode      0x6502 checked, 0x6060 written, 0x6061 awaited              manual: driveMode
     home          homing, to its end; home_if_needed                          manual: homing
     start_interpolation                                                       manual: enableIPmode
@@ -22,14 +22,14 @@ Chains take two more from their modules: set-points in profile position, for dri
 mode and the PDOs for set-points by the drive's file alone (motion_plan.py).
 
 A procedure that moves the drive halts it if the procedure is cancelled or fails. While one moves the drive, another is refused
-(AxisBusy), and a stop takes over: the first ends with TakenOver (one_motion.py). Bit 4 is cleared before each homing and each
-start of interpolation: both begin on its rising edge.
+(AxisBusy), and a stop takes over: the first ends with TakenOver (exclusive_motion.py). Bit 4 is cleared before each homing and
+each start of interpolation: both begin on its rising edge.
 
 watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py,
 target_sequence.py, velocity.py, interpolation.py and synchronous.py move; failures.py has the errors.
 
-A wait ends as soon as its goal is reached or out of reach: DriveFault, StateLost (a quick stop or disable that was not ours),
-ModeLost (another master wrote 0x6060), NodeLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
+A wait ends as soon as its goal is reached or out of reach: DriveInFault, StateLost (a quick stop or disable that was not ours),
+ModeLost (another master wrote 0x6060), DriveLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """
@@ -45,17 +45,19 @@ from canopen_proto.drives.axis.digital_io import watch_inputs as watch_inputs
 from canopen_proto.drives.axis.failures import AccessFailed as AccessFailed
 from canopen_proto.drives.axis.failures import AxisBusy as AxisBusy
 from canopen_proto.drives.axis.failures import DriveError as DriveError
-from canopen_proto.drives.axis.failures import DriveFault as DriveFault
+from canopen_proto.drives.axis.failures import DriveInFault as DriveInFault
+from canopen_proto.drives.axis.failures import DriveLost as DriveLost
 from canopen_proto.drives.axis.failures import DriveTimeout as DriveTimeout
 from canopen_proto.drives.axis.failures import HomingFailed as HomingFailed
 from canopen_proto.drives.axis.failures import LimitReached as LimitReached
 from canopen_proto.drives.axis.failures import ModeLost as ModeLost
 from canopen_proto.drives.axis.failures import ModeUnsupported as ModeUnsupported
-from canopen_proto.drives.axis.failures import NodeLost as NodeLost
 from canopen_proto.drives.axis.failures import ReferenceLost as ReferenceLost
 from canopen_proto.drives.axis.failures import StateLost as StateLost
 from canopen_proto.drives.axis.failures import TakenOver as TakenOver
 from canopen_proto.drives.axis.failures import fault_of as fault_of
+from canopen_proto.drives.axis.following import OutOfBounds as OutOfBounds
+from canopen_proto.drives.axis.following import watch_bounds as watch_bounds
 from canopen_proto.drives.axis.halting import halt as halt
 from canopen_proto.drives.axis.halting import halt_after as halt_after
 from canopen_proto.drives.axis.homing import HomingProgressed as HomingProgressed
@@ -66,10 +68,8 @@ from canopen_proto.drives.axis.identity import identify as identify
 from canopen_proto.drives.axis.identity import learn_units as learn_units
 from canopen_proto.drives.axis.interpolation import InterpolationBuffer as InterpolationBuffer
 from canopen_proto.drives.axis.interpolation import start_interpolation as start_interpolation
-from canopen_proto.drives.axis.keeping_within import OutOfBounds as OutOfBounds
-from canopen_proto.drives.axis.keeping_within import keep_within as keep_within
+from canopen_proto.drives.axis.motionless_mode import select_motionless_mode as select_motionless_mode
 from canopen_proto.drives.axis.profile_position import move_to as move_to
-from canopen_proto.drives.axis.standing import select_standing_mode as select_standing_mode
 from canopen_proto.drives.axis.state import change_state as change_state
 from canopen_proto.drives.axis.state import enable as enable
 from canopen_proto.drives.axis.state import engage_brake as engage_brake
@@ -81,9 +81,9 @@ from canopen_proto.drives.axis.synchronous import start_cyclic_position as start
 from canopen_proto.drives.axis.synchronous import start_cyclic_torque as start_cyclic_torque
 from canopen_proto.drives.axis.synchronous import start_cyclic_velocity as start_cyclic_velocity
 from canopen_proto.drives.axis.target_sequence import Direction as Direction
+from canopen_proto.drives.axis.target_sequence import ProfileTarget as ProfileTarget
 from canopen_proto.drives.axis.target_sequence import RelativeTo as RelativeTo
 from canopen_proto.drives.axis.target_sequence import Start as Start
-from canopen_proto.drives.axis.target_sequence import Target as Target
 from canopen_proto.drives.axis.target_sequence import move_along as move_along
 from canopen_proto.drives.axis.torque import apply_torque as apply_torque
 from canopen_proto.drives.axis.touch_probe import ProbeLatched as ProbeLatched

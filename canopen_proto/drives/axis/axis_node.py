@@ -134,6 +134,12 @@ def node_of_axis(node: RemoteNode, axis: int) -> AxisNode:
     return FurtherAxis(node, axis)
 
 
+def rpdos_with(node: AxisNode, muxes: Collection[Mux]) -> list[int]:
+    """Return the numbers of the RPDOs, live or not, that are exchanged with the node and carry one of these objects."""
+    places = [node.on_device(mux) for mux in muxes]
+    return [number for number, rpdo in node.rpdos.items() if any(mux in rpdo.mapping.muxes for mux in places)]
+
+
 class FurtherAxis:
     """A node as its axis 1..7 sees it; see this module's text. Each member is as in RemoteNode."""
 

@@ -1,4 +1,4 @@
-"""`Bounds`: the watch on a drive that is commanded no position: its actual position and speed against the limits of the axis.
+"""`MotionBounds`: a drive that is commanded no position: its actual position and speed against the limits of the axis.
 
 In velocity and torque modes nothing says where the drive should be, so there is no following error. The drive's own limits may
 not act there (0x607D, 0x607F, 0x6080: makers differ), and no limit stops a drive that is pushed. So the master compares each
@@ -37,14 +37,14 @@ MAX_MISSED: Final = 10
 _TOLERANCE: Final = 1 + 1e-6
 
 
-class Bounds:
+class MotionBounds:
     """The bounds of one axis. limits: as they were read. Its judgement begins with the first value that it sees."""
 
     def __init__(self, axis: Axis, limits: SetPointLimits) -> None:
         self.limits = limits
         self._axis = axis
         dictionary = axis.node.dictionary
-        self._has_speed = axis.velocity_unit is not None and objects.VELOCITY_ACTUAL_VALUE in dictionary
+        self._has_speed = axis.scale.velocity_unit is not None and objects.VELOCITY_ACTUAL_VALUE in dictionary
         self._has_position = objects.POSITION_ACTUAL_VALUE in dictionary
         self._start: float | None = None
         self._judged_at: Time = -NEVER  # the last value of each object that was judged came then
@@ -56,13 +56,13 @@ class Bounds:
     def expect_set_points(self, mode: int, max_missed: int) -> None:
         """Expect set-points of a cyclic mode from now on. max_missed: SYNCs in a row that may pass without a new one."""
         self._set_point, self._max_missed = SET_POINT_OF.get(mode), max_missed
-        self._given, self._missed = self._axis.set_points_given, 0
+        self._given, self._missed = self._axis.set_points.given, 0
 
     def on_sync(self) -> str:
         """Return what is out of bounds at a SYNC, in words; "" if nothing is."""
         axis = self._axis
-        if self._set_point is None or axis.set_points_given != self._given or not axis.node.values.store.get(self._set_point):
-            self._given, self._missed = axis.set_points_given, 0
+        if self._set_point is None or axis.set_points.given != self._given or not axis.node.values.store.get(self._set_point):
+            self._given, self._missed = axis.set_points.given, 0
             return ""
         self._missed += 1
         if self._missed <= self._max_missed:
@@ -117,11 +117,11 @@ class Bounds:
         began_at, began = looks[0]
         if heard_at - began_at < SPEED_TIME:
             return ""
-        return self._too_fast(self._axis.way_from_counts(counts - began) * SECOND / (heard_at - began_at))
+        return self._too_fast(self._axis.scale.way_from_counts(counts - began) * SECOND / (heard_at - began_at))
 
 
 @accounted
-def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
+def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[MotionBounds]:
     """Read the units and the limits of a drive, and return the bounds for a motion without commanded positions.
 
     max_speed: in the user's unit per second; it counts if it is lower than the other limits of the speed; math.inf: there need be
@@ -143,7 +143,7 @@ def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[Bounds]:
             reason="nothing limits its speed: neither the settings nor the drive (0x607F, 0x6080) say how fast it may go",
             remedy="max_speed (--max-speed); inf (--any-speed) allows any speed",
         )
-    bounds = Bounds(axis, limits)
+    bounds = MotionBounds(axis, limits)
     if not bounds.watched and not math.isinf(limits.speed.value):
         raise DriveError(axis, "is not moved", reason="it shows neither its position (0x6064) nor its speed (0x606C)")
     return bounds

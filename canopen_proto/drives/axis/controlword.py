@@ -1,4 +1,9 @@
-"""Send a controlword or a mode of operation to a drive: by an RPDO that carries it, or by SDO."""
+"""Send a controlword or a mode of operation to a drive: by an RPDO that carries it, or by SDO.
+
+**One controlword image per axis.** It is the node's own image of 0x6040, from which RPDOs are built. While a live RPDO carries
+0x6040, a command goes into the image, and that PDO sends it. Otherwise the command goes by SDO. A confirmed SDO write sets the
+image too: else the next RPDO would send a stale 0 and take the drive out of operation.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +15,7 @@ from canopen_proto.drives.axis.failures import accounted, is_loss_of, node_lost
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import ModeControl
 from canopen_proto.drives.cia402.states import Command, State
-from canopen_proto.machine import MILLISECOND, Event
+from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, current_time, sleep
@@ -62,7 +67,7 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
     for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
     SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
     then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: as in
-    `procedures.objects.write`. Raises SdoFailed, NodeLost.
+    `procedures.objects.write`. Raises SdoFailed, DriveLost.
     """
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:
@@ -76,23 +81,35 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
 def bring(axis: Axis, mux: Mux, value: int, *, urgent: bool = False) -> Procedure[None]:
     """Bring the value of an object to the drive, as `command` brings a controlword.
 
-    From then on the object is ours (`RemoteNode.commanded`): its image keeps this value whatever is read, and a write of it by
-    SDO is not undone by an RPDO that the drive holds. Raises ValueRangeError, with nothing sent, for a value that does not fit.
+    urgent: as of `command`. From then on the object is ours (`RemoteNode.commanded`): its image keeps this value whatever is
+    read, and a write of it by SDO is not undone by an RPDO that the drive holds. Raises ValueRangeError, with nothing sent, for a
+    value that does not fit.
     """
     node = axis.node
     node.dictionary.variable(mux).encode(value)
     node.commanded.add(mux)
     producer = node.rpdo_of(mux)
     if producer is not None and not producer.is_synchronous:
-        yield from act(lambda now: axis.put(mux, value, now))
+        yield from act(lambda now: put(axis, mux, value, now))
         return
     last_sync = node.last_sync
     if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
-        yield from act(lambda now: axis.put(mux, value, now))
+        yield from act(lambda now: put(axis, mux, value, now))
         # An RPDO of transmission type n leaves at every n-th SYNC.
         if (yield from syncs_passed(axis, max(1, producer.transmission_type) + 1)):
             return
     yield from write(node, mux, value, urgent=urgent)
+
+
+def put(axis: Axis, mux: Mux, value: int, now: Time) -> None:
+    """Put a value into the image of an object. An event-driven RPDO sends it at once, a synchronous one behind the next SYNC.
+
+    Without a live RPDO that carries the object nothing is sent.
+    """
+    axis.node.values.store[mux] = value
+    producer = axis.node.rpdo_of(mux)
+    if producer is not None:
+        producer.trigger(now)
 
 
 def command_held(axis: Axis, controlword: int) -> Procedure[None]:
@@ -104,7 +121,7 @@ def command_held(axis: Axis, controlword: int) -> Procedure[None]:
 
 
 def syncs_passed(axis: Axis, count: int) -> Procedure[bool]:
-    """Wait for that many SYNCs; return False if one does not come within SYNC_ALIVE."""
+    """Wait for `count` SYNCs; return False if one does not come within SYNC_ALIVE."""
     node = axis.node
 
     def concerns(report: Event) -> bool:

@@ -138,7 +138,10 @@ def return_brake(axis: Axis) -> Procedure[None]:
 
 @accounted
 def read_encoder(axis: Axis, number: int = 1) -> Procedure[int]:
-    """Return the position of a further encoder (0x60E4), in its own counts. Raises ProcedureError if the drive has none."""
+    """Return the position of a further encoder, in its own counts. Raises ProcedureError if the drive has none.
+
+    number: subindex of 0x60E4, from 1.
+    """
     position = yield from read_if_present(axis.node, Mux(objects.ADDITIONAL_POSITION + number - 1))
     if not isinstance(position, int):
         raise ProcedureError(f"{name_of(axis)} shows no further encoder: it has no 0x60E4:{number:02X}")

@@ -16,7 +16,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.axis.reasons import Reason, look_closer, outer_reason
-from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.axis.view import DriveView, view_of
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import mode_name
 from canopen_proto.drives.cia402.states import State
@@ -46,7 +46,7 @@ class DriveError(ProcedureError):
     ) -> None:
         """failed: without the drive's name, as "is in fault". reason, remedy: without a reason, those that `view` shows count, if
         it shows any and unless `looks` is False. view: by default what was heard."""
-        self.view = axis.view() if view is None else view
+        self.view = view_of(axis) if view is None else view
         found = outer_reason(self.view) if looks and not reason else None
         self._tell(axis, f"{name_of(axis)} {failed}", found or Reason(reason, remedy))
 
@@ -68,7 +68,7 @@ class AccessFailed(DriveError, SdoFailed):
 
     def __init__(self, axis: Axis, failed: SdoFailed) -> None:
         SdoFailed.__init__(self, failed.aborted, failed.attempt)
-        self.view = axis.view()
+        self.view = view_of(axis)
         found = outer_reason(self.view)
         if found is None and failed.origin is AbortOrigin.TIMEOUT:
             found = Reason("it is silent", "look at its power, its cable and its node-ID")
@@ -92,11 +92,11 @@ _WHAT_TOOK_IT = (
 )
 
 
-class DriveFault(DriveError):
+class DriveInFault(DriveError):
     """The drive is in Fault, or went into Fault during a wait."""
 
 
-class NodeLost(DriveError):
+class DriveLost(DriveError):
     """The drive's node booted, fell silent (heartbeat, node guarding) or was stopped during a wait."""
 
 
@@ -165,7 +165,7 @@ def accounted(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callab
     return run
 
 
-def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
+def fault_of(axis: Axis, when: str) -> Procedure[DriveInFault]:
     """Read the error code (0x603F) of a drive in fault; return the error to raise, with that code and the last EMCY."""
     try:
         yield from read_if_present(axis.node, objects.ERROR_CODE)
@@ -173,12 +173,12 @@ def fault_of(axis: Axis, when: str) -> Procedure[DriveFault]:
         when = f"{when} (its error code could not be read: {error})"
     code = axis.error_code
     reason = f"0x{code:04X} {error_text(code)}" if code else ""
-    return DriveFault(axis, f"is in fault {when}", reason=reason, remedy="find the cause, then reset the fault", looks=False)
+    return DriveInFault(axis, f"is in fault {when}", reason=reason, remedy="find the cause, then reset the fault", looks=False)
 
 
 def late(axis: Axis, failed: str, *, looks: bool = True) -> Procedure[DriveTimeout]:
     """Return the error to raise for a drive that did not do something in time. looks: read first what tells why."""
-    view = (yield from look_closer(axis)) if looks else axis.view()
+    view = (yield from look_closer(axis)) if looks else view_of(axis)
     return DriveTimeout(axis, failed, remedy="more time, if it is only slow", view=view)
 
 
@@ -189,7 +189,7 @@ def state_lost(axis: Axis, state: State, goal: str) -> StateLost:
 
 def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:
     """Return the error to raise for a drive that left `mode`."""
-    view = axis.view()
+    view = view_of(axis)
     reason, remedy = (
         f"0x6061 shows {mode_name(axis.mode or 0)}",
         "find out which other master writes its mode of operation (0x6060)",
@@ -207,7 +207,7 @@ def is_loss_of(node: AxisNode, report: Event) -> bool:
     return lost or (isinstance(report, NmtStateReported) and report.state is NmtState.STOPPED)
 
 
-def node_lost(axis: Axis, report: Event, goal: str) -> NodeLost:
+def node_lost(axis: Axis, report: Event, goal: str) -> DriveLost:
     """Return the error to raise for such an event."""
     match report:
         case HeartbeatLost(timeout=timeout):
@@ -219,7 +219,7 @@ def node_lost(axis: Axis, report: Event, goal: str) -> NodeLost:
         case _:
             seen = "it was stopped (NMT)"
     remedy = "look at the drive, its power and its cable"
-    return NodeLost(axis, f"was lost while waiting for {goal}", reason=seen, remedy=remedy)
+    return DriveLost(axis, f"was lost while waiting for {goal}", reason=seen, remedy=remedy)
 
 
 def require_reference(axis: Axis) -> None:

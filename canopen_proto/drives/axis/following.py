@@ -1,71 +1,69 @@
 """`Following`: the master's watch on whether one drive follows its set-points, by what the drive sends each cycle.
 
 A drive that stops following shows that in its next PDO, or sends none: the master has no other sign. `begin` starts the watch,
-`end` ends it. In between, each value that comes, by PDO or SDO, is judged at once, and each SYNC judges what did not come:
+`end` ends it. In between, each value that comes, by PDO or SDO, is judged at once, and each SYNC judges what did not come. RULES
+has the rules. The first one that speaks is reported as `FollowingLost`, in words, and the watch is over.
 
-    state              the statusword shows another state than Operation enabled
     mode               0x6061 shows another mode of operation
+    state              the statusword shows another state than Operation enabled
     bit 12             "interpolation active", or "follows the command", is 0
     bit 13             "following error" is 1
     bit 11             "internal limit" is 1 in two statuswords in a row: a drive may cut a single step; in more of them
                        (`catches_up`) if it limits its acceleration; not for CATCH_UP_TIME after a SYNC at the wrong time
-    following error    the position is further off the set-points than the limit
-    silence            a value sent at SYNCs did not come for SILENT_SYNCS of them in a row, and for SILENT_TIME at least
+    following error    the position is further off the set-points than the limit; see following_error.py
+    bounds             position or speed left the limits, of a drive that is commanded no position; see bounds.py
     NMT state          a heartbeat shows that the node is no longer Operational
+    silence            a value sent at SYNCs did not come for SILENT_SYNCS of them in a row, and for SILENT_TIME at least
+    set-points         a drive that is commanded no position got no new set-point
     boot-up            the node was reset, or lost its power
 
-The first of these is reported as `FollowingLost`, in words, and the watch is over. Bits 11 and 13 may be set when the watch
-begins. Such a bit counts only after it was seen 0 (bit 13 is reserved in interpolated position mode; drives use it).
-
-**Following error.** `error` is the set-point of a cycle minus the position of the same cycle: a set-point sent behind SYNC n is
-reached at SYNC n + `lag`, whose PDO shows it. This pairing may be some cycles wrong: adapters hold frames back, and drives buffer
-set-points. So the limit is compared with the distance from the position to the nearest set-point, up to UNCERTAIN cycles earlier
-or later. A drive in profile position has a profile of its own, and may be further behind (`slack`): it is seen that much later
-that such a drive has stopped.
-
-Values that no PDO carries (`unsent`) must be read: `read_unsent` (unsent.py) does that. `following_limit` finds the limit.
+Bits 11 and 13 may be set when the watch begins. Such a bit counts only after it was seen 0 (bit 13 is reserved in interpolated
+position mode; drives use it). They do not count for a drive that follows velocities or torques: limits of torque and speed are
+what such a drive works against.
 
 **Late SYNC.** A drive that gets its SYNC late, because the computer that sends it was busy, may stop following for no other
-reason. `late_sync` tells by how much SYNC was late, so that an error
-can name that cause first.
+reason. `late_sync` tells by how much SYNC was late, so that an error can name that cause first.
 
-**Late positions.** On a bus without room, positions come late, and look like a following error: answer_delay.py tells them apart.
+**Values that no PDO carries** (`unsent`) must be read: `read_unsent` does that.
 
     limit = yield from following_limit(axis, (yield from read_limits(axis)))
     yield from start_interpolation(axis, cycle_time)
     following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic={STATUSWORD: 1, POSITION_ACTUAL_VALUE: 1})
     network.run(read_unsent([following]), now)
 
+**Velocities and torques.** `watch_bounds` is the watch together with its consequence: the drive is halted. Run it beside the loop
+that gives the set-points; it ends only by an error, or when it is cancelled:
+
+    bounds = yield from bounds_of(axis, max_speed)
+    yield from start_cyclic_torque(axis, cycle_time)
+    yield from watch_bounds(following, bounds, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cyclic=cyclic)
+
 Source: IEC 61800-7-201 (CiA 402-2): statusword, interpolated position mode, cyclic synchronous position mode, following error.
 """
 
 from __future__ import annotations
 
-import math
-from collections import deque
-from collections.abc import Collection, Mapping
-from typing import Final
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Final, NamedTuple, NoReturn
 
-from canopen_proto.drives.axis.answer_delay import AnswerDelay
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.bounds import MAX_MISSED, Bounds
-from canopen_proto.drives.axis.failures import accounted
-from canopen_proto.drives.axis.limits import DEFAULT_SPEED, Limit, SetPointLimits
+from canopen_proto.drives.axis.bounds import MAX_MISSED, MotionBounds
+from canopen_proto.drives.axis.controlword import put
+from canopen_proto.drives.axis.failures import DriveError
+from canopen_proto.drives.axis.following_error import LAG, UNCERTAIN, FollowingError
+from canopen_proto.drives.axis.halting import halt_after
+from canopen_proto.drives.axis.limits import Limit
+from canopen_proto.drives.axis.set_points import SET_POINT_OF
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeStatus, mode_name
 from canopen_proto.drives.cia402.states import State, StatusBit
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
-from canopen_proto.multiplexer import Mux, index_of
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
+from canopen_proto.multiplexer import Mux, index_of, split_mux
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.objects import read_if_present
-from canopen_proto.procedures.steps import (
-    Procedure,
-)
+from canopen_proto.procedures.objects import ABSENT, value_of
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, Wait, act, all_of, current_time, sleep
+from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
-LAG: Final = 2
-"""SYNCs from sending a set-point to reaching it: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
-UNCERTAIN: Final = 2
-"""How many cycles earlier or later the set-point of a position may lie."""
 SILENT_SYNCS: Final = 3
 """More than one: a drive is not lost because a frame is."""
 SILENT_TIME: Final = 20 * MILLISECOND
@@ -74,11 +72,14 @@ LATE_SYNC_TIME: Final = SECOND
 """A SYNC that was late within this time may be why a drive does not follow."""
 CATCH_UP_TIME: Final = 200 * MILLISECOND
 """A drive that limits its speed gets back to its set-points in this time, if a SYNC came at the wrong time."""
+READ_INTERVAL: Final = 5 * MILLISECOND
+"""The least mean time between two requests on a bus: some 5 % of the bus load at 1 Mbit/s."""
+UNANSWERED: Final = 3
+"""SDO time-outs for which an object may stay unread: an answer may be lost, and another client may disturb the transfer."""
 
 _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated position and in the cyclic synchronous modes alike
-_OWN_LIMITS: Final = "(position 0x607D, speed, torque or current)"
-_NO_NEWS: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
+_COUNTED: Final = StatusBit.INTERNAL_LIMIT | ModeStatus.FOLLOWING_ERROR
 _NAMES: Final[dict[Mux, str]] = {
     objects.STATUSWORD: "statusword",
     objects.MODES_OF_OPERATION_DISPLAY: "mode (0x6061)",
@@ -121,95 +122,162 @@ class TurnToRead(Event):
         self.axis = axis
 
 
-class Following:
-    """The watch on one drive; see this module's text. Each Axis has one, for its whole life.
+# ---- what the rules judge ----
 
-    error: the following error as last seen, in the user's unit; 0 while the watch is off. largest_error: the largest so far; the
-    caller may set it back to 0. late_sync: by how many ns SYNC was late, at most, within LATE_SYNC_TIME before the watch found
-    something; 0: it was in time, or its period is not known. unsent: muxes of watched objects that the drive does not send at
-    SYNCs.
-    """
 
-    __slots__ = (
-        "_all_heard",
-        "_axis",
-        "_bounds",
-        "_catches_up",
-        "_cyclic",
-        "_delay",
-        "_flawless",
-        "_forgiven",
-        "_forgives",
-        "_has_bit_12",
-        "_is_answered",
-        "_is_on",
-        "_lag",
-        "_last_sync",
-        "_late_at",
-        "_latest",
-        "_limit",
-        "_limited",
-        "_mode",
-        "_nmt_state",
-        "_old_bits",
-        "_pdo",
-        "_period",
-        "_points",
-        "_silent_syncs",
-        "_syncs_to_turn",
-        "_turn_not_before",
-        "_unanswered",
-        "_watched",
-        "error",
-        "largest_error",
-        "late_sync",
-        "unsent",
-    )
+class _Bits:
+    """The bits of the statusword. word: the last one. news: its bits 11 and 13 that count, and were seen 0 before. limited:
+    statuswords in a row with such a bit 11."""
+
+    def begin(self, word: int, counted: int) -> None:
+        """counted: those of bits 11 and 13 that count."""
+        self.word = word
+        self.news = self.limited = 0
+        self._counted, self._old = counted, word
+        self._judged: int | None = None  # a statusword in which nothing was found
+
+    def on_word(self, word: int, forgiven: int) -> bool:
+        """Take note of a statusword; return whether there is anything to judge. forgiven: unless 0, bit 11 does not count."""
+        if word == self._judged:
+            self.limited = 0
+            return False
+        self._old &= word
+        self.word, self.news = word, word & ~self._old & self._counted
+        has_limit = bool(self.news & StatusBit.INTERNAL_LIMIT)
+        self.limited = self.limited + 1 if has_limit and not forgiven else 0
+        self._judged = None if has_limit else word
+        return True
+
+
+class _Silence:
+    """Which of the objects that are sent at SYNCs do not come. found: the one that is silent, for how many ms, behind how many
+    SYNCs; None: none is. It is judged by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
 
     def __init__(self, axis: Axis) -> None:
+        self.found: tuple[str, float, int] | None = None
+        self.max_syncs = SILENT_SYNCS
         self._axis = axis
-        self._is_on = False
-        self._mode = 0
-        self._has_bit_12 = True
-        self._bounds: Bounds | None = None
-        self._watched: tuple[Mux, ...] = _WATCHED
-        self._limit = Limit(0.0, "")
-        self._lag = LAG
-        self._points: deque[int] = deque()  # the set-points of the last cycles, in counts
-        self._delay = AnswerDelay()
-        self._cyclic: Mapping[Mux, int] = {}
-        self._silent_syncs = SILENT_SYNCS
+        self.expect({})
+
+    def expect(self, cyclic: Mapping[Mux, int]) -> None:
+        """As `Following.expect`."""
+        self.found = None
+        self._cyclic = cyclic
         self._pdo: Collection[Mux] | None = None  # the objects of a PDO that brings all expected ones
         self._is_answered = False  # all expected objects came since the last SYNC
         self._all_heard: tuple[int, Time] | None = None  # one SYNC, and its time: the last one with `_is_answered`
         self._unanswered: dict[Mux, tuple[int, Time]] = {}  # since then: SYNCs since a mux was heard, time of the first of them
-        self._nmt_state: NmtState | None = None
-        self._old_bits = 0
-        self._flawless: int | None = None  # a statusword in which nothing was found
-        self._limited = 0  # statuswords in a row with bit 11
-        self._period, self._forgiven = 0, 0  # SYNCs until bit 11 counts again
-        self._forgives = True
+
+    def on_values(self, muxes: Collection[Mux]) -> None:
+        """Take note of objects that have come."""
+        if muxes is self._pdo:
+            self._is_answered = True
+        elif len(muxes) >= len(self._cyclic) and self._cyclic.keys() <= set(muxes):
+            self._pdo, self._is_answered = muxes, True
+
+    def on_sync(self, now: Time) -> bool:
+        """Take note of a SYNC, and see what did not come since the last ones; return whether all came since the last one."""
+        if self._is_answered:
+            self._is_answered, self._all_heard = False, (1, now)
+            self._unanswered.clear()
+            return True
+        heard_at, just_begun = self._axis.node.heard_at, (1, now)
+        for mux, every in self._cyclic.items():
+            silence = self._unanswered.get(mux, self._all_heard)
+            if silence is None or heard_at.get(mux, -NEVER) >= silence[1]:
+                self._unanswered[mux] = just_begun
+                continue
+            unanswered, first = silence
+            if unanswered >= self.max_syncs * every and now - first >= SILENT_TIME:
+                self.found = _NAMES.get(mux, f"0x{index_of(mux):04X}"), (now - first) / MILLISECOND, unanswered
+                break
+            self._unanswered[mux] = unanswered + 1, first
+        return False
+
+
+class _SyncTiming:
+    """Whether SYNC comes when the drive expects it. forgiven: SYNCs for which the drive may still need to get back to its
+    set-points, behind one that came at another time."""
+
+    def begin(self, period: Time, *, forgives: bool) -> None:
+        """period: ns from SYNC to SYNC; 0: not known, and nothing is judged."""
+        self._period, self._forgives = period, forgives
+        self.forgiven = 0
         self._latest: Time = 0  # the most by which a SYNC was late since `_late_at` - LATE_SYNC_TIME
         self._late_at: Time = 0
-        self._last_sync: Time | None = None
-        self._catches_up = 1
-        self._syncs_to_turn = 0  # 0: no turn is awaited
-        self._turn_not_before: Time = 0
-        self.error = 0.0
-        self.largest_error = 0.0
+        self._last: Time | None = None
+
+    def on_sync(self, now: Time) -> None:
+        """Take note of a SYNC."""
+        if not self._period:
+            return
+        before, self._last = self._last, now
+        late = 0 if before is None else now - before - self._period
+        if abs(late) > self._period // 4:
+            if late > 0 and late >= (self._latest if now - self._late_at <= LATE_SYNC_TIME else 0):
+                self._latest, self._late_at = late, now
+            self.forgiven = -(-CATCH_UP_TIME // self._period) if self._forgives else 0
+        elif self.forgiven:
+            self.forgiven -= 1
+
+    def late(self, now: Time | None) -> Time:
+        """Return by how many ns SYNC was late, at most, within LATE_SYNC_TIME; one that is due and has not come is late, too.
+        now: None: when the last SYNC came."""
+        if self._last is None:
+            return 0
+        now = self._last if now is None else now
+        waited = now - self._last - self._period
+        recent = self._latest if now - self._late_at <= LATE_SYNC_TIME else 0
+        return max(recent, waited if waited > self._period // 4 else 0)
+
+
+# ---- the watch ----
+
+
+class Following:
+    """The watch on one drive; see this module's text. Each Axis has one, for its whole life.
+
+    axis: the drive. is_on: whether it is watched, and has followed so far. deviation: its following error. late_sync: by how many
+    ns SYNC was late, at most, within LATE_SYNC_TIME before the watch found something; 0: it was in time, or its period is not
+    known. unsent: muxes of watched objects that the drive does not send at SYNCs. The other attributes are for RULES.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self.axis = axis
+        self.is_on = False
+        self.deviation = FollowingError(axis)
         self.late_sync: Time = 0
         self.unsent: set[Mux] = set()
+        self.mode = 0
+        self.has_bit_12 = True
+        self.catches_up = 1
+        self.bits = _Bits()
+        self.silence = _Silence(axis)
+        self._timing = _SyncTiming()
+        self.bounds: MotionBounds | None = None  # of a drive that follows velocities or torques
+        self.nmt_state: NmtState | None = None  # when the watch began
+        self._syncs_to_turn = 0  # 0: no turn is awaited
+        self._turn_not_before: Time = 0
         axis.node.add_listener(self._on_values, self._on_boot, self._on_sync)
 
     @property
-    def axis(self) -> Axis:
-        """The drive that is watched."""
-        return self._axis
+    def error(self) -> float:
+        """The following error as last seen, in the user's unit; 0 while the watch is off."""
+        return self.deviation.present
 
     @property
-    def is_on(self) -> bool:
-        """Whether the drive is watched, and has followed so far."""
-        return self._is_on
+    def largest_error(self) -> float:
+        """The largest absolute following error so far; the caller may set it back to 0."""
+        return self.deviation.largest
+
+    @largest_error.setter
+    def largest_error(self, error: float) -> None:
+        self.deviation.largest = error
+
+    @property
+    def limit(self) -> Limit:
+        """How far off its set-points the drive may be, in the user's unit, as `begin` was told."""
+        return self.deviation.limit
 
     def begin(
         self,
@@ -232,76 +300,65 @@ class Following:
         silent_syncs: unanswered SYNCs in a row that make the drive count as silent. period: ns from SYNC to SYNC; 0: not known.
         forgives: behind a SYNC that comes at another time, bit 11 is no finding for CATCH_UP_TIME.
         """
-        self._limit, self._lag, self._bounds, self._catches_up = limit, lag, None, catches_up
-        self._begin(mode, cyclic, silent_syncs, _WATCHED)
-        self._period, self._last_sync, self._forgives, self._latest = period, None, forgives, 0
-        self._points = deque([self._axis.set_point_counts] * (lag + 1), maxlen=lag + slack + 1)
+        self.bounds, self.catches_up = None, catches_up
+        self.deviation.begin(limit, lag, slack)
+        self._timing.begin(period, forgives=forgives)
+        self._begin(mode, cyclic, silent_syncs)
 
-    def begin_within(
+    def begin_with_bounds(
         self,
-        bounds: Bounds,
+        bounds: MotionBounds,
         mode: int,
         *,
         cyclic: Mapping[Mux, int],
         silent_syncs: int = SILENT_SYNCS,
         max_missed: int = MAX_MISSED,
     ) -> None:
-        """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py. `keep_within` halts it, too.
+        """Watch a drive that follows velocities or torques (csv, cst) from now on; see bounds.py. `watch_bounds` halts it, too.
 
         It has no following error: its position and its speed must stay within `bounds`, and it must get a new set-point at each
-        SYNC, or one of `max_missed` + 1 in a row. Bits 11 and 13 of its statusword are not judged: limits of torque and speed are
-        what such a drive works against. Else as `begin`.
+        SYNC, or one of `max_missed` + 1 in a row. mode, cyclic, silent_syncs: as of `begin`.
         """
-        self._bounds, self._lag = bounds, LAG
+        self.bounds = bounds
         bounds.expect_set_points(mode, max_missed)
-        self._begin(mode, cyclic, silent_syncs, (*_WATCHED, *bounds.watched))
-        self._points = deque([self._axis.set_point_counts], maxlen=1)
+        self._timing.begin(0, forgives=False)
+        self._begin(mode, cyclic, silent_syncs)
 
-    def _begin(self, mode: int, cyclic: Mapping[Mux, int], silent_syncs: int, watched: tuple[Mux, ...]) -> None:
-        self._mode, self._silent_syncs, self._watched = mode, silent_syncs, watched
+    def _begin(self, mode: int, cyclic: Mapping[Mux, int], silent_syncs: int) -> None:
+        self.mode = mode
         # In profile position mode, bit 12 is part of a handshake
-        self._has_bit_12 = mode != Mode.PROFILE_POSITION and self._axis.settings.shows_following
+        self.has_bit_12 = mode != Mode.PROFILE_POSITION and self.axis.settings.shows_following
+        self.silence.max_syncs = silent_syncs
         self.expect(cyclic)
-        self._nmt_state = self._axis.node.nmt_state
-        self._old_bits = self._axis.statusword & _NO_NEWS
-        self._flawless = None
-        self._limited = self._forgiven = self._period = 0
-        self.error = 0.0
-        self._delay.begin(self._axis.set_point_counts)
-        self._is_on = True
+        self.nmt_state = self.axis.node.nmt_state
+        self.bits.begin(self.axis.statusword, 0 if self.bounds else _COUNTED)
+        self.deviation.present = 0.0
+        self.is_on = True
 
     def expect(self, cyclic: Mapping[Mux, int]) -> None:
-        """Expect these objects at SYNCs: mux -> n for "at every n-th SYNC". Other watched objects that it has are `unsent`."""
-        self._cyclic = cyclic
-        self._pdo, self._is_answered, self._all_heard, self._unanswered = None, False, None, {}
-        dictionary = self._axis.node.dictionary
-        self.unsent = {mux for mux in self._watched if mux not in cyclic and mux in dictionary}
+        """Expect objects at SYNCs. Other watched objects that the drive has are `unsent`.
 
-    @property
-    def limit(self) -> Limit:
-        """How far off its set-points the drive may be, in the user's unit, as `begin` was told."""
-        return self._limit
-
-    def _late_sync(self, now: Time) -> Time:
-        """Return by how many ns SYNC was late, at most, within LATE_SYNC_TIME; one that is due and has not come is late, too."""
-        if self._last_sync is None or not self._period:
-            return 0
-        waited = now - self._last_sync - self._period
-        recent = self._latest if now - self._late_at <= LATE_SYNC_TIME else 0
-        return max(recent, waited if waited > self._period // 4 else 0)
+        cyclic: mux -> n for "at every n-th SYNC".
+        """
+        self.silence.expect(cyclic)
+        watched = (*_WATCHED, *(self.bounds.watched if self.bounds else ()))
+        self.unsent = {mux for mux in watched if mux not in cyclic and mux in self.axis.node.dictionary}
 
     def end(self) -> None:
         """End the watch: no more set-points follow."""
-        self._is_on = False
-        self.error = 0.0
+        self.is_on = False
+        self.deviation.present = 0.0
 
     def lose(self, cause: str, *, is_silent: bool = False, still_follows: bool = False, late: int = 0) -> None:
-        """End the watch with FollowingLost, if it is on: for a cause that only the caller can see."""
-        if self._is_on:
-            self._is_on = False
-            node = self._axis.node
-            self.late_sync = self._late_sync(max(node.heard_at.values(), default=self._last_sync or 0))
-            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows, self._axis.number, late))
+        """End the watch with FollowingLost, if it is on: for a cause that only the caller can see.
+
+        cause, is_silent, still_follows, late: as of FollowingLost.
+        """
+        if self.is_on:
+            self.is_on = False
+            node = self.axis.node
+            self.late_sync = self._timing.late(max(node.heard_at.values(), default=None))
+            node.out.events.append(FollowingLost(node.node_id, cause, is_silent, still_follows, self.axis.number, late))
 
     def await_turn(self, syncs: int, not_before: Time) -> None:
         """Report TurnToRead once: at the SYNC after `syncs` - 1 others, or at the first later one that comes `not_before` (ns).
@@ -310,148 +367,248 @@ class Following:
         """
         self._syncs_to_turn, self._turn_not_before = syncs, not_before
 
+    def _judge(self, looked_at: Mux | str) -> None:
+        """Report the first rule that speaks."""
+        for rule in _RULES_FOR[looked_at]:
+            values = rule.speaks(self)
+            if values is not None:
+                late = self.deviation.late() if looked_at == objects.POSITION_ACTUAL_VALUE else 0
+                self.lose(rule.text.format(*values), is_silent=rule.is_silent, still_follows=rule.still_follows, late=late)
+                return
+
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
-        if not self._is_on:
+        if not self.is_on:
             return
-        if muxes is self._pdo:
-            self._is_answered = True
-        elif len(muxes) >= len(self._cyclic) and self._cyclic.keys() <= set(muxes):
-            self._pdo, self._is_answered = muxes, True
-        if objects.MODES_OF_OPERATION_DISPLAY in muxes:
-            self._judge_mode()
-        if objects.STATUSWORD in muxes:
-            self._judge_statusword()
-        if self._bounds is not None:
-            self._judge_bounds(self._bounds.judge())
-        elif objects.POSITION_ACTUAL_VALUE in muxes:
-            self._delay.on_position(muxes)
-            self._judge_position()
-
-    def _judge_mode(self) -> None:
-        mode = self._axis.mode
-        assert mode is not None  # it has just come
-        if mode != self._mode:
-            self.lose(f"changed its mode of operation: 0x6061 shows {mode_name(mode)}, not {mode_name(self._mode)}")
-
-    def _judge_statusword(self) -> None:
-        axis = self._axis
-        word = axis.statusword
-        if word == self._flawless:
-            self._limited = 0
-            return
-        self._old_bits &= word
-        news = word & ~self._old_bits if self._bounds is None else 0
-        is_limited = bool(news & StatusBit.INTERNAL_LIMIT) and not self._forgiven
-        if axis.state is not State.OPERATION_ENABLED:
-            self.lose(f"left operation enabled by itself: {axis.state}")
-        elif not word & _FOLLOWS and self._has_bit_12:
-            self.lose("no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)")
-        elif news & ModeStatus.FOLLOWING_ERROR:
-            self.lose("reports a following error: bit 13 of its statusword is 1", still_follows=True)
-        elif is_limited and self._limited >= self._catches_up:
-            self.lose(f"is held by a limit of its own: bit 11 of its statusword is 1 {_OWN_LIMITS}", still_follows=True)
-        self._limited = self._limited + 1 if is_limited else 0
-        self._flawless = None if news & StatusBit.INTERNAL_LIMIT else word
-
-    def _judge_bounds(self, excess: str) -> None:
-        if excess:
-            self.lose(excess)
-
-    def _judge_position(self) -> None:
-        axis, points, limit = self._axis, self._points, self._limit.value
-        counts = axis.position_counts
-        assert counts is not None  # it has just come
-        self.error = axis.way_from_counts(points[-1 - self._lag] - counts)
-        distance = abs(self.error)
-        if distance > self.largest_error:
-            self.largest_error = distance
-        if distance <= limit:
-            return
-        off = axis.amount_from_counts(max(min(points) - counts, counts - max(points)))
-        if off > limit:
-            position, wanted = axis.from_counts(counts), axis.from_counts(points[-1 - self._lag])
-            self.lose(
-                f"is {off:.4g} off its path: it is at {position:.4g} and should be at {wanted:.4g}; "
-                f"the limit is {limit:.4g}, by {self._limit.source}",
-                still_follows=True,
-                late=self._delay.late(counts, self._lag, round(axis.counts_of_amount(limit))),
-            )
+        self.silence.on_values(muxes)
+        if _MODE in muxes:
+            self._judge(_MODE)
+        if _WORD in muxes and self.bits.on_word(self.axis.statusword, self._timing.forgiven):
+            self._judge(_WORD)
+        if self.bounds is not None:
+            self._judge(_BOUNDS)
+        elif objects.POSITION_ACTUAL_VALUE in muxes and self.deviation.on_position(muxes):
+            self._judge(objects.POSITION_ACTUAL_VALUE)
 
     def _on_boot(self) -> None:
-        self.lose("was reset, or lost its power")
+        self._judge(_BOOT_UP)
 
     def _on_sync(self, now: Time) -> None:
-        if not self._is_on:
+        if not self.is_on:
             return
-        state = self._axis.node.nmt_state
-        if state is not NmtState.OPERATIONAL and state is not None and state is not self._nmt_state:
-            self.lose(f"left NMT state Operational: {state.name}")
-        if self._is_answered:
-            self._is_answered, self._all_heard = False, (1, now)
-            self._unanswered.clear()
+        if not self.silence.on_sync(now) or self.axis.node.nmt_state is not NmtState.OPERATIONAL:
+            self._judge(_SYNC)
+        if self.bounds is not None:
+            self._judge(_SET_POINTS)
         else:
-            self._judge_silence(now)
-        if self._period:
-            self._judge_period(now)
-        self._points.append(self._axis.set_point_counts)  # this SYNC takes it along
-        self._delay.on_sync(self._points[-1])
-        if self._bounds is not None:
-            self._judge_bounds(self._bounds.on_sync())
+            self._timing.on_sync(now)
+            self.deviation.on_sync()
         if self._syncs_to_turn > 1:
             self._syncs_to_turn -= 1
         elif self._syncs_to_turn and now >= self._turn_not_before:
             self._syncs_to_turn = 0
-            self._axis.node.out.events.append(TurnToRead(self._axis.node.node_id, self._axis.number))
-
-    def _judge_period(self, now: Time) -> None:
-        """See whether the SYNC came at another time than the drive expects: it has to get back to its set-points then."""
-        before, self._last_sync = self._last_sync, now
-        late = 0 if before is None else now - before - self._period
-        if abs(late) > self._period // 4:
-            if late > 0 and late >= (self._latest if now - self._late_at <= LATE_SYNC_TIME else 0):
-                self._latest, self._late_at = late, now
-            self._forgiven = -(-CATCH_UP_TIME // self._period) if self._forgives else 0
-        elif self._forgiven:
-            self._forgiven -= 1
-
-    def _judge_silence(self, now: Time) -> None:
-        """Judge silence by unanswered SYNCs, not by time: if we stalled and sent none, the drive was not silent."""
-        heard_at, just_begun = self._axis.node.heard_at, (1, now)
-        for mux, every in self._cyclic.items():
-            silence = self._unanswered.get(mux, self._all_heard)
-            if silence is None or heard_at.get(mux, -NEVER) >= silence[1]:
-                self._unanswered[mux] = just_begun
-                continue
-            unanswered, first = silence
-            if unanswered >= self._silent_syncs * every and now - first >= SILENT_TIME:
-                what, time = _NAMES.get(mux, f"0x{index_of(mux):04X}"), (now - first) / MILLISECOND
-                cause = f"is silent: no PDO with its {what} for {time:.3g} ms, behind {unanswered} SYNCs"
-                self.lose(cause, is_silent=True)
-                return
-            self._unanswered[mux] = unanswered + 1, first
+            self.axis.node.out.events.append(TurnToRead(self.axis.node.node_id, self.axis.number))
 
 
-DEFAULT_TIME: Final = 100 * MILLISECOND
-"""How far behind a drive may be by default, at its top speed: position controllers without feed-forward lag by 10 to 50 ms."""
-OFF: Final = 0x7FFF_FFFF
-"""A window of 0x6065 that no INTEGER32 can leave; 0xFFFFFFFF switches the drive's own watch off."""
+# ---- the rules ----
+
+_MODE: Final = objects.MODES_OF_OPERATION_DISPLAY
+_WORD: Final = objects.STATUSWORD
+_BOUNDS: Final = "position and speed"
+_SYNC: Final = "SYNC"
+_SET_POINTS: Final = "set-points"
+_BOOT_UP: Final = "boot-up"
+_BIT_12: Final = "no longer follows its set-points: bit 12 of its statusword is 0 (missed one, halted, another mode)"
+_BIT_11: Final = "is held by a limit of its own: bit 11 of its statusword is 1 (position 0x607D, speed, torque or current)"
+_OFF: Final = "is {:.4g} off its path: it is at {:.4g} and should be at {:.4g}; the limit is {:.4g}, by {}"
+_SILENT: Final = "is silent: no PDO with its {} for {:.3g} ms, behind {} SYNCs"
 
 
-@accounted
-def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
-    """Return how far off its set-points a drive may be: by its settings, else by its window 0x6065, else by its speed limit.
+class FollowingRule(NamedTuple):
+    """A rule of the watch.
 
-    The drive's time-out 0x6066 is not awaited: after it, the drive would stop by itself. limits: of its set-points. By default a
-    drive may be off by its way in DEFAULT_TIME at its speed limit (at DEFAULT_SPEED if the user lifted the limit). Raises
-    SdoFailed.
+    name: as in this module's text. looks_at: the object that it judges when its value comes, or what else it judges. speaks:
+    returns the values for the text if the drive breaks the rule, else None. text: what the drive did, in words. still_follows,
+    is_silent: as of FollowingLost.
     """
-    limit = axis.settings.following_error_limit
-    if limit is not None:
-        return Limit(limit, "the settings (following_error_limit)")
-    window = yield from read_if_present(axis.node, objects.FOLLOWING_ERROR_WINDOW)
-    if isinstance(window, int) and 0 < window < OFF:
-        return Limit(axis.amount_from_counts(window), "0x6065 of the drive")
-    speed = limits.speed.value if math.isfinite(limits.speed.value) else axis.amount_from_counts(DEFAULT_SPEED)
-    way = f"its way in {DEFAULT_TIME / SECOND:g} s at {speed:.4g} per second"
-    source = f"default, {way}; following_error_limit of its settings raises it"
-    return Limit(speed * DEFAULT_TIME / SECOND, source)
+
+    name: str
+    looks_at: Mux | str
+    speaks: Callable[[Following], tuple[object, ...] | None]
+    text: str
+    still_follows: bool = False
+    is_silent: bool = False
+
+
+def _other_mode(watch: Following) -> tuple[str, str] | None:
+    shown = watch.axis.mode
+    return None if shown == watch.mode else (mode_name(shown or 0), mode_name(watch.mode))
+
+
+def _other_state(watch: Following) -> tuple[State] | None:
+    state = watch.axis.state
+    return None if state is State.OPERATION_ENABLED else (state,)
+
+
+def _bit_12_is_0(watch: Following) -> tuple[()] | None:
+    return None if watch.bits.word & _FOLLOWS or not watch.has_bit_12 else ()
+
+
+def _bit_13_is_1(watch: Following) -> tuple[()] | None:
+    return () if watch.bits.news & ModeStatus.FOLLOWING_ERROR else None
+
+
+def _bit_11_is_1(watch: Following) -> tuple[()] | None:
+    return () if watch.bits.limited > watch.catches_up else None
+
+
+def _left_operational(watch: Following) -> tuple[str] | None:
+    state = watch.axis.node.nmt_state
+    return None if state in (None, NmtState.OPERATIONAL, watch.nmt_state) else (state.name,)
+
+
+def _out_of_bounds(watch: Following) -> tuple[str] | None:
+    words = watch.bounds.judge() if watch.bounds else ""
+    return (words,) if words else None
+
+
+def _no_set_point(watch: Following) -> tuple[str] | None:
+    words = watch.bounds.on_sync() if watch.bounds else ""
+    return (words,) if words else None
+
+
+RULES: Final = (
+    FollowingRule("mode", _MODE, _other_mode, "changed its mode of operation: 0x6061 shows {}, not {}"),
+    FollowingRule("state", _WORD, _other_state, "left operation enabled by itself: {}"),
+    FollowingRule("bit 12", _WORD, _bit_12_is_0, _BIT_12),
+    FollowingRule("bit 13", _WORD, _bit_13_is_1, "reports a following error: bit 13 of its statusword is 1", still_follows=True),
+    FollowingRule("bit 11", _WORD, _bit_11_is_1, _BIT_11, still_follows=True),
+    FollowingRule(
+        "following error", objects.POSITION_ACTUAL_VALUE, lambda watch: watch.deviation.excess(), _OFF, still_follows=True
+    ),
+    FollowingRule("bounds", _BOUNDS, _out_of_bounds, "{}"),
+    FollowingRule("NMT state", _SYNC, _left_operational, "left NMT state Operational: {}"),
+    FollowingRule("silence", _SYNC, lambda watch: watch.silence.found, _SILENT, is_silent=True),
+    FollowingRule("set-points", _SET_POINTS, _no_set_point, "{}"),
+    FollowingRule("boot-up", _BOOT_UP, lambda watch: (), "was reset, or lost its power"),
+)
+_RULES_FOR: Final = {each.looks_at: tuple(rule for rule in RULES if rule.looks_at == each.looks_at) for each in RULES}
+
+
+# ---- procedures beside the watch ----
+
+_TURN: Final = (TurnToRead,)
+_ANSWERS: Final = (SdoUploaded, SdoAborted)
+
+
+def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
+    """Read the watched objects that the drives do not send at SYNCs (`Following.unsent`), until cancelled.
+
+    The drives take turns behind the SYNCs, one request each, at least READ_INTERVAL apart. Without SYNC no drive follows
+    set-points, and nothing is read. A change is seen after as many cycles as there are objects to read. Each drive has its own
+    request: a drive that does not answer delays no other.
+
+    A request overtakes all that wait for the same drive, but not a transfer under way: an SDO channel serves one at a time. If
+    the node has several channels (`RemoteNode.add_sdo_channel`), a free one is used. A drive is lost if an object could not be
+    read for UNANSWERED times its SDO time-out. An object that a drive does not have is not read again.
+    """
+    yield from all_of(*(_watch(drive, number, len(drives)) for number, drive in enumerate(drives, start=1)))
+
+
+def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
+    node = drive.axis.node
+    not_before = yield from current_time()
+    while drive.unsent:
+        for mux in sorted(drive.unsent):
+            drive.await_turn(turn, not_before)
+            yield Wait(None, node, drive.axis.is_told_by, _TURN)
+            turn, not_before = turns, (yield from current_time()) + turns * READ_INTERVAL
+            if mux in drive.unsent:  # else its first PDO has come meanwhile
+                yield from _read(drive, mux)
+
+
+def _read(drive: Following, mux: Mux) -> Procedure[None]:
+    """Read an object, repeatedly until it succeeds; the drive is lost if it does not."""
+    node = drive.axis.node
+    patience = UNANSWERED * node.sdo.timeout
+    deadline = (yield from current_time()) + patience
+    why = "another SDO transfer with it is under way"
+    while drive.is_on:
+        try:
+            if (yield from _ask(drive, mux, deadline)):
+                return
+        except SdoFailed as failed:
+            if failed.abort_code in ABSENT:
+                drive.unsent.discard(mux)
+                return
+            why = str(failed)
+        except (ProcedureError, LocalProtocolError) as error:
+            why = str(error)
+        if (yield from current_time()) >= deadline:
+            drive.lose(f"cannot be watched: 0x{index_of(mux):04X} could not be read for {patience / SECOND:g} s: {why}")
+            return
+        yield from sleep(READ_INTERVAL)
+
+
+def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
+    """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
+    node = drive.axis.node
+    index, subindex = split_mux(node.on_device(mux))
+    client = next((each for each in (node.sdo, *node.sdo_channels) if not each.busy), node.sdo)
+    request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
+    try:
+        left = max(0, deadline - (yield from current_time()))
+        outcome = yield Wait(left, node, lambda answer: isinstance(answer, Outcome) and answer.request_id == request_id, _ANSWERS)
+    except Cancelled:
+        yield from act(lambda now: node.cancel(request_id, now))
+        raise
+    if isinstance(outcome, SdoAborted):
+        raise SdoFailed(outcome, "reading")
+    if outcome is None:
+        yield from act(lambda now: node.cancel(request_id, now))
+        return False
+    value_of(node, node.dictionary.variable(mux), outcome)
+    return True
+
+
+class OutOfBounds(DriveError):
+    """The watch on a drive that follows velocities or torques found something: a limit that was left, silence, another mode."""
+
+
+def watch_bounds(
+    following: Following,
+    bounds: MotionBounds,
+    mode: int,
+    *,
+    cyclic: Mapping[Mux, int],
+    silent_syncs: int = SILENT_SYNCS,
+    max_missed: int = MAX_MISSED,
+) -> Procedure[NoReturn]:
+    """Watch a drive in csv or cst until it has to be stopped, and halt it then.
+
+    following: of its axis. bounds, mode, cyclic, silent_syncs, max_missed: as of `Following.begin_with_bounds`. Raises
+    OutOfBounds, which says what was found. Halts the drive too if it is cancelled. If the halt fails, a note says so.
+    """
+    axis = following.axis
+
+    def forget() -> Procedure[None]:
+        return act(lambda now: put(axis, SET_POINT_OF[mode], 0, now))
+
+    following.begin_with_bounds(bounds, mode, cyclic=cyclic, silent_syncs=silent_syncs, max_missed=max_missed)
+    try:
+        yield from all_of(_until_lost(following), read_unsent([following]))
+        raise AssertionError("the watch ends by an error")
+    except (Cancelled, Exception) as cause:
+        following.end()
+        yield from halt_after(axis, cause, forget)
+        raise
+
+
+def _until_lost(following: Following) -> Procedure[None]:
+    axis = following.axis
+
+    def concerns(report: Event) -> bool:
+        return isinstance(report, FollowingLost) and axis.is_told_by(report)
+
+    lost = yield Wait(None, axis.node, concerns, (FollowingLost,))
+    assert isinstance(lost, FollowingLost)
+    raise OutOfBounds(axis, lost.cause)

@@ -15,9 +15,9 @@ from typing import Final
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
+from canopen_proto.drives.axis.exclusive_motion import stops
 from canopen_proto.drives.axis.failures import TakenOver, accounted, name_of
-from canopen_proto.drives.axis.one_motion import stops
-from canopen_proto.drives.axis.watching import Watch, read_statusword, wait_for_statusword
+from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import POWERED, Command, ControlBit, State, StatusBit, enables_operation, state_of
@@ -81,7 +81,7 @@ def halt(axis: Axis) -> Procedure[None]:
     its state. Any later command without bit 8 ends the halt. The wait lasts as long as the drive slows down (0x606C, else
     0x6064). In torque modes, where bit 8 may only take the torque away, a drive that moves on gets a quick stop, and most drives
     have no power then. Raises StepTimeout if the drive still moves and did not become slower within a step, or if it shows no
-    state for `reaction_time`; SdoFailed, NodeLost. A halt that is cancelled is not taken back: it begins again, as the clean-up.
+    state for `reaction_time`; SdoFailed, DriveLost. A halt that is cancelled is not taken back: it begins again, as the clean-up.
     """
     try:
         yield from _stop(axis)
@@ -282,7 +282,7 @@ class _Standstill:
             reads[objects.VL_VELOCITY_ACTUAL_VALUE] = FRESH
         present = {mux: pause for mux, pause in reads.items() if mux in axis.node.dictionary}
         goal = "standstill without power (it coasts)" if coasts else "standstill after a halt"
-        self.watch: Watch[bool] = Watch(axis, goal, accept_fault=True, reads=present, looks=False)
+        self.watch: DriveWait[bool] = DriveWait(axis, goal, accept_fault=True, reads=present, looks=False)
         self.top_speed: float | None = None  # the highest speed seen, in the drive's unit
         self.may_obey_late = False  # its bits show that it stands, and it is too soon to believe them
         self._axis = axis

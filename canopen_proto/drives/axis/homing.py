@@ -29,6 +29,7 @@ from typing import Final
 
 from canopen_proto.drives.axis.axis import OBEYED, Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import HomingFailed, accounted
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.homing_parameters import (
@@ -37,11 +38,10 @@ from canopen_proto.drives.axis.homing_parameters import (
     method_text,
     write_homing_parameters,
 )
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.reasons import LIMIT_SWITCHES
 from canopen_proto.drives.axis.state import enable, set_mode, settle
 from canopen_proto.drives.axis.units import read_number
-from canopen_proto.drives.axis.watching import Watch, read_statusword
+from canopen_proto.drives.axis.watching import DriveWait, read_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import HomingStatus, Mode, ModeControl, ModeStatus, homing_status
 from canopen_proto.drives.cia402.states import Command, ControlBit, State, StatusBit
@@ -90,8 +90,8 @@ def home(axis: Axis) -> Procedure[None]:
     """Home the drive, from any state without fault, and wait for the end. A drive that moves is halted first.
 
     Returns when the drive stands at its new reference. On the way, `HomingProgressed` tells what the drive shows. Raises
-    HomingFailed, DriveFault, ModeUnsupported (also for a method that the drive lacks), StateLost, ModeLost, NodeLost, StepTimeout
-    (`homing_timeout`). After an error or a cancellation the drive is halted.
+    HomingFailed, DriveInFault, ModeUnsupported (also for a method that the drive lacks), StateLost, ModeLost, DriveLost,
+    StepTimeout (`homing_timeout`). After an error or a cancellation the drive is halted.
     """
     yield from check_homing_method(axis)
     yield from halt(axis)
@@ -143,7 +143,7 @@ def home_if_needed(axis: Axis) -> Procedure[bool]:
 def _wait_for_end(axis: Axis, judge: _EndOfHoming) -> Procedure[None]:
     """Wait for the end of the homing whose edge has just reached the drive."""
     judge.begin((yield from current_time()))
-    watch: Watch[_Ending] = Watch(axis, "the end of homing", mode=Mode.HOMING, stays=State.OPERATION_ENABLED)
+    watch: DriveWait[_Ending] = DriveWait(axis, "the end of homing", mode=Mode.HOMING, stays=State.OPERATION_ENABLED)
     ending = yield from watch.until(judge.judge, axis.settings.homing_timeout)
     if ending is not _Ending.HOMED:
         remedy = _FREE

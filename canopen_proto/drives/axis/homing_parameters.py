@@ -86,7 +86,7 @@ def write_homing_parameters(axis: Axis) -> Procedure[None]:
         yield from learn_units(axis)
     for key, (name, rate) in rates.items():
         if rate is not None:
-            convert = axis.rate_to_wire if key == objects.HOMING_ACCELERATION else axis.speed_to_wire
+            convert = axis.scale.rate_to_wire if key == objects.HOMING_ACCELERATION else axis.scale.speed_to_wire
             number = convert(rate)
             if not number:
                 raise LocalProtocolError(f"{name} = {rate:g} would be 0 in the units of drive {node.node_id}; make it higher")
@@ -98,7 +98,7 @@ def write_homing_parameters(axis: Axis) -> Procedure[None]:
 
 
 def _home_offset(axis: Axis, home_position: float) -> int:
-    return axis.to_counts(home_position) * (-1 if axis.settings.home_offset_reversed else 1)
+    return axis.scale.to_counts(home_position) * (-1 if axis.settings.home_offset_reversed else 1)
 
 
 def check_home_position(axis: Axis) -> Procedure[None]:
@@ -108,7 +108,7 @@ def check_home_position(axis: Axis) -> Procedure[None]:
     """
     if not axis.settings.home_position:
         return
-    home = axis.to_counts(axis.settings.home_position)
+    home = axis.scale.to_counts(axis.settings.home_position)
     position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
     if home and abs(position + home) < abs(position - home) and abs(position + home) < abs(home) / 2:
         is_reversed = axis.settings.home_offset_reversed

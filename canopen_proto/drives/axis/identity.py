@@ -56,6 +56,6 @@ def _vendor_id(axis: Axis) -> Procedure[int | None]:
 
 @accounted
 def learn_units(axis: Axis) -> Procedure[DriveUnits]:
-    """Read what the drive's numbers mean (its factor group), keep it in `axis.units`, and return it. Raises SdoFailed."""
-    axis.units = yield from read_units(axis.node)
-    return axis.units
+    """Read what the drive's numbers mean (its factor group), keep it in `axis.scale.units`, and return it. Raises SdoFailed."""
+    axis.scale.units = yield from read_units(axis.node)
+    return axis.scale.units

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, ModeUnsupported, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt_after
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.sub_modes import LINEAR, SubMode
 from canopen_proto.drives.axis.synchronous import align_position, follow, prepare, require_carried, write_record
 from canopen_proto.drives.cia402 import objects
@@ -70,13 +70,13 @@ def start_interpolation(
     cycle_time: ns between two SYNCs. sends_itself: the caller sends the set-points by a PDO of its own; else RPDOs that the node
     exchanges must carry all objects of a record. sub_mode: how a record is made (sub_modes.py). buffer: how the drive's buffer is
     used; None: it is left as it is. The actual position is read and becomes the first set-point, so that nothing jumps. Raises
-    ReferenceLost, ModeUnsupported (also if the drive refuses the sub-mode), DriveFault, StateLost, ModeLost, NodeLost,
+    ReferenceLost, ModeUnsupported (also if the drive refuses the sub-mode), DriveInFault, StateLost, ModeLost, DriveLost,
     StepTimeout; DriveError if no RPDO carries set-points, or none is sent, or the buffer is too small. The drive is halted if
     this is cancelled.
     """
     require_reference(axis)
     require_carried(axis, sub_mode.objects, sends_itself)
-    axis.select_record(sub_mode, cycle_time)
+    axis.set_points.select_record(sub_mode, cycle_time)
     if buffer is not None:
         yield from _check_size(axis, buffer)
 

@@ -138,14 +138,14 @@ class SetPointLimits:
         return None
 
     def _is_further(self, one: float, other: float, outward: int) -> bool:
-        to_counts = self.axis.to_counts
+        to_counts = self.axis.scale.to_counts
         return (to_counts(one) - to_counts(other)) * outward * self.axis.settings.direction > 0
 
 
 def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
     """Return the limits of an axis. told: the drive's own limits, None if they were not read."""
-    settings, told = axis.settings, told or DriveLimits()
-    ends = [_converted(limit, axis.from_counts) for limit in (told.lowest, told.highest)]
+    settings, told, amount = axis.settings, told or DriveLimits(), axis.scale.amount_from_counts
+    ends = [_converted(limit, axis.scale.from_counts) for limit in (told.lowest, told.highest)]
     lowest, highest = ends[:: settings.direction]
     if settings.min_position is not None and (lowest is None or settings.min_position > lowest.value):
         lowest = Limit(settings.min_position, "the settings (min_position)")
@@ -154,11 +154,11 @@ def limits_of(axis: Axis, told: DriveLimits | None = None) -> SetPointLimits:
     if settings.max_speed is not None:
         speed = Limit(settings.max_speed, "the settings (max_speed)")
     else:
-        speed = _converted(told.speed, axis.amount_from_counts) or Limit(axis.amount_from_counts(DEFAULT_SPEED), BY_DEFAULT)
-    profile = _converted(told.profile_speed, axis.amount_from_counts)
+        speed = _converted(told.speed, amount) or Limit(amount(DEFAULT_SPEED), BY_DEFAULT)
+    profile = _converted(told.profile_speed, amount)
     if profile is not None and profile.value < speed.value:
         speed = profile
-    acceleration = _converted(told.acceleration, axis.amount_from_counts)
+    acceleration = _converted(told.acceleration, amount)
     if settings.max_acceleration is not None:
         max_acceleration = Limit(settings.max_acceleration, "the settings (max_acceleration)")
     else:

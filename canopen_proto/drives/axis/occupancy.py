@@ -1,4 +1,4 @@
-"""`Occupancy`: the one motion command that an axis executes, and the stops that run on it. See one_motion.py."""
+"""`Occupancy`: the one motion command that an axis executes, and the stops that run on it. See exclusive_motion.py."""
 
 from __future__ import annotations
 

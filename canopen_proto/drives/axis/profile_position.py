@@ -7,15 +7,15 @@ from typing import Final
 
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReached, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import EXACT, limits_of
-from canopen_proto.drives.axis.one_motion import moves
+from canopen_proto.drives.axis.motionless_mode import takes
 from canopen_proto.drives.axis.reasons import LIMIT_SWITCHES
-from canopen_proto.drives.axis.standing import takes
 from canopen_proto.drives.axis.state import enable, set_mode, settle
-from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch, wait_for_statusword
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, ModeStatus
 from canopen_proto.drives.cia402.positioning import (
@@ -59,7 +59,7 @@ def move_to(
     direction: the way to the target of an axis without end, in the user's direction; None leaves 0x60F2 as it is.
     timeout: ns for the whole way. Raises LimitReached; nothing is sent if the target is beyond min_position or max_position of
     the settings, if 0x6081 is beyond their max_speed, or if the target does not fit 0x607A (ValueRangeError). Raises
-    DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is not relative.
+    DriveInFault, StateLost, ModeLost, DriveLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is not relative.
     The drive is halted if this fails or is cancelled.
     """
     if not relative:
@@ -68,7 +68,7 @@ def move_to(
         raise LocalProtocolError("a relative target has its direction already: by its sign")
     require_option(axis, direction)
     settings = axis.settings
-    counts = axis.to_counts(position) - (settings.offset if relative else 0)
+    counts = axis.scale.to_counts(position) - (settings.offset if relative else 0)
     axis.node.encode(objects.TARGET_POSITION, counts)
     if not axis.has_lost_reference:
         start = yield from demand_of(axis)
@@ -126,8 +126,8 @@ def require_option(axis: Axis, direction: Direction | None, relative_to: Relativ
 
 
 def option_code(axis: Axis, present: int, direction: Direction | None = None, relative_to: RelativeTo | None = None) -> int:
-    """Return 0x60F2 with these options; None leaves one as it is. Bits 4 and 5 become 0: the master itself clears bit 4 of the
-    controlword, and an acknowledge that falls by itself could be missed."""
+    """Return 0x60F2 (`present`) with these options; None leaves one as it is. Bits 4 and 5 become 0: the master itself
+    clears bit 4 of the controlword, and an acknowledge that falls by itself could be missed."""
     option = present & ~REQUEST_RESPONSE_OPTION
     if direction is not None:
         if axis.settings.direction < 0:
@@ -137,7 +137,7 @@ def option_code(axis: Axis, present: int, direction: Direction | None = None, re
 
 
 def set_options(axis: Axis, direction: Direction | None = None) -> Procedure[None]:
-    """Make 0x60F2 fit: see `option_code`. Does nothing if the drive lacks it."""
+    """Make 0x60F2 fit `direction`: see `option_code`. Does nothing if the drive lacks it."""
     present = yield from read_if_present(axis.node, objects.POSITIONING_OPTION_CODE)
     if isinstance(present, int) and present != (option := option_code(axis, present, direction)):
         yield from write(axis.node, objects.POSITIONING_OPTION_CODE, option)
@@ -178,12 +178,12 @@ def make_room(axis: Axis, word: int) -> Procedure[None]:
 
 
 def require_within_limits(axis: Axis, start: int, target: int) -> None:
-    """Raise LimitReached for a target, in counts, beyond the limits of the settings."""
-    limit = limits_of(axis).position_excess(axis.from_counts(start), axis.from_counts(target))
+    """Raise LimitReached for a target beyond the limits of the settings. start, target: counts."""
+    limit = limits_of(axis).position_excess(axis.scale.from_counts(start), axis.scale.from_counts(target))
     if limit is not None:
         raise LimitReached(
             axis,
-            f"was not moved to {axis.from_counts(target):g}",
+            f"was not moved to {axis.scale.from_counts(target):g}",
             reason=f"{limit.source} say {limit.value:g}; it got no such target",
             remedy=OTHER_TARGET,
         )
@@ -198,12 +198,12 @@ def require_profile_speed(axis: Axis) -> Procedure[None]:
     if limit is None or math.isinf(limit):
         return
     number = yield from read_if_present(axis.node, objects.PROFILE_VELOCITY)
-    if axis.velocity_unit is None:
+    if axis.scale.velocity_unit is None:
         yield from learn_units(axis)
-    unit = axis.velocity_unit
+    unit = axis.scale.velocity_unit
     if not isinstance(number, int) or unit is None:
         return
-    speed = axis.amount_from_counts(number * unit)
+    speed = axis.scale.amount_from_counts(number * unit)
     if speed > limit * EXACT:
         raise LimitReached(
             axis,
@@ -236,7 +236,10 @@ def wait_for_acknowledge(axis: Axis, wanted: bool, timeout: Time | None = None) 
 
 
 def wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, relative: bool) -> Procedure[None]:
-    """Wait for bit 10 at the target. For `reaction_time` it may still belong to the target before."""
+    """Wait for bit 10 at the target. For `reaction_time` it may still belong to the target before.
+
+    target: counts. given_at: when the drive got it. timeout: ns. relative: the drive decided what the target counts from.
+    """
     deadline = (yield from current_time()) + timeout
     while True:
         left = max(0, deadline - (yield from current_time()))
@@ -256,8 +259,8 @@ def wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rela
     if limit or (is_there is False and not relative):  # 0x60F2: the drive decides what a relative target counts from
         raise LimitReached(
             axis,
-            f"stands at {axis.from_counts(position):g} ({position} counts), not at its target {axis.from_counts(target):g} "
-            f"({target} counts)",
+            f"stands at {axis.scale.from_counts(position):g} ({position} counts), "
+            f"not at its target {axis.scale.from_counts(target):g} ({target} counts)",
             reason=limit,
             remedy=OTHER_TARGET,
         )
@@ -267,7 +270,7 @@ def _arrival(axis: Axis, target: int, timeout: Time) -> Procedure[int]:
     """Wait until the drive says that it is at its target (bit 10), or shows a limit (bit 11) and comes no nearer; return its
     statusword. A drive that a limit switch has stopped need not set bit 10."""
     position = objects.POSITION_ACTUAL_VALUE
-    watch: Watch[int] = Watch(
+    watch: DriveWait[int] = DriveWait(
         axis, "its target position", mode=Mode.PROFILE_POSITION, stays=State.OPERATION_ENABLED, reads={position: FRESH}
     )
     held_since: Time | None = None
@@ -348,4 +351,4 @@ def limit_before(axis: Axis, target: int) -> Procedure[str]:
         subindex, limit = 2, high
     else:
         return ""
-    return f"its software limit 0x607D:{subindex:02X} is {axis.from_counts(limit):g} ({limit} counts)"
+    return f"its software limit 0x607D:{subindex:02X} is {axis.scale.from_counts(limit):g} ({limit} counts)"

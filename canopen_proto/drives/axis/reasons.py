@@ -18,10 +18,9 @@ from typing import Any, Final, NamedTuple
 
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
-from canopen_proto.drives.axis.foreign import COMPARED
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import read_number
-from canopen_proto.drives.axis.view import DriveView, command_text
+from canopen_proto.drives.axis.view import COMPARED, DriveView, command_text, view_of
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.drive_bit import DriveBit
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, ModeStatus, mode_name, supported
@@ -90,7 +89,7 @@ def look_at(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[
 
 def look_closer(axis: Axis) -> Procedure[DriveView]:
     """Return what is known of a drive, and read what tells why it does not obey. A drive that does not answer adds nothing."""
-    view = replace(axis.view(), is_homed=axis.is_homed or axis.settings.keeps_reference)
+    view = replace(view_of(axis), is_homed=axis.is_homed or axis.settings.keeps_reference)
     try:
         for name in _TELLING:
             key = _SHOWN[name]

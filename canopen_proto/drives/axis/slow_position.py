@@ -24,11 +24,12 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.drives.axis.axis import OBEYED, Axis
+from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command, syncs_passed
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import accounted, require_reference
 from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.halting import halt, halt_after
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.profile_position import make_room, set_options
 from canopen_proto.drives.axis.state import enable, set_mode
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, wait_for_statusword
@@ -60,38 +61,38 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
     """Make the drive take targets in profile position mode; return the position where it starts, which is its first target.
 
     RPDOs that are exchanged with the node and carry controlword or target are used; without, both go by SDO. Raises
-    ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost, StepTimeout, SdoFailed. The drive is halted if
+    ReferenceLost, ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost, StepTimeout, SdoFailed. The drive is halted if
     this is cancelled.
     """
     require_reference(axis)
-    axis.select_set_point(Mode.PROFILE_POSITION)
+    axis.set_points.select(Mode.PROFILE_POSITION)
     yield from halt(axis)
     yield from set_mode(axis, Mode.PROFILE_POSITION)
     yield from enable(axis)
     try:
         yield from set_options(axis)
         position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
-        axis.set_position_counts(position)
+        axis.set_points.set_position_counts(position)
         now = yield from current_time()
-        for number in axis.rpdos_with((objects.CONTROLWORD, objects.TARGET_POSITION)):
+        for number in rpdos_with(axis.node, (objects.CONTROLWORD, objects.TARGET_POSITION)):
             axis.node.enable_rpdo(number, now)
         yield from _give(axis, position, mode=Mode.PROFILE_POSITION)
     except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
         raise
-    return axis.from_counts(position)
+    return axis.scale.from_counts(position)
 
 
 def feed_targets(following: Following) -> Procedure[None]:
-    """Give the drive its newest set-point (`Axis.set_position`) as a target, whenever it has changed, until cancelled.
+    """Give the drive its newest set-point (`Axis.set_points`) as a target, whenever it has changed, until cancelled.
 
     The watch must be on. It ends with FollowingLost if the drive does not take a target.
     """
     axis = following.axis
-    given = axis.set_point_counts
+    given = axis.set_points.counts
     try:
         while True:
-            counts = axis.set_point_counts
+            counts = axis.set_points.counts
             if counts == given:
                 yield from sleep(POLL_INTERVAL)
             else:

@@ -6,14 +6,15 @@ from collections.abc import Callable
 from typing import Final
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist
+from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, put
 from canopen_proto.drives.axis.digital_io import return_brake
+from canopen_proto.drives.axis.exclusive_motion import moves, stops
 from canopen_proto.drives.axis.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
 from canopen_proto.drives.axis.halting import halt, halt_after, may_be_enabled
-from canopen_proto.drives.axis.one_motion import moves, stops
 from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES
-from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch, read_statusword, wait_for_statusword
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
+from canopen_proto.drives.cia402.axes import axis_of
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, mode_name, supported, supported_modes
 from canopen_proto.drives.cia402.states import FAULT_STATES, POWERED, Command, ControlBit, State, next_command, state_of
 from canopen_proto.machine import SECOND, Time
@@ -41,21 +42,21 @@ def _leaves(state: State) -> Callable[[int], bool]:
 
 @accounted
 def change_state(axis: Axis, target: State) -> Procedure[int]:
-    """Lead the drive to a state, one command after the other; return the statusword.
+    """Lead the drive to the state `target`, one command after the other; return the statusword.
 
     A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
-    when it is led up, or reaches a state twice: something else commands it. Raises DriveFault, NodeLost, StepTimeout, SdoFailed.
-    On the way to Operation enabled, `axis.grip` first makes the drive watch its master. On the way to any other state, the drive
-    first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a stop, see
-    one_motion.py.
+    when it is led up, or reaches a state twice: something else commands it. Raises DriveInFault, DriveLost, StepTimeout,
+    SdoFailed. On the way to Operation enabled, `axis.watchdog` first makes the drive watch its master. On the way to any other
+    state, the drive first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a
+    stop, see exclusive_motion.py.
     """
     lead = _change_state_up if target is State.OPERATION_ENABLED else _change_state_down
     return (yield from lead(axis, target))
 
 
 def _lead(axis: Axis, target: State) -> Procedure[int]:
-    if target is State.OPERATION_ENABLED and axis.grip is not None:
-        yield from axis.grip.hold()
+    if target is State.OPERATION_ENABLED and axis.watchdog is not None:
+        yield from axis.watchdog.hold()
     if target is not State.OPERATION_ENABLED:
         yield from return_brake(axis)
     if target in STAYS:  # the drive may be there already, and hold an RPDO that would lead it away
@@ -132,7 +133,7 @@ def _change_state_down(axis: Axis, target: State) -> Procedure[int]:
 def reset_fault(axis: Axis) -> Procedure[None]:
     """Clear a fault by a rising edge of bit 7. A drive without a fault stays as it is, or at worst loses its power.
 
-    Returns when the drive has left Fault. Raises DriveFault if it stays there: the cause persists.
+    Returns when the drive has left Fault. Raises DriveInFault if it stays there: the cause persists.
     """
     statusword = yield from wait_for_statusword(
         axis,
@@ -161,10 +162,10 @@ def reset_fault(axis: Axis) -> Procedure[None]:
 @moves
 @accounted
 def enable(axis: Axis) -> Procedure[None]:
-    """Lead the drive to Operation enabled. Raises DriveFault, StepTimeout, SdoFailed.
+    """Lead the drive to Operation enabled. Raises DriveInFault, StepTimeout, SdoFailed.
 
     In velocity, torque and cyclic modes the drive then obeys its last target at once, from whatever source: select a mode first,
-    or call `select_standing_mode`.
+    or call `select_motionless_mode`.
     """
     yield from change_state(axis, State.OPERATION_ENABLED)
 
@@ -185,8 +186,8 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
 
     Raises ModeUnsupported, with nothing written, if 0x6502 lacks the mode (without 0x6502 the mode is simply tried); also if the
     drive does not take up the mode within `state_timeout`. waive_check: write the mode although 0x6502 lacks it (Schunk's
-    homing). Modes of the maker, below 0, have no bit in 0x6502. Raises DriveFault, StateLost (the drive was enabled, and no
-    longer is), NodeLost.
+    homing). Modes of the maker, below 0, have no bit in 0x6502. Raises DriveInFault, StateLost (the drive was enabled, and no
+    longer is), DriveLost.
 
     A drive that by its settings (mode_change_state, changes_mode_halted) takes no other mode in its present state is first halted
     and led down to a state in which it does; it stays there. One that shows the mode already is left as it is.
@@ -198,7 +199,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     if lower is not None:
         if (yield from read_int(axis.node, objects.MODES_OF_OPERATION_DISPLAY)) == mode:
             axis.node.commanded.add(objects.MODES_OF_OPERATION)  # an RPDO that is sent later asks for this mode too
-            yield from act(lambda now: axis.put(objects.MODES_OF_OPERATION, mode, now))
+            yield from act(lambda now: put(axis, objects.MODES_OF_OPERATION, mode, now))
             return
         yield from halt(axis)
         yield from change_state(axis, lower)
@@ -209,7 +210,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
         yield from command(axis, Command.ENABLE_OPERATION | axis.controlword & ControlBit.HALT)  # a halt stays in force
     axis.selected_mode, axis.selected_at = mode, (yield from current_time())
     yield from bring(axis, objects.MODES_OF_OPERATION, mode)
-    watch: Watch[bool] = Watch(
+    watch: DriveWait[bool] = DriveWait(
         axis,
         mode_name(mode),
         accept_fault=state in FAULT_STATES,
@@ -230,7 +231,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
         shown = axis.mode or Mode.NO_MODE
         if axis.node.rpdo_of(objects.MODES_OF_OPERATION) is not None:
             # An RPDO cannot be refused: it would go on asking, and the drive might obey at any later time.
-            yield from act(lambda now: axis.put(objects.MODES_OF_OPERATION, shown, now))
+            yield from act(lambda now: put(axis, objects.MODES_OF_OPERATION, shown, now))
         failed = f"did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061"
         raise ModeUnsupported(axis, failed, reason=late.reason, remedy=late.remedy, view=late.view) from late
 
@@ -270,7 +271,7 @@ def engage_brake(axis: Axis) -> Procedure[None]:
 @stops(halt_after)
 @accounted
 def shut_down(axis: Axis) -> Procedure[None]:
-    """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.grip` go.
+    """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.watchdog` go.
 
     A drive in Fault has no power, and stays there. A drive in its fault reaction still has power and brakes: it is awaited. A
     drive that may have power, and does not show its state by PDO, is commanded before anything is read.
@@ -283,7 +284,16 @@ def shut_down(axis: Axis) -> Procedure[None]:
     elif state is not State.FAULT:
         yield from change_state(axis, State.SWITCH_ON_DISABLED)
     now = yield from current_time()
-    for number in axis.own_rpdos():
+    for number in _own_rpdos(axis):
         axis.node.enable_rpdo(number, now, False)
-    if axis.grip is not None:
-        yield from axis.grip.let_go()
+    if axis.watchdog is not None:
+        yield from axis.watchdog.let_go()
+
+
+def _own_rpdos(axis: Axis) -> list[int]:
+    """Return the numbers of the RPDOs that are exchanged with the node and carry nothing for another axis of it."""
+    carried = {
+        number: {place for mux in rpdo.mapping.muxes if (place := axis_of(mux)) is not None}
+        for number, rpdo in axis.node.rpdos.items()
+    }
+    return [number for number, axes in carried.items() if (axes or {0}) == {axis.number}]

@@ -22,7 +22,7 @@ from canopen_proto.machine import Time
 from canopen_proto.multiplexer import Mux
 
 
-class Point(NamedTuple):
+class RecordPoint(NamedTuple):
     """A point of the path. position: counts. velocity: counts per second at this point. time: ns from the point before."""
 
     position: int
@@ -44,7 +44,7 @@ class SubMode(Protocol):
         Each must be carried by an RPDO. Among RPDOs, and within one, the drive's mapping decides the order.
         """
 
-    def record(self, point: Point) -> tuple[int, ...]:
+    def record(self, point: RecordPoint) -> tuple[int, ...]:
         """Return the values of `objects`, as they go on the wire."""
 
 
@@ -55,7 +55,7 @@ class Linear:
     number: int = 0
     objects: tuple[Mux, ...] = (objects.INTERPOLATION_SET_POINT,)
 
-    def record(self, point: Point) -> tuple[int, ...]:
+    def record(self, point: RecordPoint) -> tuple[int, ...]:
         return (point.position,)
 
 
@@ -70,7 +70,7 @@ class PositionAndVelocity:
     number: int = -1
     objects: tuple[Mux, ...] = (objects.INTERPOLATION_SET_POINT, objects.INTERPOLATION_VELOCITY)
 
-    def record(self, point: Point) -> tuple[int, ...]:
+    def record(self, point: RecordPoint) -> tuple[int, ...]:
         return point.position, round(point.velocity / self.velocity_unit)
 
 

@@ -10,9 +10,9 @@ Interpolated position mode (ip) begins in the same way; see interpolation.py. Ea
     5. the halt ends, and the start waits for bit 12, "the drive follows the command"
 
 So nothing jumps. If a start fails or is cancelled, it halts the drive. From then on the caller gives set-points
-(`Axis.set_position`, `set_velocity`, `set_torque`), and watches the drive (`Following`).
+(`Axis.set_points`), and watches the drive (`Following`).
 
-In csv and cst no position is commanded, and there is no following error. `keep_within` watches and halts such a drive instead.
+In csv and cst no position is commanded, and there is no following error. `watch_bounds` watches and halts such a drive instead.
 
 Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position, velocity, torque mode; interpolation time period 60C2h.
 """
@@ -25,11 +25,12 @@ from typing import Final, TypeAlias
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import range_of
 from canopen_proto.drives.axis.axis import OBEYED, Axis
+from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.set_points import OFFSETS_OF
 from canopen_proto.drives.axis.state import enable, set_mode
 from canopen_proto.drives.axis.watching import read_statusword, wait_for_statusword
@@ -54,13 +55,13 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     """Make the drive follow one position per SYNC in cyclic synchronous position mode; return the position where it starts.
 
     cycle_time: ns between two SYNCs. sends_itself: the caller sends the set-points by a PDO of its own; else an RPDO that the
-    node exchanges must carry 0x607A. Raises ReferenceLost, ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost,
+    node exchanges must carry 0x607A. Raises ReferenceLost, ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost,
     StepTimeout; DriveError if no RPDO carries set-points, or none is sent.
     """
     require_reference(axis)
     carried = (objects.TARGET_POSITION,)
     require_carried(axis, carried, sends_itself)
-    axis.select_set_point(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    axis.set_points.select(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     yield from prepare(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, cycle_time, align_position)
     return (yield from follow(axis, Mode.CYCLIC_SYNCHRONOUS_POSITION, carried, align_position))
 
@@ -70,7 +71,8 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
 def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow one velocity per SYNC (0x60FF) in cyclic synchronous velocity mode; return the first one, 0.
 
-    The drive's units are read first. Raises DriveError if its velocity unit is not known; else as `start_cyclic_position`.
+    cycle_time, sends_itself: as of `start_cyclic_position`. The drive's units are read first. Raises DriveError if its velocity
+    unit is not known; else as `start_cyclic_position`.
     """
     carried = (objects.TARGET_VELOCITY,)
     require_carried(axis, carried, sends_itself)
@@ -78,7 +80,7 @@ def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     _require_velocity_unit(axis)
 
     def align(axis: Axis) -> Procedure[float]:
-        axis.set_velocity(0.0)
+        axis.set_points.set_velocity(0.0)
         yield from write(axis.node, objects.TARGET_VELOCITY, 0)
         return 0.0
 
@@ -95,7 +97,7 @@ def start_cyclic_torque(
 
     torque: the one at which it starts, as a share of the rated torque; None: the actual one (0x6077) of a drive that is enabled
     and stands, else 0. **A load that a brake or the drive holds falls if this is too small.** Only the caller's torques and its
-    watch (`keep_within`) limit speed and position. Else as `start_cyclic_position`.
+    watch (`watch_bounds`) limit speed and position. cycle_time, sends_itself, errors: as of `start_cyclic_position`.
     """
     carried = (objects.TARGET_TORQUE,)
     require_carried(axis, carried, sends_itself)
@@ -105,8 +107,8 @@ def start_cyclic_torque(
         nonlocal held
         if held is None:
             held = yield from holding_torque(axis)
-        held = axis.set_torque(held)
-        yield from write(axis.node, objects.TARGET_TORQUE, axis.torque_to_wire(held))
+        held = axis.set_points.set_torque(held)
+        yield from write(axis.node, objects.TARGET_TORQUE, axis.scale.torque_to_wire(held))
         return held
 
     yield from prepare(axis, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cycle_time, align)
@@ -123,7 +125,7 @@ def holding_torque(axis: Axis) -> Procedure[float]:
 
 def _require_velocity_unit(axis: Axis) -> None:
     """Raise DriveError if it is not known what the numbers of velocities mean."""
-    if axis.velocity_unit is None:
+    if axis.scale.velocity_unit is None:
         raise DriveError(
             axis,
             "gets no velocity",
@@ -135,7 +137,7 @@ def _require_velocity_unit(axis: Axis) -> None:
 def require_carried(axis: Axis, carried: Collection[Mux], sends_itself: bool) -> None:
     """Raise DriveError if an object of the set-point is in no RPDO that is exchanged, unless the caller sends it itself."""
     for mux in carried:
-        if not sends_itself and not axis.rpdos_with((mux,)):
+        if not sends_itself and not rpdos_with(axis.node, (mux,)):
             raise DriveError(
                 axis,
                 "would get no set-points",
@@ -145,7 +147,10 @@ def require_carried(axis: Axis, carried: Collection[Mux], sends_itself: bool) ->
 
 
 def prepare(axis: Axis, mode: Mode, cycle_time: Time, align: Align) -> Procedure[None]:
-    """Halt the drive, give it the set-point that it has, clear its offsets, select the mode, and write the period."""
+    """Halt the drive, give it the set-point that it has, clear its offsets, select the mode, and write the period.
+
+    cycle_time: ns between two SYNCs. align: gives it that set-point.
+    """
     yield from halt(axis)  # a moving drive would jump back to the position that was read
     yield from align(axis)  # in csp the drive follows as soon as it has mode and power
     yield from clear_offsets(axis, mode)
@@ -156,14 +161,14 @@ def prepare(axis: Axis, mode: Mode, cycle_time: Time, align: Align) -> Procedure
 def align_position(axis: Axis) -> Procedure[float]:
     """Make the actual position the set-point; return it."""
     position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
-    axis.set_position_counts(position, 0.0)
+    axis.set_points.set_position_counts(position, 0.0)
     yield from write_record(axis)
-    return axis.from_counts(position)
+    return axis.scale.from_counts(position)
 
 
 def write_record(axis: Axis) -> Procedure[None]:
     """Write the images of the position set-point by SDO, in the order of the record."""
-    for mux in axis.set_point_objects:
+    for mux in axis.set_points.objects:
         if mux in axis.node.dictionary:
             yield from write(axis.node, mux, axis.node.values.store[mux])
 
@@ -218,7 +223,10 @@ def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
 
 
 def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Procedure[float]:
-    """Enable the drive, have it follow the set-points in `carried`, and return the one at which it starts."""
+    """Enable the drive, have it follow the set-points in `carried`, and return the one at which it starts.
+
+    mode: ip, csp, csv or cst, which `prepare` has selected. align: gives the drive the set-point that it has.
+    """
     node = axis.node
     is_ip = mode == Mode.INTERPOLATED_POSITION
     goal = "interpolation active (bit 12)" if is_ip else "follows command (bit 12)"
@@ -227,7 +235,7 @@ def follow(axis: Axis, mode: Mode, carried: Collection[Mux], align: Align) -> Pr
         yield from enable(axis)  # in cst power alone may let a load move
         start = yield from align(axis)
         now = yield from current_time()
-        carriers = axis.rpdos_with(carried)
+        carriers = rpdos_with(axis.node, carried)
         for number in (*carriers, *_rpdos_of_offsets(axis, mode)):
             node.enable_rpdo(number, now)
         if carriers and not any(node.rpdos[number].is_live for number in carriers):

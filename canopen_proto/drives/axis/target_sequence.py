@@ -22,10 +22,10 @@ from typing import Final
 
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReached, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.profile_position import (
     OTHER_TARGET,
     demand_of,
@@ -39,7 +39,7 @@ from canopen_proto.drives.axis.profile_position import (
     wait_for_target,
 )
 from canopen_proto.drives.axis.state import enable, set_mode, settle
-from canopen_proto.drives.axis.watching import Watch
+from canopen_proto.drives.axis.watching import DriveWait
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl
 from canopen_proto.drives.cia402.positioning import Direction as Direction
@@ -67,7 +67,7 @@ _BITS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class ProfileTarget:
     """A target and the profile that leads to it.
 
     position: in the user's unit; a way if relative_to is given. start: of all but the first. pause: ns to wait before the target
@@ -101,13 +101,13 @@ class Target:
 
 @moves
 @accounted
-def move_along(axis: Axis, targets: Iterable[Target], *, timeout: Time) -> Procedure[None]:
+def move_along(axis: Axis, targets: Iterable[ProfileTarget], *, timeout: Time) -> Procedure[None]:
     """Profile position: go to one target after the other, and wait for the end. Does nothing without targets.
 
     timeout: ns for the whole way. All limits of the settings (min_position, max_position, max_speed) are checked before anything
     is sent, and again where a target counts from a position that only shows on the way. Raises LimitReached, DriveError (the
     drive lacks an object, or a queue, that a target needs), LocalProtocolError (a velocity unit that is not known; an end
-    velocity of the last target), ValueRangeError, ReferenceLost, DriveFault, StateLost, ModeLost, NodeLost, ModeUnsupported,
+    velocity of the last target), ValueRangeError, ReferenceLost, DriveInFault, StateLost, ModeLost, DriveLost, ModeUnsupported,
     StepTimeout. The drive is halted if this fails or is cancelled.
     """
     points = tuple(targets)
@@ -133,7 +133,7 @@ def move_along(axis: Axis, targets: Iterable[Target], *, timeout: Time) -> Proce
 class _Feeder:
     """Gives a drive its targets."""
 
-    def __init__(self, axis: Axis, points: tuple[Target, ...], timeout: Time) -> None:
+    def __init__(self, axis: Axis, points: tuple[ProfileTarget, ...], timeout: Time) -> None:
         self._axis = axis
         self._points = points
         self._timeout = timeout
@@ -185,16 +185,16 @@ class _Feeder:
             if known is not None and not axis.has_lost_reference:
                 require_within_limits(axis, start, known)
 
-    def _absolute(self, point: Target, before: int | None) -> int | None:
+    def _absolute(self, point: ProfileTarget, before: int | None) -> int | None:
         """Return a target in counts; None if it counts from a position that only shows on the way."""
         if point.relative_to is None:
-            return self._axis.to_counts(point.position)
+            return self._axis.scale.to_counts(point.position)
         return before + self._way(point) if before is not None and point.relative_to is RelativeTo.PREVIOUS else None
 
-    def _way(self, point: Target) -> int:
-        return self._axis.to_counts(point.position) - self._axis.settings.offset
+    def _way(self, point: ProfileTarget) -> int:
+        return self._axis.scale.to_counts(point.position) - self._axis.settings.offset
 
-    def _profile_of(self, point: Target) -> dict[Mux, int]:
+    def _profile_of(self, point: ProfileTarget) -> dict[Mux, int]:
         """Return the values of a target's profile on the wire. Raises LimitReached for a speed beyond max_speed."""
         axis, limit = self._axis, self._axis.settings.max_speed
         fastest = max(point.velocity or 0.0, point.end_velocity)
@@ -203,9 +203,9 @@ class _Feeder:
             raise LimitReached(axis, f"was not moved at {fastest:g} per second", reason=reason, remedy=OTHER_TARGET, looks=False)
         found = {}
         for key, value, convert in (
-            (objects.PROFILE_VELOCITY, point.velocity, axis.speed_to_wire),
-            (objects.PROFILE_ACCELERATION, point.acceleration, axis.rate_to_wire),
-            (objects.PROFILE_DECELERATION, point.deceleration, axis.rate_to_wire),
+            (objects.PROFILE_VELOCITY, point.velocity, axis.scale.speed_to_wire),
+            (objects.PROFILE_ACCELERATION, point.acceleration, axis.scale.rate_to_wire),
+            (objects.PROFILE_DECELERATION, point.deceleration, axis.scale.rate_to_wire),
         ):
             if value is not None:
                 found[key] = number = convert(value)
@@ -213,7 +213,7 @@ class _Feeder:
                     failed = f"cannot take {value:g}: it is less than one unit of {mux_text(key)}"
                     raise DriveError(axis, failed, remedy="a larger value", looks=False)
         if point.end_velocity or objects.END_VELOCITY in axis.node.dictionary:
-            found[objects.END_VELOCITY] = axis.speed_to_wire(point.end_velocity) if point.end_velocity else 0
+            found[objects.END_VELOCITY] = axis.scale.speed_to_wire(point.end_velocity) if point.end_velocity else 0
         return found
 
     def give(self, number: int) -> Procedure[None]:
@@ -259,7 +259,7 @@ class _Feeder:
             remedy = "AxisSettings(queues_set_points=False), if it keeps no set-points"
             raise DriveError(axis, "took no target while it was on its way to another one", remedy=remedy) from refused
 
-    def _place(self, point: Target, *, is_first: bool) -> Procedure[tuple[int, int]]:
+    def _place(self, point: ProfileTarget, *, is_first: bool) -> Procedure[tuple[int, int]]:
         """Return the value of 0x607A and bit 6 for a target. Keep where it leads, and check that."""
         axis = self._axis
         way, before = self._way(point), self._target
@@ -300,7 +300,9 @@ class _Feeder:
         """Let time pass, and watch the drive meanwhile."""
         if duration:
             end = (yield from current_time()) + duration
-            watch: Watch[bool] = Watch(self._axis, "its next target", mode=Mode.PROFILE_POSITION, stays=State.OPERATION_ENABLED)
+            watch: DriveWait[bool] = DriveWait(
+                self._axis, "its next target", mode=Mode.PROFILE_POSITION, stays=State.OPERATION_ENABLED
+            )
             yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, (yield from self._left()))
 
     def _wait_for_target(self) -> Procedure[None]:

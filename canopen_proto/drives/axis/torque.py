@@ -19,12 +19,12 @@ from __future__ import annotations
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.bounds import bounds_of
 from canopen_proto.drives.axis.controlword import bring, command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReached, accounted
 from canopen_proto.drives.axis.halting import halt, halt_after, halt_and_forget
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.state import enable, require_mode, set_mode
 from canopen_proto.drives.axis.synchronous import holding_torque
-from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import Command, State
@@ -46,12 +46,12 @@ def apply_torque(
 
     Raises LimitReached if a limit of position or speed is left, or the torque is more than 0x6072; DriveError if the torque is
     less than a thousandth, the slope cannot be written, or nothing limits the speed; ValueRangeError; ReferenceLost,
-    ModeUnsupported, DriveFault, StateLost, ModeLost, NodeLost, StepTimeout, SdoFailed. The drive is halted if this fails or is
+    ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost, StepTimeout, SdoFailed. The drive is halted if this fails or is
     cancelled.
     """
     if duration < 0:
         raise LocalProtocolError(f"duration must not be below 0; it is {duration!r}")
-    target = axis.torque_to_wire(torque)
+    target = axis.scale.torque_to_wire(torque)
     if torque and not target:
         raise DriveError(axis, f"gets no torque of {torque:g}", reason="0x6071 counts thousandths of the rated torque")
     steepness = None if slope is None else _slope_number(axis, slope)
@@ -64,7 +64,7 @@ def apply_torque(
         )
     axis.node.encode(objects.TARGET_TORQUE, target)  # now: nothing may fail once the drive has power
     yield from halt(axis)
-    held = axis.torque_to_wire((yield from holding_torque(axis)))
+    held = axis.scale.torque_to_wire((yield from holding_torque(axis)))
     yield from write(axis.node, objects.TARGET_TORQUE, held)
     if steepness is not None:
         yield from write(axis.node, objects.TORQUE_SLOPE, steepness)
@@ -76,7 +76,9 @@ def apply_torque(
         yield from bring(axis, objects.TARGET_TORQUE, target)
         end = (yield from current_time()) + duration
         reads = dict.fromkeys(bounds.watched, POLL_INTERVAL)
-        watch: Watch[bool] = Watch(axis, "the end of its torque", mode=Mode.TORQUE, stays=State.OPERATION_ENABLED, reads=reads)
+        watch: DriveWait[bool] = DriveWait(
+            axis, "the end of its torque", mode=Mode.TORQUE, stays=State.OPERATION_ENABLED, reads=reads
+        )
 
         def judge(statusword: int, heard_at: Time) -> bool | None:
             excess = bounds.judge()

@@ -92,6 +92,7 @@ def arm_probe(
 ) -> Procedure[None]:
     """Arm a probe for these edges, the first or `each`; what it latched before is forgotten.
 
+    probe: 1 or 2. positive, negative: the edges that latch. each: every edge; else the first one. source: of the edges.
     Raises DriveTimeout if the drive does not show it as enabled within `state_timeout`, SdoFailed if it refuses;
     LocalProtocolError for a probe other than 1 and 2, or without an edge.
     """
@@ -129,7 +130,7 @@ def _command(axis: Axis, probe: int, function: int) -> Procedure[None]:
 def read_probe(axis: Axis, probe: int = 1) -> Procedure[ProbeReading]:
     """Return the positions that a probe has latched since it was armed."""
     shown = yield from _look(axis, probe, 0)
-    return ProbeReading(*(None if each.counts is None else axis.from_counts(each.counts) for each in shown))
+    return ProbeReading(*(None if each.counts is None else axis.scale.from_counts(each.counts) for each in shown))
 
 
 @accounted
@@ -164,7 +165,7 @@ def watch_probe(axis: Axis, probe: int = 1, *, interval: Time = POLL_INTERVAL) -
         for is_positive, old, new in zip((True, False), before, now, strict=True):
             if new.counts is not None and new != old:
                 missed = _between(old.counter, new.counter)
-                position = axis.from_counts(new.counts)
+                position = axis.scale.from_counts(new.counts)
                 node.out.events.append(ProbeLatched(node.node_id, probe, is_positive, position, missed, axis.number))
         before = now
 

@@ -122,7 +122,10 @@ def read_units(node: AxisNode) -> Procedure[DriveUnits]:
 
 
 def read_number(node: AxisNode, key: Mux, *, signed: bool = False) -> Procedure[int | None]:
-    """Read an integer of 1 to 4 bytes by its number alone; return None if the drive refuses, or sends another length."""
+    """Read an integer of 1 to 4 bytes by its number alone; return None if the drive refuses, or sends another length.
+
+    signed: it may be below 0.
+    """
     try:
         data = yield from upload(node.sdo, *split_mux(node.on_device(key)))
     except SdoFailed as failed:

@@ -4,8 +4,8 @@
     vl   0x6042 = 0, mode, enable, 0x000F, 0x6042 = velocity, 0x007F (bits 4, 5, 6)   end: halt (bit 8), standstill, 0x6042 = 0
 
 **Dead man.** A velocity holds only while the procedure runs: its end, a cancellation and a failure halt the drive, and its
-standstill is seen. Then its target is 0, so that no later controlword sends it on. If the master itself is gone, `axis.grip` lets
-the drive stop by itself.
+standstill is seen. Then its target is 0, so that no later controlword sends it on. If the master itself is gone, `axis.watchdog`
+lets the drive stop by itself.
 
 **Position limits** (min_position and max_position of the settings; 0x607D). Drives differ in whether 0x607D holds in these modes.
 So the procedure watches the position (0x6064), and halts the drive before a limit: as early as it needs for `obeys_within` of the
@@ -27,13 +27,13 @@ from typing import Final, NamedTuple
 
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import bring, command
+from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import DriveError, LimitReached, ModeUnsupported, accounted, late, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after, halt_and_forget, halt_ramp
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import Limit, read_limits
-from canopen_proto.drives.axis.one_motion import moves
 from canopen_proto.drives.axis.state import enable, set_mode
-from canopen_proto.drives.axis.watching import POLL_INTERVAL, Watch
+from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, ModeStatus, mode_name, supported, supported_modes
 from canopen_proto.drives.cia402.states import Command, State, StatusBit
@@ -84,7 +84,7 @@ def run_at(
     Raises with nothing sent: ModeUnsupported; LimitReached for a velocity beyond max_speed of the settings, 0x607F or 0x6080 (see
     limits.py), and for a position limit that is too near; ReferenceLost if the settings have position limits; DriveError for a
     unit that is not known, or a velocity below it; ValueRangeError. Later: LimitReached at a limit of the position or of the
-    drive, DriveTimeout if it does not reach the velocity, DriveFault, StateLost, ModeLost, NodeLost. The drive is halted then.
+    drive, DriveTimeout if it does not reach the velocity, DriveInFault, StateLost, ModeLost, DriveLost. The drive is halted then.
     """
     if duration is not None and duration < 0:
         raise LocalProtocolError(f"duration must not be below 0, or None for no end; it is {duration!r}")
@@ -145,9 +145,9 @@ class _Run:
             reason = f"{limits.speed.source} allows {limits.speed.value:g}; nothing was sent"
             remedy = "a lower velocity; max_speed (--max-speed, AxisSettings, the machine file), if it may go as fast as that"
             raise LimitReached(axis, failed, reason=reason, remedy=remedy, looks=False)
-        exact = axis.settings.direction * self._velocity * axis.counts_of_amount(1.0) / self._unit
+        exact = axis.settings.direction * self._velocity * axis.scale.counts_of_amount(1.0) / self._unit
         self._number = round(exact)
-        if axis.amount_from_counts(abs(self._number * self._unit)) > limits.speed.value * _ALL:
+        if axis.scale.amount_from_counts(abs(self._number * self._unit)) > limits.speed.value * _ALL:
             self._number = math.trunc(exact)  # rounded up it would be beyond the limit
         if self._velocity and not self._number:
             failed = f"cannot run at {self._velocity:g} per second: it is less than one unit of {mux_text(TARGET_OF[self._mode])}"
@@ -164,15 +164,15 @@ class _Run:
         axis = self._axis
         units = yield from learn_units(axis)
         if self._mode is Mode.PROFILE_VELOCITY:
-            if axis.velocity_unit is None:
+            if axis.scale.velocity_unit is None:
                 raise DriveError(axis, "does not tell its velocity unit", remedy="AxisSettings(velocity_unit=...)", looks=False)
-            self._unit = axis.velocity_unit
-            ramp_unit = axis.acceleration_unit
+            self._unit = axis.scale.velocity_unit
+            ramp_unit = axis.scale.acceleration_unit
             if ramp_unit is None:  # how far it runs until it stands, and its ramps, depend on it
                 raise DriveError(
                     axis,
                     "has an acceleration unit that cannot be converted",
-                    reason=axis.units.origins.get("per_acceleration", ""),
+                    reason=axis.scale.units.origins.get("per_acceleration", ""),
                     remedy="AxisSettings(acceleration_unit=...), by its manual",
                     looks=False,
                 )
@@ -192,7 +192,7 @@ class _Run:
         lowest, highest = yield from _pair(axis, objects.VL_VELOCITY_MIN_AMOUNT)
         amount = abs(self._number * self._unit) / self._ramp_unit  # in the unit of the dimension factor
         if amount * _ALL < lowest or 0 < highest < amount / _ALL:
-            ends = [axis.amount_from_counts(each * self._ramp_unit) for each in (lowest, highest)]
+            ends = [axis.scale.amount_from_counts(each * self._ramp_unit) for each in (lowest, highest)]
             failed = f"was not run at {self._velocity:g} per second"
             reason = f"it runs at {ends[0]:g} to {ends[1]:g} only (0x6046); nothing was sent"
             raise LimitReached(axis, failed, reason=reason, remedy="a velocity between them, or another 0x6046", looks=False)
@@ -207,7 +207,7 @@ class _Run:
         for key, rate in zip(keys, self._rates, strict=True):
             if rate is None:
                 continue
-            amount = rate * axis.counts_of_amount(1.0) / self._ramp_unit
+            amount = rate * axis.scale.counts_of_amount(1.0) / self._ramp_unit
             time = 1
             if self._mode is Mode.VELOCITY:
                 time = next((each for each in (1, 10, 100, 1000) if amount * each >= _FINE), 1000)
@@ -233,10 +233,10 @@ class _Run:
                 self._bound = self._behind = None  # only the drive's own limits, which it keeps or not
                 return
             raise DriveError(axis, "shows no position (0x6064), so its position limits cannot be kept", looks=False)
-        self._margin = yield from self._way_to_stop(abs(self._velocity) * axis.counts_of_amount(1.0))
+        self._margin = yield from self._way_to_stop(abs(self._velocity) * axis.scale.counts_of_amount(1.0))
         if self._bound is not None and self._room(position, self._bound) <= self._margin:
-            way = axis.amount_from_counts(self._margin)
-            failed = f"was not run at {self._velocity:g} per second: it stands at {axis.from_counts(position):g}"
+            way = axis.scale.amount_from_counts(self._margin)
+            failed = f"was not run at {self._velocity:g} per second: it stands at {axis.scale.from_counts(position):g}"
             reason = f"it needs {way:g} to stop before {self._bound.value:g} ({self._bound.source}); nothing was sent"
             raise LimitReached(axis, failed, reason=reason, remedy="the other direction, or a lower velocity", looks=False)
 
@@ -264,7 +264,7 @@ class _Run:
 
     def _room(self, position: int, limit: Limit) -> float:
         """Return how far a limit is ahead, in counts; below 0 behind it."""
-        return (self._axis.to_counts(limit.value) - position) * self._side
+        return (self._axis.scale.to_counts(limit.value) - position) * self._side
 
     # ---- while it moves ----
 
@@ -301,7 +301,7 @@ class _Run:
         present = {key: pause for key, pause in reads.items() if key in axis.node.dictionary}
         reach = yield from self._time_to_reach()
         end = NEVER if duration is None else self._began + duration
-        watch: Watch[bool] = Watch(axis, "its velocity", mode=self._mode, stays=State.OPERATION_ENABLED, reads=present)
+        watch: DriveWait[bool] = DriveWait(axis, "its velocity", mode=self._mode, stays=State.OPERATION_ENABLED, reads=present)
 
         def judge(statusword: int, heard_at: Time) -> bool | None:
             self._keep_limits(watch, statusword, heard_at)
@@ -328,7 +328,7 @@ class _Run:
         slope = abs(self._number * self._unit) / ramp if ramp else 0.0
         return axis.settings.reaction_time + axis.settings.state_timeout + round(slope * SECOND)
 
-    def _keep_limits(self, watch: Watch[bool], statusword: int, heard_at: Time) -> None:
+    def _keep_limits(self, watch: DriveWait[bool], statusword: int, heard_at: Time) -> None:
         """Raise LimitReached if the drive has to stop now, or a limit of its own holds it."""
         axis, position = self._axis, self._axis.position_counts
         known_at = watch.heard(objects.POSITION_ACTUAL_VALUE)
@@ -338,7 +338,7 @@ class _Run:
                 raise refusal
             near = None if known_at is None or position is None else self._limit_near(position, known_at)
             if near is not None and position is not None:
-                failed = f"was halted at {axis.from_counts(position):g}"
+                failed = f"was halted at {axis.scale.from_counts(position):g}"
                 reason = f"it came near {near.value:g} ({near.source})"
                 remedy = "the other direction" if near is self._bound else "look at its polarity (0x607E), and for what pulls it"
                 raise LimitReached(axis, failed, reason=reason, remedy=remedy, looks=False)
@@ -368,7 +368,7 @@ class _Run:
         told = abs(self._number * self._unit)
         return self._margin * max(1.0, (speed / told) ** 2) if told else self._margin
 
-    def _shows_velocity(self, watch: Watch[bool], statusword: int, heard_at: Time) -> bool:
+    def _shows_velocity(self, watch: DriveWait[bool], statusword: int, heard_at: Time) -> bool:
         """Return whether the drive shows that it runs at its velocity."""
         if self._mode is Mode.PROFILE_VELOCITY:
             is_new = not statusword & ModeStatus.SPEED_ZERO or heard_at - self._began >= self._axis.settings.reaction_time
@@ -385,7 +385,7 @@ class _Run:
     def _tell(self) -> None:
         if self._news is not None:
             axis = self._axis
-            self._news(Running(self._mode, axis.way_from_counts(self._number * self._unit), self._is_reached))
+            self._news(Running(self._mode, axis.scale.way_from_counts(self._number * self._unit), self._is_reached))
 
 
 @accounted

@@ -1,19 +1,33 @@
-"""`DriveView`: what a drive shows, and what it was commanded: the facts from which reasons.py finds why it does not move."""
+"""`DriveView`: what a drive shows, and what it was commanded: the facts from which reasons.py finds why it does not move.
+
+`view_of` makes one of what was heard. Commands of another master that are heard on the bus (controlword, mode of operation) are
+part of it: see `ForeignCommand`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from canopen_proto.dictionary import Direction
+from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.drive_bit import DriveBit
 from canopen_proto.drives.cia402.modes import describe_command, describe_status, mode_name
-from canopen_proto.drives.cia402.states import State, state_of
+from canopen_proto.drives.cia402.states import COMMAND_BITS, ControlBit, State, state_of
 from canopen_proto.emcy import EmcyReceived
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.foreign_writes import ForeignWrite
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, RoutingKey, routing_key
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 from canopen_proto.nmt import NmtState
+from canopen_proto.pdo.mapping import Mapping
+from canopen_proto.pdo.slots import described_pdos
+from canopen_proto.remote_node import RemoteNode
 
 RECENT: Final = 5 * SECOND
 """A command of another master that is older than this explains nothing."""
+COMPARED: Final = COMMAND_BITS & ~ControlBit.FAULT_RESET | ControlBit.HALT
+"""The bits in which two controlwords contradict each other; a drive may clear the others by itself."""
 
 
 class ForeignCommand(NamedTuple):
@@ -88,3 +102,77 @@ class DriveView:
 def command_text(controlword: int, mode: int | None = None) -> str:
     """Return a controlword in words: "0x010F (enable operation, halt)"."""
     return f"0x{controlword:04X} ({', '.join(describe_command(controlword, mode))})"
+
+
+def view_of(axis: Axis) -> DriveView:
+    """Return what was heard from a drive, and what it was commanded; nothing is read."""
+    producer = axis.node.rpdo_of(objects.CONTROLWORD)
+    commanded = None if axis.commanded_at is None else axis.controlword
+    return DriveView(
+        axis.statusword,
+        mode=axis.mode,
+        error_code=axis.error_code,
+        position=axis.position_counts,
+        inputs=axis.heard(objects.DIGITAL_INPUTS),
+        supported_modes=axis.heard(objects.SUPPORTED_DRIVE_MODES),
+        nmt_state=axis.node.nmt_state,
+        controlword=commanded,
+        commanded=commanded,
+        selected_mode=axis.selected_mode,
+        wanted_mode=axis.selected_mode,
+        rpdo=None if producer is None else producer.number,
+        emcy=axis.node.emcy.last,
+        has_lost_reference=axis.has_lost_reference,
+        safe_torque_off=_if_shown(axis, axis.settings.sto_input),
+        brake=_if_shown(axis, axis.settings.brake_bit),
+        foreign=_foreign_command(axis),
+        is_heard=objects.STATUSWORD in axis.node.heard_at,
+    )
+
+
+def _if_shown(axis: Axis, bit: DriveBit | None) -> DriveBit | None:
+    """Return the bit if the drive shows it, as last heard, else None."""
+    value = None if bit is None else axis.heard(bit.mux)
+    return bit if bit is not None and value is not None and bit.is_shown_by(value) else None
+
+
+def _foreign_command(axis: Axis) -> ForeignCommand | None:
+    """Return the last command of another master that came after ours, contradicts it, and is not older than RECENT; else None.
+
+    Nothing contradicts a command that we have not sent.
+    """
+    node = axis.node
+    now = max(node.heard_at.values(), default=-NEVER)
+    others = _described(axis.remote) if node.foreign_writes.unknown else {}
+    found: list[tuple[ForeignWrite, str]] = []
+    word = node.foreign_writes.last(objects.CONTROLWORD, others)
+    if word is not None and axis.commanded_at is not None and word.time >= axis.commanded_at:
+        if not isinstance(word.value, int):
+            found.append((word, "sent it a controlword"))
+        elif (word.value ^ axis.controlword) & COMPARED:
+            found.append((word, f"commanded {command_text(word.value)}"))
+    selected = node.foreign_writes.last(objects.MODES_OF_OPERATION, others)
+    is_later = selected is not None and axis.selected_at is not None and selected.time >= axis.selected_at
+    if selected is not None and is_later and selected.value != axis.selected_mode:
+        name = mode_name(selected.value) if isinstance(selected.value, int) else "a mode"
+        found.append((selected, f"selected {name}"))
+    recent = [(heard, words) for heard, words in found if now - heard.time <= RECENT]
+    if not recent:
+        return None
+    (time, key, _), words = max(recent, key=lambda each: each[0].time)
+    source = "SDO" if key == SDO_CLIENT_TO_SERVER + node.node_id else f"RPDO 0x{key:03X}"
+    return ForeignCommand(words, max(0, now - time), source)
+
+
+def _described(node: RemoteNode) -> dict[RoutingKey, Mapping]:
+    """Return the RPDOs that the node's dictionary knows: those of its file, else those of PDOs.csv."""
+    dictionary, node_id = node.dictionary, node.node_id
+    found = {
+        routing_key(each.can_id(node_id)): Mapping.from_description(each)
+        for each in dictionary.pdos
+        if each.direction is Direction.RPDO
+    }
+    for pdo in described_pdos(dictionary, node_id):
+        if pdo.direction is Direction.RPDO:
+            found[pdo.key] = Mapping.from_parameters(pdo.entries, dictionary)
+    return found

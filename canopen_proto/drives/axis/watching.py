@@ -1,6 +1,6 @@
 """Wait for a drive: one kind of wait for all procedures, which ends as soon as its goal is reached or out of reach.
 
-A `Watch` looks at the statusword, and at the other objects it was given, whenever a value comes. A value comes by TPDO, which
+A `DriveWait` looks at the statusword, and at the other objects it was given, whenever a value comes. A value comes by TPDO, which
 serves for 100 ms, else by SDO, 10 ms after the last answer. The reads run beside the wait: a TPDO, a lost heartbeat or a boot-up
 ends it while an answer is still awaited. Values heard before the wait began do not count.
 
@@ -50,7 +50,7 @@ def read_statusword(axis: Axis) -> Procedure[int]:
 @accounted
 def read_position(axis: Axis) -> Procedure[float]:
     """Read the actual position (0x6064) by SDO; return it in the user's unit."""
-    return axis.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))
+    return axis.scale.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))
 
 
 @accounted
@@ -68,15 +68,15 @@ def wait_for_statusword(
     """Wait until done(statusword) is true, at most `timeout` ns; return that statusword. It must be heard during the wait.
 
     mode: the mode that 0x6061 must show meanwhile; stays: the state that the drive must stay in; None: any. looks: before a
-    time-out is raised, read what tells why; a halt has no time for that. Raises DriveFault (unless accept_fault), NodeLost,
+    time-out is raised, read what tells why; a halt has no time for that. Raises DriveInFault (unless accept_fault), DriveLost,
     StateLost or ModeLost as soon as it is seen; DriveTimeout, which names `goal` and the obstacle; SdoFailed if the statusword
     cannot be read.
     """
-    watch: Watch[int] = Watch(axis, goal, accept_fault=accept_fault, mode=mode, stays=stays, looks=looks)
+    watch: DriveWait[int] = DriveWait(axis, goal, accept_fault=accept_fault, mode=mode, stays=stays, looks=looks)
     return (yield from watch.until(lambda statusword, heard_at: statusword if done(statusword) else None, timeout))
 
 
-class Watch(Generic[T]):
+class DriveWait(Generic[T]):
     """One wait for a drive; see this module's text. Used once."""
 
     def __init__(

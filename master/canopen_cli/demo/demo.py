@@ -19,7 +19,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
 from canopen_cli.simulation.drive_files import drive_files, drives_of
 from canopen_master.participant.patient_clock import PatientClock
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
 from canopen_proto.machine import MILLISECOND, Time
 
 CYCLE = Duration(MILLISECOND, 255 * MILLISECOND)
@@ -119,10 +119,11 @@ def demo(
     files = drive_files(settings.eds, defaults, screen, settings.encoding)
     drives = {} if machine is None else drives_of(machine, defaults)
     scale = None if counts_per_degree is None else math.degrees(counts_per_degree)  # per radian
-    grip = DEFAULT_GRIP if machine is None and settings.master_id is None else settings.grip  # not that of CANOPEN_MACHINE
+    is_default = machine is None and settings.master_id is None  # not that of CANOPEN_MACHINE
+    watchdog = DEFAULT_WATCHDOG if is_default else settings.watchdog
     timeout = settings.timeout if settings.timeout is not None or machine is None else machine.master.timeout
     arm = chains or CHAINS
-    plan = Plan(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, grip, machine, drives)
+    plan = Plan(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, watchdog, machine, drives)
     if bus is None and settings.clock is None:
         settings.clock = PatientClock()
     demonstration = Demonstration(screen, plan, partial(recorded, settings, screen, path=record))

@@ -13,8 +13,8 @@ from canopen_master.assembly import described
 from canopen_master.machine_file import MachineFile
 from canopen_master.motion.chain_file import ChainDescription, JointDescription, read_chains
 from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.machine import Time
 
 CHAINS: Final = "multiple_devices.csv"
@@ -40,7 +40,7 @@ class Plan:
     timeout: Time | None
     files: Mapping[int | None, DriveFile] = field(default_factory=dict)
     scale: float | None = None
-    grip: Grip | None = DEFAULT_GRIP
+    watchdog: Watchdog | None = DEFAULT_WATCHDOG
     machine: MachineFile | None = None
     drives: Mapping[str, DriveFile] = field(default_factory=dict)
 

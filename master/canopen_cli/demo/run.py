@@ -194,7 +194,7 @@ class Demonstration:
         timeout = SDO_TIMEOUT if self.plan.timeout is None else self.plan.timeout / SECOND
         heartbeat = 0 if self.plan.machine is None else self.plan.machine.master.heartbeat_timeout
         buses = dict.fromkeys(locators.values())
-        return open_master(*buses, sdo_timeout=timeout, heartbeat_timeout=heartbeat / SECOND, grip=self.plan.grip)
+        return open_master(*buses, sdo_timeout=timeout, heartbeat_timeout=heartbeat / SECOND, watchdog=self.plan.watchdog)
 
     def _chain(self, master: Master, locators: dict[str, str]) -> Chain:
         joints = tuple(replace(joint, bus=locators[joint.bus]) for joint in self.description.joints)

@@ -22,7 +22,7 @@ from canopen_master.machine_file import JointEntry, MachineFile, NodeEntry, mach
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
 from canopen_master.simulation.fleet import DEMO_LOCATOR
 from canopen_master.simulation.plant import DeviceEntry
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
 
 
 @click.command()
@@ -107,12 +107,12 @@ def _machine(settings: Settings, locator: str, node_id: int, name: str, result: 
         beside = os.path.relpath(file, Path(output).parent) if Path(file).is_file() else file
         node = replace(node, device=replace(node.device, file=beside))
     owner = machine.joint_on(node) or JointEntry(name, node.name)
-    grip = machine.master.grip
+    watchdog = machine.master.watchdog
     if settings.master_id is not None:
-        grip = replace(grip or DEFAULT_GRIP, node_id=settings.master_id)
+        watchdog = replace(watchdog or DEFAULT_WATCHDOG, node_id=settings.master_id)
     return replace(
         machine,
         nodes={**machine.nodes, node.name: node},
         joints={**machine.joints, owner.name: replace(owner, settings=result.settings)},
-        master=replace(machine.master, grip=grip),
+        master=replace(machine.master, watchdog=watchdog),
     )

@@ -285,7 +285,7 @@ class Commissioning:
 
     def _profile_speed(self, speed: float) -> Procedure[str]:
         """Return in words how fast a move is going to be, wherever that is known."""
-        if self._axis.velocity_unit is not None:
+        if self._axis.scale.velocity_unit is not None:
             return f"at {speed:.6g} {self._name} per second"
         own = yield from read_if_present(self.node.remote, objects.PROFILE_VELOCITY)
         return f"at its own profile velocity (0x6081 = {own}), whose unit it does not tell"
@@ -295,10 +295,10 @@ class Commissioning:
         stays."""
         axis, node = self._axis, self.node.remote
         own = yield from read_if_present(node, objects.PROFILE_VELOCITY)
-        if axis.velocity_unit is None or not isinstance(own, int):
+        if axis.scale.velocity_unit is None or not isinstance(own, int):
             yield from procedure
             return
-        yield from write(node, objects.PROFILE_VELOCITY, max(1, axis.speed_to_wire(speed)))
+        yield from write(node, objects.PROFILE_VELOCITY, max(1, axis.scale.speed_to_wire(speed)))
         try:
             yield from procedure
         except (Cancelled, Exception) as cause:

@@ -19,7 +19,7 @@ from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.axis.view import DriveView
-from canopen_proto.drives.axis.watching import Watch
+from canopen_proto.drives.axis.watching import DriveWait
 from canopen_proto.drives.cia402.modes import mode_name
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import NEVER, SECOND, Time
@@ -38,7 +38,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
 
     def procedure(axis: Axis) -> Procedure[DriveView]:
         yield from identify(axis)
-        yield from procedures.select_standing_mode(axis)
+        yield from procedures.select_motionless_mode(axis)
         yield from ends_unpowered(axis, held(axis))
         return (yield from look_at_drive(axis.node))
 
@@ -46,7 +46,7 @@ def enable(settings: Settings, seconds: float | None) -> None:
         yield from procedures.enable(axis)
         screen.say(f"drive {axis.node.node_id} is enabled, in {mode_name(axis.mode or 0)}; Ctrl-C disables it")
         end = NEVER if seconds is None else (yield from current_time()) + round(seconds * SECOND)
-        watch: Watch[bool] = Watch(axis, "the end of its time", stays=State.OPERATION_ENABLED)
+        watch: DriveWait[bool] = DriveWait(axis, "the end of its time", stays=State.OPERATION_ENABLED)
         yield from watch.until(lambda statusword, heard_at: heard_at >= end or None, NEVER)
 
     show_drive(settings, screen, command_drive(settings, screen, procedure, ends=seconds is not None))

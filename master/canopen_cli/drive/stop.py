@@ -33,7 +33,7 @@ from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.controlword import insist
 from canopen_proto.drives.axis.halting import coast_down, halt
 from canopen_proto.drives.axis.state import shut_down
-from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.axis.view import DriveView, view_of
 from canopen_proto.drives.axis.watching import read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402.axes import MAX_AXES, axes_of, swapped
 from canopen_proto.drives.cia402.objects import CONTROLWORD, STATUSWORD
@@ -231,7 +231,7 @@ def _view(axis: Axis) -> Procedure[DriveView]:
     try:
         return (yield from look_at_drive(axis.node))
     except ProcedureError:
-        return axis.view()
+        return view_of(axis)
 
 
 def _not_confirmed(axis: Axis, failed: str, last: SdoFailed) -> Problem:

@@ -18,9 +18,9 @@ from canopen_master.motion.moving import Moving, together
 from canopen_master.session import open_master
 from canopen_master.simulation.fleet import drive_maker, simulated_fleet
 from canopen_master.simulation.host import DeviceMaker
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
 from canopen_proto.machine import SECOND
 
 ARM = "multiple_devices.csv"
@@ -136,8 +136,8 @@ async def open_chains(settings: Settings, chosen: ChosenChains) -> AsyncIterator
         if chosen.is_simulated:
             drives = [(chosen.locator_of(joint), chosen.node_of(joint).node_id) for joint in chosen.joints]
             await stack.enter_async_context(simulated_fleet(drives, make=partial(chosen.maker)))
-        grip = DEFAULT_GRIP if settings.master_id is None else settings.grip
+        watchdog = DEFAULT_WATCHDOG if settings.master_id is None else settings.watchdog
         timeout = None if settings.timeout is None else settings.timeout / SECOND
-        opened = open_master(machine=chosen.machine, buses=chosen.buses, sdo_timeout=timeout, grip=grip)
+        opened = open_master(machine=chosen.machine, buses=chosen.buses, sdo_timeout=timeout, watchdog=watchdog)
         master = await stack.enter_async_context(opened)
         yield master, Group([master.chains[name] for name in chosen.names])

@@ -127,7 +127,7 @@ async def legs_of(arm: Group, targets: dict[str, float] | None, path: PathFile |
     await _check(arm, path, arm.moving.path_limits)
     begin = path.path.start.positions
     along = ("along the path", path.path)
-    if all(abs(a - b) <= device.axis.amount_from_counts(1) for device, a, b in zip(arm.devices, here, begin, strict=True)):
+    if all(abs(a - b) <= device.axis.scale.amount_from_counts(1) for device, a, b in zip(arm.devices, here, begin, strict=True)):
         return [along]
     return [("to the start of the path", planned(arm, here, begin)), along]
 

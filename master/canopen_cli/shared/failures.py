@@ -19,7 +19,7 @@ from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import NotInDictionary
-from canopen_proto.drives.axis import DriveError, DriveFault, HomingFailed, ModeUnsupported
+from canopen_proto.drives.axis import DriveError, DriveInFault, HomingFailed, ModeUnsupported
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
@@ -238,7 +238,7 @@ def _of_flash(error: ProgramDownloadFailed) -> Problem:
 
 
 _OF_DRIVE = {
-    DriveFault: errors.CHAIN_FAULT,
+    DriveInFault: errors.CHAIN_FAULT,
     HomingFailed: errors.HOMING_FAILED,
     ModeUnsupported: errors.MODE_UNSUPPORTED,
 }

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from canopen_cli.shared.screen import Screen
     from canopen_master.machine_file import JointEntry, MachineFile
-    from canopen_proto.drives.axis.grip import Grip
+    from canopen_proto.drives.axis.watchdog import Watchdog
 
     Kind: TypeAlias = click.ParamType[Any, Any]
 else:
@@ -69,14 +69,14 @@ class Settings:
     chosen: ChosenMachine = field(default_factory=ChosenMachine)
 
     @property
-    def grip(self) -> Grip | None:
+    def watchdog(self) -> Watchdog | None:
         """How enabled drives notice that this program is gone; None if the machine file says that they shall not."""
-        from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+        from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 
         if self.master_id is not None:
-            return Grip(node_id=self.master_id)
+            return Watchdog(node_id=self.master_id)
         machine = self.machine_file()
-        return DEFAULT_GRIP if machine is None else machine.master.grip
+        return DEFAULT_WATCHDOG if machine is None else machine.master.watchdog
 
     @property
     def sdo_timeout(self) -> float | None:
@@ -300,9 +300,10 @@ def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
 
 def enabling(command: F) -> F:
     """Add the option that commands have which enable drives."""
-    from canopen_proto.drives.axis.grip import DEFAULT_GRIP
+    from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
 
-    help_text = f"The node-ID of our own heartbeat, by which drives notice that we are gone.  [default: {DEFAULT_GRIP.node_id}]"
+    default = DEFAULT_WATCHDOG.node_id
+    help_text = f"The node-ID of our own heartbeat, by which drives notice that we are gone.  [default: {default}]"
     added: F = _option("--master-id", type=NodeId(), help=help_text)(command)
     return added
 

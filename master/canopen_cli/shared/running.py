@@ -25,8 +25,8 @@ from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
 from canopen_master.errors import HaltNotConfirmed
-from canopen_master.grip import LOGGER
 from canopen_master.participant.patient_clock import PatientClock
+from canopen_master.watchdog import LOGGER
 from canopen_transports.tracing import Trace, recording
 
 T = TypeVar("T")

@@ -144,7 +144,7 @@ async def open_session(
             bus = DEMO_LOCATOR
         opened = bus if heard is None else tapped(await open_transport(bus), heard)
         master = await stack.enter_async_context(
-            open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
+            open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, watchdog=settings.watchdog)
         )
         session = Session(master, files, bus, screen)
         try:

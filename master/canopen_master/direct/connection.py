@@ -25,7 +25,7 @@ from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.session import MasterSession, open_master
 from canopen_master.simulation.host import IN_PROCESS, DeviceMaker, powerballs, simulate
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_transports import TransportError, open_transport
 from canopen_transports.realtime import Realtime
@@ -93,7 +93,7 @@ class Connection:
         buses: Mapping[str, str],
         sdo_timeout: float | None = None,
         dictionary: ObjectDictionary | None = None,
-        grip: Grip | None = DEFAULT_GRIP,
+        watchdog: Watchdog | None = DEFAULT_WATCHDOG,
         prepare: Callable[[Master], object] = lambda _: None,
         machine: MachineFile | None = None,
         realtime: Realtime | bool | None = None,
@@ -116,7 +116,7 @@ class Connection:
                     buses=named,
                     sdo_timeout=sdo_timeout,
                     dictionary=dictionary,
-                    grip=grip,
+                    watchdog=watchdog,
                     realtime=realtime,
                 )
                 make = partial(_master, tuple(self._simulated), options, prepare)

@@ -39,12 +39,11 @@ from canopen_master.silence import missing_frame
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import AxisSettings
-from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.following import FollowingLost, read_unsent
 from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.limits import read_limits
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.drives.axis.settings import HomingStyle
-from canopen_proto.drives.axis.unsent import read_unsent
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.drives.trajectory import JointLimits
@@ -176,8 +175,8 @@ class DirectDrive:
             forgives=False,
         )
         ranges = self.limits.lowest, self.limits.highest
-        self._within = WithinReach([self.axis.set_point], [followed.speed * self.interval / 1000], [ranges])
-        self._stand_at(self.axis.set_point)
+        self._within = WithinReach([self.axis.set_points.position], [followed.speed * self.interval / 1000], [ranges])
+        self._stand_at(self.axis.set_points.position)
         self._given.clear()
         self._is_following, self._lost = True, None
         if self._hand_sync is not None:
@@ -304,7 +303,7 @@ class DirectDrive:
             self._wanted = self._given.popleft()
         if self._is_new:
             (to,) = self._within.next([self._wanted])
-            self.axis.set_position_counts(self.axis.to_counts(to))
+            self.axis.set_points.set_position_counts(self.axis.scale.to_counts(to))
 
     def send_given(self) -> None:
         """Send the rPDO, if the next SYNC shall take something new."""
@@ -319,7 +318,7 @@ class DirectDrive:
 
     def stand_at_image(self) -> None:
         """Go on from the set-point in the image: the drive is there, and was told to stay at the next SYNC."""
-        self._within.stand_at([self.axis.set_point], [self._wanted])
+        self._within.stand_at([self.axis.set_points.position], [self._wanted])
         self._is_new = True
 
     def lose(self, cause: str) -> None:
@@ -330,9 +329,9 @@ class DirectDrive:
     async def stand_at_actual(self) -> float:
         """Return where the drive is, in the unit of its axis; its next set-point is checked as from there."""
         position = await self.master.run(read_int(self.axis.node, objects.POSITION_ACTUAL_VALUE))
-        self.axis.set_position_counts(position)
-        self._stand_at(self.axis.set_point)
-        return self.axis.from_counts(position)
+        self.axis.set_points.set_position_counts(position)
+        self._stand_at(self.axis.set_points.position)
+        return self.axis.scale.from_counts(position)
 
     def _stand_at(self, position: float) -> None:
         self._wanted = position
@@ -345,14 +344,14 @@ class DirectDrive:
 
         Raises ValueRangeError or SetPointRefused for one that the drive cannot hold, or that is beyond its limits.
         """
-        counts = position if self.in_counts else self.axis.to_counts(position)
+        counts = position if self.in_counts else self.axis.scale.to_counts(position)
         self.node.dictionary.variable(objects.INTERPOLATION_SET_POINT).encode(counts)
         interval = self.interval * MILLISECOND
         (since, start), (_, last) = self._taken[0], self._taken[-1]
         check_limits(self._device, last, position, interval)
         if abs(position - start) > abs(last - start):  # standing and coming back must always be possible
             check_limits(self._device, start, position, self.master.now() - since + interval)
-        return self.axis.from_counts(int(counts))
+        return self.axis.scale.from_counts(int(counts))
 
     def _on_sync(self, report: Event) -> None:
         if self._device.taken_over_by:  # by a command of the master's, past this drive

@@ -49,7 +49,7 @@ class _Motion:
     def __init__(self, drive: DirectDrive, speed: float, held: Callable[[], bool]) -> None:
         self._drive, self._speed, self._held = drive, speed, held
         self._period = drive.interval / 1000
-        start = PathPoint([drive.axis.set_point], [0.0], [0.0])
+        start = PathPoint([drive.axis.set_points.position], [0.0], [0.0])
         cycles = math.ceil(DEAD_MAN / self._period)
         self._stream = TargetStream(start, [drive.limits], self._period, renew_cycles=cycles)
         self.failure: Exception | None = None

@@ -46,7 +46,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, Message, ObjectDictionary
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis import read_position
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.nmt import NmtCommand
@@ -104,7 +104,7 @@ class Session:
         buses: Mapping[str, str] | None = None,
         sdo_timeout: float | None = None,
         dictionary: ObjectDictionary | None = None,
-        grip: Grip | None = DEFAULT_GRIP,
+        watchdog: Watchdog | None = DEFAULT_WATCHDOG,
         realtime: Realtime | bool | None = None,
     ) -> bool:
         """Open a bus: "/dev/pcan32", "socketcan:can0", "pcan:PCAN_USBBUS1@500k", "virtual:demo". This is the first command.
@@ -112,7 +112,7 @@ class Session:
         Returns False if it fails (`last_error` says why, and what to try), also while a connection is open. bus: the bus of the
         node-IDs. buses: more buses, by the names that a chain file gives them; a file's buses are opened by themselves if `bus`
         is one of them. sdo_timeout: seconds for one answer of a device, by default 0.5. dictionary: by default that of the data
-        files. grip: how drives notice that this program is gone, and stop; see `open_master`. realtime: what
+        files. watchdog: how drives notice that this program is gone, and stop; see `open_master`. realtime: what
         to ask the operating system for, for the master's thread; see there.
 
         machine: a machine file, in place of `bus`. Its chains are in `chain_map`. Wherever a function takes a node-ID, it also
@@ -126,7 +126,7 @@ class Session:
             self.chain_map.update({each.name: ChainCalls(self._connection, each, in_counts=False) for each in chains})
             first = bus or next(iter(self._machine.buses))
             return self._connection.open(
-                first, buses or {}, sdo_timeout, dictionary, grip, self._prepare, self._machine, realtime
+                first, buses or {}, sdo_timeout, dictionary, watchdog, self._prepare, self._machine, realtime
             )
         if not bus:
             raise LocalProtocolError('open_connection needs a bus ("/dev/pcan32"), or a machine file')
@@ -134,7 +134,7 @@ class Session:
         named = dict.fromkeys(joint.bus for chain in self._chains for joint in chain.joints)
         more = {name: name for name in named if name != bus} if bus in named else {}
         return self._connection.open(
-            bus, {**more, **(buses or {})}, sdo_timeout, dictionary, grip, self._prepare, realtime=realtime
+            bus, {**more, **(buses or {})}, sdo_timeout, dictionary, watchdog, self._prepare, realtime=realtime
         )
 
     def init_listener_thread(self) -> None:
@@ -220,7 +220,7 @@ class Session:
         Once the device has answered, returns the value read or written, with the names of the constants that it bears. Raises
         SdoTimeout, SdoRefused, SdoGivenUp (all SdoError), and the errors of wrong calls (see this module's text). A controlword
         that enables the drive may raise NodeIdTaken or NotHeldError (both ProcedureError), with nothing written: the drive must
-        watch over this program first; see `grip` of `open_connection`.
+        watch over this program first; see `watchdog` of `open_connection`.
         """
 
         async def transfer(master: Master) -> Message:
@@ -278,7 +278,7 @@ class Session:
         position: absolute, in millidegrees (the drive's counts). The rPDO also carries the controlword that was commanded last.
         Raises SetPointRefused, with nothing sent, for a position beyond the drive's limits (0x607D), or further from the last one
         than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises LocalProtocolError before
-        enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveFault in fault, NodeSilent if its
+        enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveInFault in fault, NodeSilent if its
         PDOs no longer come, else ProcedureError. The error names our own SYNC first if that was late. If the drive is a joint of
         a chain, the master's next cycle sends the set-point; raises ChainFault and ChainHalted as the chain does.
         """

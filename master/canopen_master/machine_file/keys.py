@@ -1,8 +1,8 @@
 """The keys of a machine file: KEYS has those of each table, with the values that each takes. The reader, the writer and the test
 of docs/machine.md go by it.
 
-Each field of a settings class (AxisSettings, ChainSettings, Grip) is a key of the same name, whose values follow from the type of
-the field: a time in ns is a text in the file ("500ms"), an enum its value, a DriveBit a table:
+Each field of a settings class (AxisSettings, ChainSettings, Watchdog) is a key of the same name. Its values follow from the type
+of the field: a time in ns is a text in the file ("500ms"), an enum its value, a DriveBit a table:
 `{ object = "60FD", bit = 31, value = 1 }`. A field that may be None may be left out. The class checks the ranges.
 """
 
@@ -140,7 +140,7 @@ KEYS: Final[dict[str, toml.Keys]] = {
         "cycle": _CYCLE,
         "timeout": _CYCLE,
         "heartbeat_timeout": DURATION,
-        "grip": toml.FALSE_OR_TABLE._replace(write=lambda grip: grip is not None and settings_table(grip)),
+        "watchdog": toml.FALSE_OR_TABLE._replace(write=lambda watchdog: watchdog is not None and settings_table(watchdog)),
         "realtime": toml.FALSE_OR_TABLE._replace(write=settings_table),
     },
     "network": keys_of(NetworkSettings),

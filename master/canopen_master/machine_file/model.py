@@ -10,8 +10,8 @@ from typing import Final
 
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.simulation.plant import DeviceEntry
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.manager.linking import Link
 from canopen_transports.realtime import Realtime
@@ -25,13 +25,13 @@ MAX_RESTORE: Final = 0x7F
 @dataclass(frozen=True, slots=True)
 class MasterEntry:
     """`[master]`. cycle: ns between two SYNCs, on all buses. timeout: ns for one answer of a device. heartbeat_timeout: ns after
-    which a node whose heartbeat stops is lost; 0 = no supervision. grip: None = none. realtime: what to ask the operating system
-    for; None = nothing."""
+    which a node whose heartbeat stops is lost; 0 = no supervision. watchdog: None = none. realtime: what to ask the operating
+    system for; None = nothing."""
 
     cycle: Time = 10 * MILLISECOND
     timeout: Time = 500 * MILLISECOND
     heartbeat_timeout: Time = 0
-    grip: Grip | None = DEFAULT_GRIP
+    watchdog: Watchdog | None = DEFAULT_WATCHDOG
     realtime: Realtime | None = None
 
 

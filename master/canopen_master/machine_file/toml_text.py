@@ -30,9 +30,9 @@ from canopen_master.machine_file.model import (
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.simulation.plant import device_of, device_table
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_proto.drives.axis.grip import Grip
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import DriveUnits, Unit
+from canopen_proto.drives.axis.watchdog import Watchdog
 from canopen_proto.machine import SECOND
 from canopen_transports import TransportError
 from canopen_transports.locator import bitrate_text, parse_locator
@@ -134,9 +134,12 @@ class _MachineReader:
     # ---- entries ----
 
     def _master(self) -> MasterEntry:
-        table = self._top.table("master", KEYS["master"])
+        keys = KEYS["master"]
+        table = self._top.table("master", {**keys, "grip": keys["watchdog"]})
+        if table.has("grip"):
+            table.error("this entry is named watchdog", "grip")
         values = table.take_all(("cycle", "timeout", "heartbeat_timeout"))
-        for key, settings in (("grip", Grip), ("realtime", Realtime)):
+        for key, settings in (("watchdog", Watchdog), ("realtime", Realtime)):
             given = table.take(key)
             if given is False:
                 values[key] = None

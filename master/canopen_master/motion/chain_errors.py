@@ -21,9 +21,10 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import JointFailed
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.drives.axis import DriveError, DriveFault, ReferenceLost
-from canopen_proto.drives.axis.grip import NotHeldError
+from canopen_proto.drives.axis import DriveError, DriveInFault, ReferenceLost
 from canopen_proto.drives.axis.reasons import Reason, outer_reason
+from canopen_proto.drives.axis.view import view_of
+from canopen_proto.drives.axis.watchdog import NotHeldError
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.steps import SdoFailed
 
@@ -34,7 +35,7 @@ FIND: Final = "find the cause"
 def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     """The error for a joint whose procedure failed in `operation`."""
     device, error = failed.device, failed.error
-    if isinstance(error, DriveFault):
+    if isinstance(error, DriveInFault):
         return joint_fault(chain, device, "is in fault", Reason(error.reason, FIND) if error.reason else None)
     if isinstance(error, ReferenceLost):
         return reference_lost(chain, operation, [device])
@@ -49,8 +50,8 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     elif isinstance(error, SdoFailed):
         code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
     elif isinstance(error, NotHeldError):
-        cause = "Grip.required says that no such drive is enabled"
-        tries = ("open_master(..., grip=Grip()) enables it all the same, and names it",)
+        cause = "Watchdog.required says that no such drive is enabled"
+        tries = ("open_master(..., watchdog=Watchdog()) enables it all the same, and names it",)
     failure = f"chain {chain} could not {operation}: {device.where}: {what}"
     return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 
@@ -105,7 +106,7 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
 
 def joint_fault(chain: str, device: Device, reason: str, cause: Reason | None = None) -> ChainFault:
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
-    view = device.last_look or device.axis.view()
+    view = device.last_look or view_of(device.axis)
     # It took positions until then, so it is no drive that takes none before it is homed
     found = cause or outer_reason(replace(view, is_homed=None))
     step = FIND if found is None or device.has_fault else found.remedy

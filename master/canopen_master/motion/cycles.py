@@ -273,7 +273,7 @@ class SetPoints:
         positions = within.next(self._next, share)
         if point is None:
             for axis, position in zip(self._axes, positions, strict=True):
-                axis.set_position_counts(axis.to_counts(position))
+                axis.set_points.set_position_counts(axis.scale.to_counts(position))
             return
         torques = point.torques or [0.0] * len(self.devices)
         velocities = point.velocities

@@ -16,7 +16,7 @@ from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.limits import limits_of
 from canopen_proto.drives.axis.motion_plan import MotionPlan
 from canopen_proto.drives.axis.occupancy import Occupant
-from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.drives.axis.view import DriveView, view_of
 from canopen_proto.drives.cia402.axes import axes_of
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
@@ -87,7 +87,7 @@ class Device:
     @property
     def desired_position(self) -> float:
         """The position that the next PDO commands."""
-        return self.axis.set_point
+        return self.axis.set_points.position
 
     @property
     def velocity(self) -> float | None:
@@ -100,7 +100,7 @@ class Device:
         if self.position is None or self._position is None or self._before is None:
             return None
         time, way = self._position[0] - self._before[0], self._position[1] - self._before[1]
-        return self.axis.way_from_counts(way) * SECOND / time
+        return self.axis.scale.way_from_counts(way) * SECOND / time
 
     @property
     def torque(self) -> float | None:
@@ -187,7 +187,7 @@ class Device:
 
     def describe(self) -> str:
         """State, statusword, error code and last emergency, in one line for people."""
-        text = self.axis.describe()
+        text = view_of(self.axis).describe()
         if self.emcy_time is not None:
             text += f" ({(self.node.now() - self.emcy_time) / SECOND:.3g} s ago)"
         return text

@@ -12,6 +12,7 @@ Source: IEC 61800-7-201 (CiA 402-2): cyclic synchronous position mode, interpola
 from __future__ import annotations
 
 from canopen_proto.drives.axis.axis import Axis
+from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.multiplexer import Mux
 
@@ -28,23 +29,23 @@ class FeedForward:
         """axis: its PDOs are defined already."""
         self._axis = axis
         self.takes_torque = is_carried(axis, objects.TORQUE_OFFSET)
-        self._takes_velocity = is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is not None
+        self._takes_velocity = is_carried(axis, objects.VELOCITY_OFFSET) and axis.scale.velocity_unit is not None
         self.torque = 0.0
         self._has_offsets = self._takes_velocity or self.takes_torque
 
     def put(self, position: float, velocity: float, torque: float = 0.0) -> None:
         """Set what the next RPDO takes along. Raises LocalProtocolError, ValueRangeError for values that do not fit."""
         self.torque = torque
-        self._axis.set_position(position, velocity)
+        self._axis.set_points.set_position(position, velocity)
         if self._has_offsets:
-            self._axis.set_offsets(velocity=velocity if self._takes_velocity else 0.0, torque=torque)
+            self._axis.set_points.set_offsets(velocity=velocity if self._takes_velocity else 0.0, torque=torque)
 
     def clear(self) -> None:
         """Feed nothing forward from now on."""
         if self._has_offsets:
-            self._axis.set_offsets()
+            self._axis.set_points.set_offsets()
 
 
 def is_carried(axis: Axis, mux: Mux) -> bool:
     """Return whether an RPDO that is exchanged with the drive carries an object."""
-    return bool(axis.rpdos_with((mux,)))
+    return bool(rpdos_with(axis.node, (mux,)))

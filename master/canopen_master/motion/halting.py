@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 
-from canopen_master.grip import Grips
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import awake, stop
 from canopen_master.node import Node
+from canopen_master.watchdog import Watchdogs
 from canopen_proto.drives.axis.halting import halt_first
 from canopen_proto.drives.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.drives.cia402.states import POWERED, Command, ControlBit, State, state_of
@@ -65,8 +65,8 @@ class Halt:
             self.problem = ""
 
 
-def halt_node(halts: Sequence[Halt], grips: Grips) -> Procedure[None]:
-    """Halt the drives of one node, all axes at once; let them go (grip.py) if all are then known to stand."""
+def halt_node(halts: Sequence[Halt], watchdogs: Watchdogs) -> Procedure[None]:
+    """Halt the drives of one node, all axes at once; let them go (watchdog.py) if all are then known to stand."""
     yield from all_of(*(halt.run() for halt in halts))
     if all(halt.is_confirmed for halt in halts):
-        yield from grips.let_go(halts[0].node)
+        yield from watchdogs.let_go(halts[0].node)

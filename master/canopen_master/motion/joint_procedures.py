@@ -17,12 +17,12 @@ from canopen_proto.drives.axis import (
     halt,
     learn_units,
     reset_fault,
-    select_standing_mode,
+    select_motionless_mode,
     shut_down,
     start_cyclic_position,
     start_interpolation,
 )
-from canopen_proto.drives.axis.following import UNCERTAIN, following_limit
+from canopen_proto.drives.axis.following_error import UNCERTAIN, following_limit
 from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.limits import Limit, read_limits
 from canopen_proto.drives.axis.motion_plan import exchange_planned, plan_motion, read_modes
@@ -200,7 +200,7 @@ def reset_and_enable(device: Device) -> Procedure[None]:
     """Halt the joint, which another program may have left running, and bring it into Operation enabled."""
     yield from halt(device.axis)
     yield from reset_fault(device.axis)
-    yield from select_standing_mode(device.axis)
+    yield from select_motionless_mode(device.axis)
     yield from enable(device.axis)
 
 
@@ -229,7 +229,7 @@ def follow(
     yield from halt(axis)
     device.limits = yield from read_limits(axis, mode)
     limit = yield from following_limit(axis, device.limits)
-    if is_carried(axis, objects.VELOCITY_OFFSET) and axis.velocity_unit is None:
+    if is_carried(axis, objects.VELOCITY_OFFSET) and axis.scale.velocity_unit is None:
         yield from learn_units(axis)  # see feed_forward.py
     acceleration = device.limits.acceleration
     ramps = 0.0 if acceleration is None else min(2 * device.limits.speed.value / acceleration.value, LONGEST_CATCH_UP)

@@ -70,7 +70,7 @@ def check_start(
         raise PathRefused(f"the path has {path.joints} joints, not {len(devices)}", seen=f"the joints are {names}")
     wanted = path.start.positions
     for device, each, here, there in zip(devices, limits, start.positions, wanted, strict=True):
-        rounding = device.axis.amount_from_counts(START_COUNTS)
+        rounding = device.axis.scale.amount_from_counts(START_COUNTS)
         step = min((each.acceleration or 0.0) * cycle_time * cycle_time, (each.speed or 0.0) * START_TIME)
         tolerance = max(rounding, step)
         if abs(there - here) > tolerance:

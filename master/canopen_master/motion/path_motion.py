@@ -27,7 +27,7 @@ from canopen_master.errors import PathRefused
 from canopen_master.motion.cycles import Source, SourcePoint
 from canopen_master.motion.device import Device
 from canopen_master.motion.target_motion import StreamGenerator
-from canopen_proto.drives.axis.following import LAG
+from canopen_proto.drives.axis.following_error import LAG
 from canopen_proto.drives.trajectory import PathPoint
 
 LONGEST_STOP: Final = 5.0

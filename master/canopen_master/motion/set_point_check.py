@@ -22,13 +22,13 @@ def check_set_point(device: Device, start: float, target: float, time: Time) -> 
     start: the set-point before. time: ns for the way from there to `target`.
     """
     axis = device.axis
-    if not axis.has_scale:
+    if not axis.scale.is_known:
         raise refused(device, target, "the joint has no scale: its unit is not known", NO_SCALE)
     if not math.isfinite(target):
         raise refused(device, target, "it is not a finite number")
     try:
-        counts = axis.to_counts(target)
-        axis.check_set_point(counts)
+        counts = axis.scale.to_counts(target)
+        axis.set_points.check(counts)
     except (LocalProtocolError, ValueRangeError) as error:
         raise refused(device, target, str(error)) from error
     check_limits(device, start, target, time)

@@ -23,10 +23,10 @@ from canopen_master.motion.joint_procedures import Followed
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis.axis import AxisStateChanged
-from canopen_proto.drives.axis.following import FollowingLost
+from canopen_proto.drives.axis.following import FollowingLost, read_unsent
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.drives.axis.slow_position import feed_targets
-from canopen_proto.drives.axis.unsent import read_unsent
+from canopen_proto.drives.axis.view import view_of
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.frame import NMT, SDO_CLIENT_TO_SERVER, SYNC
 from canopen_proto.guarding import NodeGuardingLost
@@ -145,6 +145,6 @@ def foreign_commands(device: Device, bus: Bus) -> str:
         time = bus.network.last_heard_of(key)
         if time is not None and now - time <= RECENT:
             heard.append(f"{what} {(now - time) / MILLISECOND:.0f} ms ago")
-    foreign = device.axis.view().foreign
+    foreign = view_of(device.axis).foreign
     named = [] if foreign is None else [str(foreign)]
     return "; ".join((*named, f"somebody else commands this bus: {', '.join(heard)}")) if heard else "".join(named)

@@ -158,17 +158,17 @@ class Draft:
         else:
             self.report.left_out(value, "a chain needs SYNC: the cycle is that of [master], 10 ms by default")
 
-    def take_grip_node(self, value: Value, node_id: int) -> None:
+    def take_watchdog_node(self, value: Value, node_id: int) -> None:
         """Take over the node-ID of the master's heartbeat, by which drives notice that it is gone."""
-        self.master.setdefault("grip", {})["node_id"] = node_id
-        self.report.taken(value, f"grip.node_id = {node_id} in [master]")
+        self.master.setdefault("watchdog", {})["node_id"] = node_id
+        self.report.taken(value, f"watchdog.node_id = {node_id} in [master]")
 
-    def take_grip_period(self, value: Value, milliseconds: int) -> None:
+    def take_watchdog_period(self, value: Value, milliseconds: int) -> None:
         """Take over the time between two heartbeats of the master."""
-        grip = self.master.setdefault("grip", {})
-        grip["period"] = duration_text(milliseconds * MILLISECOND)
-        grip["timeout"] = duration_text(max(500, 5 * milliseconds) * MILLISECOND)
-        self.report.taken(value, f'grip.period = "{grip["period"]}", grip.timeout = "{grip["timeout"]}" in [master]')
+        watchdog = self.master.setdefault("watchdog", {})
+        period, timeout = duration_text(milliseconds * MILLISECOND), duration_text(max(500, 5 * milliseconds) * MILLISECOND)
+        watchdog["period"], watchdog["timeout"] = period, timeout
+        self.report.taken(value, f'watchdog.period = "{period}", watchdog.timeout = "{timeout}" in [master]')
 
     def take_scale(
         self, joint: dict[str, Any], values: Sequence[Value], make: Callable[[], JointKeys], note: str = ""

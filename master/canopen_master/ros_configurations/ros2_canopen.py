@@ -114,15 +114,15 @@ def _take_master(master: YamlSection, draft: Draft) -> None:
     if (node_id := master.take("node_id")) is not None:
         number = node_id.integer(1, 255)
         if number <= 127:
-            draft.take_grip_node(node_id, number)
+            draft.take_watchdog_node(node_id, number)
         else:
             report.left_out(node_id, f"{number} is no node-ID: 1..127")
     if (period := master.take("heartbeat_producer")) is not None:
         ms = period.integer(0, 30_000)
         if ms:
-            draft.take_grip_period(period, ms)
+            draft.take_watchdog_period(period, ms)
         else:
-            report.left_out(period, "drives are always held by a heartbeat of the master; grip = false in [master] ends that")
+            report.left_out(period, "drives are always held by a heartbeat of the master; watchdog = false in [master] ends that")
     if (sync := master.take("sync_period")) is not None:
         draft.take_cycle(sync, sync.integer(0, 60_000_000) * MICROSECOND)
     master.into(draft.bus, "baudrate", lambda value: f"{value.integer(1, 1000)}k", "bitrate", " of the bus")
@@ -177,7 +177,7 @@ def _take_node(name: str, value: Value, node: YamlSection, draft: Draft, folder:
             "diagnostics": "diagnostics are always there: at each change, and each second",
             "sdo_timeout_ms": "timeout of [master], 500 ms by default",
             "configuration_file": "the settings of a node are in its DCF",
-            "heartbeat_consumer": "a drive watches the master's heartbeat: see grip in [master]",
+            "heartbeat_consumer": "a drive watches the master's heartbeat: see watchdog in [master]",
         }
     )
 

@@ -133,14 +133,14 @@ def _take_heartbeat(heartbeat: YamlSection, draft: Draft) -> None:
         found = _CANSEND.fullmatch(message.string().strip())
         node_id = int(found[1], 16) if found is not None else 0
         if 1 <= node_id <= 127:
-            draft.take_grip_node(message, node_id)
+            draft.take_watchdog_node(message, node_id)
         else:
             report.left_out(message, "this is not the heartbeat of an operational node (7xx#05)")
     if rate is not None:
         hertz = rate.number()
         period = 1000 / hertz if hertz > 0 else None
         if period is not None and period.denominator == 1 and 1 <= period <= 30_000:
-            draft.take_grip_period(rate, int(period))
+            draft.take_watchdog_period(rate, int(period))
         else:
             report.left_out(rate, f"a heartbeat comes each whole number of ms, and {rate} in a second do not")
     heartbeat.close()

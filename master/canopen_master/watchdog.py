@@ -1,14 +1,14 @@
-"""`Grips`: the dead man's grip of a master. Each drive that the master enables watches over it, and stops when it falls silent.
+"""`Watchdogs`: the watchdog of a master. Each drive that the master enables watches over it, and stops when it falls silent.
 
 Every command that enables a drive goes through `hold` first: a chain, a procedure of the
-core with a Device's axis (`Axis.grip`), the blocking API, a controlword that is written by hand (`Node.write`, `write_bytes`,
+core with a Device's axis (`Axis.watchdog`), the blocking API, a controlword that is written by hand (`Node.write`, `write_bytes`,
 `write_stream`). An RPDO or an MPDO that can enable a drive (`Node.enable_rpdo`, `Node.send_mpdo`), and a write of the core
 (`node.remote.write`), cannot wait: the master takes hold of the drive beside them. On the bus of that drive the master then
 
 - checks that no other node has its node-ID: it listens for two periods at least;
 - sends its heartbeat from then on (`OwnHeartbeat`), and not before: a program that only reads must not keep the drives of a dead
   master alive;
-- has the drive watch it (drives/axis/grip.py), and waits for the next heartbeat, with which the drive begins to watch: drives
+- has the drive watch it (drives/axis/watchdog.py), and waits for the next heartbeat, with which the drive begins to watch: drives
   that are enabled together wait for the same one. A drive that boots forgets that; it is taken hold of again when it is enabled.
 
 `let_go` restores the objects that `hold` changed, when the drive is shut down, or when the master is left and the drive stands or
@@ -16,9 +16,9 @@ was disabled by hand. The heartbeat ends with the last drive of its bus. A drive
 watching: the heartbeat ends with the master, and the drive stops by itself.
 
 **Reports.** A drive that will not stop by itself is reported once: by an event `NotHeld` and by a warning of the logger
-`canopen_master`, which Python shows on stderr unless logging is configured, and so does the command line. `Grip.required` makes
-it an error. The logger also reports a foreign heartbeat with our node-ID (`ForeignHeartbeat`), and objects that could not be
-restored.
+`canopen_master`, which Python shows on stderr unless logging is configured, and so does the command line. `Watchdog.required`
+makes it an error. The logger also reports a foreign heartbeat with our node-ID (`ForeignHeartbeat`), and objects that could not
+be restored.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant
 from canopen_master.participant.peer import Peer
 from canopen_master.plain_text import clean
-from canopen_proto.drives.axis.grip import Grip, Hold, not_held, release, take_hold
+from canopen_proto.drives.axis.watchdog import Hold, Watchdog, not_held, release, take_hold
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
@@ -61,10 +61,10 @@ class NodeIdTaken(ProcedureError):
     """Another node has the node-ID under which the master would send its heartbeat; nothing was enabled."""
 
 
-class Grips:
-    """The grips of one master, on all its buses; see this module's text. settings: None if drives shall not watch over it."""
+class Watchdogs:
+    """The watchdogs of one master, on all its buses; see this module's text. settings: None if drives shall not watch over it."""
 
-    def __init__(self, participant: Participant, settings: Grip | None) -> None:
+    def __init__(self, participant: Participant, settings: Watchdog | None) -> None:
         self._participant = participant
         self.settings = settings
         self._opened_at = participant.now()
@@ -83,7 +83,7 @@ class Grips:
         """Have the drive on an axis of a node watch over this master. If it should do so already, its objects are read once more:
         its boot-up may have been lost. Ends with the next heartbeat, within one period after that.
 
-        A drive that does not answer counts as one that cannot watch. Raises NodeIdTaken; NotHeldError as `Grip.required` says.
+        A drive that does not answer counts as one that cannot watch. Raises NodeIdTaken; NotHeldError as `required` says.
         """
         settings = self.settings
         if settings is None:
@@ -172,7 +172,7 @@ class Grips:
             node.remote.add_listener(on_boot=hold.forget)  # called before a procedure can enable the drive again
         return hold
 
-    def _check_node_id(self, bus: Bus, settings: Grip) -> Procedure[None]:
+    def _check_node_id(self, bus: Bus, settings: Watchdog) -> Procedure[None]:
         """Raise NodeIdTaken if another node has our node-ID."""
         yield from sleep(max(0, self._opened_at + PERIODS_HEARD * settings.period - (yield from current_time())))
         node_id, heard = settings.node_id, bus.network.heard(settings.node_id)
@@ -182,7 +182,7 @@ class Grips:
         raise NodeIdTaken(
             f"this master cannot send its heartbeat as node {node_id} on {bus.name}, so no drive was enabled: "
             f"another node {node_id} was heard {age:.2g} s ago ({heard.service.value}). "
-            "Try: another node-ID for the master, by --master-id or open_master(..., grip=Grip(node_id=...))"
+            "Try: another node-ID for the master, by --master-id or open_master(..., watchdog=Watchdog(node_id=...))"
         )
 
     def _on_foreign(self, bus: Bus) -> None:
@@ -214,16 +214,16 @@ def _next_beat(heartbeat: OwnHeartbeat) -> Procedure[None]:
         yield from sleep(max(due - (yield from current_time()), MILLISECOND))
 
 
-class NodeGrip:
-    """The grip of one drive, as its Axis uses it; see canopen_proto.drives.axis.axis.AxisGrip."""
+class NodeWatchdog:
+    """The watchdog of one drive, as its Axis uses it; see canopen_proto.drives.axis.axis.AxisWatchdog."""
 
-    def __init__(self, grips: Grips, node: Peer, axis: int) -> None:
-        self._grips = grips
+    def __init__(self, watchdogs: Watchdogs, node: Peer, axis: int) -> None:
+        self._watchdogs = watchdogs
         self._node = node
         self._axis = axis
 
     def hold(self) -> Procedure[None]:
-        return self._grips.hold(self._node, self._axis)
+        return self._watchdogs.hold(self._node, self._axis)
 
     def let_go(self) -> Procedure[None]:
-        return self._grips.let_go(self._node, self._axis)
+        return self._watchdogs.let_go(self._node, self._axis)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip, Hold, take_hold
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Hold, Watchdog, take_hold
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.heartbeat import OwnHeartbeat
 from canopen_proto.machine import MILLISECOND, SECOND, Time
@@ -35,7 +35,7 @@ class World:
         device.attach(self.node)
         self.master = self.bus.attach(Network())
         self.remote = RemoteNode(self.master.out, NODE, self.node.dictionary)
-        self.heartbeat = OwnHeartbeat(self.master.out, DEFAULT_GRIP.node_id)
+        self.heartbeat = OwnHeartbeat(self.master.out, DEFAULT_WATCHDOG.node_id)
         for machine in (self.remote, self.heartbeat):
             self.master.attach(machine)
         self.hold = Hold(self.remote)
@@ -56,9 +56,9 @@ class World:
         if isinstance(ended[0], ProcedureFailed):
             raise ended[0].error
 
-    def take_hold(self, grip: Grip = DEFAULT_GRIP) -> str:
-        self.heartbeat.start(grip.period, self.bus.now)
-        self.run(take_hold(self.hold, grip))
+    def take_hold(self, watchdog: Watchdog = DEFAULT_WATCHDOG) -> str:
+        self.heartbeat.start(watchdog.period, self.bus.now)
+        self.run(take_hold(self.hold, watchdog))
         self.bus.run(self.heartbeat.deadline - self.bus.now)
         return self.hold.gap
 

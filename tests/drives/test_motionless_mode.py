@@ -38,7 +38,7 @@ def test_power_moves_nothing(modes: tuple[Mode, ...], selected: Mode) -> None:
     rig.run(write(rig.remote, "0x607A", 90_000))  # what another program has left
     rig.run(write(rig.remote, "0x60B0", 5_000))
     rig.start_sync()
-    rig.run(drive.select_standing_mode(rig.axis))
+    rig.run(drive.select_motionless_mode(rig.axis))
     assert rig.axis.mode == selected
     rig.run(drive.enable(rig.axis))
     rig.bus.run(SECOND)
@@ -49,5 +49,5 @@ def test_power_moves_nothing(modes: tuple[Mode, ...], selected: Mode) -> None:
 def test_a_drive_in_which_power_may_always_move_something() -> None:
     rig = rig_with(Mode.PROFILE_VELOCITY, Mode.TORQUE)
     with pytest.raises(drive.ModeUnsupported, match=r"accepts neither .* nor cyclic synchronous position \(csp\)"):
-        rig.run(drive.select_standing_mode(rig.axis))
+        rig.run(drive.select_motionless_mode(rig.axis))
     assert rig.drive.state is State.SWITCH_ON_DISABLED

@@ -1,4 +1,4 @@
-"""The dead man's grip: a drive that watches over its master stops when it is gone; let go, it has what it had before."""
+"""The watchdog: a drive that watches over its master stops when it is gone; let go, it has what it had before."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from canopen_data.descriptions import load_description
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip, NotHeldError, release
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, NotHeldError, Watchdog, release
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
@@ -23,7 +23,7 @@ from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.sdo.server import Pending
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import Shape
-from tests.drives.grip_world import World, without
+from tests.drives.watchdog_world import World, without
 from tests.examples import examples
 from tests.vendor_files import needs_vendor_files, path_of
 
@@ -45,7 +45,7 @@ def test_a_drive_whose_master_dies_stands_within_the_timeout_and_its_ramp(mode: 
     assert (world.store[CONSUMERS], world.store[REACTION]) == (ENTRY, 3)
     world.move(mode)
     world.kill_master()
-    assert world.time_to_stand(5 * SECOND) <= DEFAULT_GRIP.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND
+    assert world.time_to_stand(5 * SECOND) <= DEFAULT_WATCHDOG.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND
     assert world.node.drive.state is State.SWITCH_ON_DISABLED
 
 
@@ -71,7 +71,7 @@ def test_whatever_was_there_is_there_again_after_release(entries: list[int], rea
     world.put(REACTION, reaction)
     before = dict(world.store)
     others = {key: entry for key, entry in before.items() if key >> 8 == 0x1016 and key & 0xFF and entry_of_others(entry)}
-    gap = world.take_hold(Grip(abort_connection=wanted))
+    gap = world.take_hold(Watchdog(abort_connection=wanted))
     assert (gap == "") is (len(others) < 4)
     assert world.store[REACTION] == wanted
     assert {key: world.store[key] for key in others} == others
@@ -128,8 +128,8 @@ def test_without_heartbeat_consumers_it_is_guarded() -> None:
     world.bus.run(30 * SECOND)
     assert world.speed() == 20_000
     world.kill_master()
-    assert world.time_to_stand(5 * SECOND) <= DEFAULT_GRIP.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND
-    world.heartbeat.start(DEFAULT_GRIP.period, world.bus.now)
+    assert world.time_to_stand(5 * SECOND) <= DEFAULT_WATCHDOG.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND
+    world.heartbeat.start(DEFAULT_WATCHDOG.period, world.bus.now)
     world.run(release(world.hold))
     assert (world.store[mux(0x1017)], world.store[mux(0x100C)], world.store[mux(0x100D)]) == (200, 0, 0)
 
@@ -149,9 +149,9 @@ def test_a_drive_that_does_not_answer_guarding_has_its_heartbeat_again() -> None
 @given(period=st.integers(1, 5_000), more=st.integers(0, 60_000))
 def test_a_life_time_is_never_longer_than_the_timeout_nor_its_factor_below_3(period: int, more: int) -> None:
     timeout = min(2 * period + more, 65_535)
-    grip = Grip(period=period * MILLISECOND, timeout=timeout * MILLISECOND)
+    watchdog = Watchdog(period=period * MILLISECOND, timeout=timeout * MILLISECOND)
     world = World(without(0x1016, more=(0x100C, 0x100D)))
-    gap = world.take_hold(grip)
+    gap = world.take_hold(watchdog)
     guard_time, factor = world.store[mux(0x100C)], world.store[mux(0x100D)]
     assert isinstance(guard_time, int)
     assert isinstance(factor, int)
@@ -178,7 +178,7 @@ def test_what_a_drive_lacks_is_told_and_only_an_error_where_asked_for(missing: t
     assert World(without(*missing)).take_hold() == gap
     world = World(without(*missing))
     with pytest.raises(NotHeldError, match="would not stop by itself"):
-        world.take_hold(Grip(required=True))
+        world.take_hold(Watchdog(required=True))
     assert not world.hold.is_taken
 
 
@@ -224,7 +224,7 @@ def test_a_drive_that_does_not_answer_fails() -> None:
 )  # fmt: skip
 def test_settings_that_cannot_be(values: dict[str, int]) -> None:
     with pytest.raises(LocalProtocolError):
-        Grip(**values)  # type: ignore[arg-type]
+        Watchdog(**values)  # type: ignore[arg-type]
 
 
 # ---- the files of real drives ----
@@ -265,7 +265,7 @@ def test_drives_made_of_files(name: str) -> None:
         world.move(1)
         world.kill_master()
         time = world.time_to_stand(5 * SECOND)
-        assert (time <= DEFAULT_GRIP.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND) is (gap == "")
+        assert (time <= DEFAULT_WATCHDOG.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND) is (gap == "")
     world.kill_master()
     world.bus.run(SECOND)
     assert any("#3081" in line for line in world.bus.trace()) is notices

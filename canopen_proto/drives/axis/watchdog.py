@@ -1,4 +1,4 @@
-"""The dead man's grip for one drive: the drive watches its master, and stops by itself if the master falls silent.
+"""The watchdog for one drive: the drive watches its master, and stops by itself if the master falls silent.
 
 `take_hold` sets two things in a drive before it is enabled. It writes by SDO to the objects of the standard, whatever the node's
 dictionary says. Each object is read first, and read back after the write.
@@ -19,7 +19,7 @@ lost. A held drive that shows an old value again has booted unheard, and is take
 Guarding that already runs was started elsewhere: its times are written to the drive, and the guarding stays as it is.
 
 `Hold.gap` says why a drive will not stop by itself: it lacks these objects, refuses a write, or shows another value when it is
-read back. This is no failure, unless `Grip.required` is set.
+read back. This is no failure, unless `Watchdog.required` is set.
 
 Source: CiA 301 v4.2.0, 7.5.2.19 (0x1016), 7.5.2.11 and 7.5.2.12 (guarding), 7.2.8.3.2; IEC 61800-7-201 (0x6007).
 """
@@ -56,7 +56,7 @@ MAX_CONSUMER_TIME: Final = 0xFFFF * MILLISECOND
 
 
 @dataclass(frozen=True, slots=True)
-class Grip:
+class Watchdog:
     """The settings by which drives notice that their master is gone.
 
     node_id: 1..127, the master sends its heartbeat with it; no other node of the bus may have it. period: ns between two
@@ -86,11 +86,11 @@ class Grip:
         return self.node_id << 16 | self.timeout // MILLISECOND
 
 
-DEFAULT_GRIP: Final = Grip()
+DEFAULT_WATCHDOG: Final = Watchdog()
 
 
 class NotHeldError(ProcedureError):
-    """A drive will not stop by itself if its master is gone, although `Grip.required` demands it."""
+    """A drive will not stop by itself if its master is gone, although `Watchdog.required` demands it."""
 
 
 class Hold:
@@ -126,20 +126,20 @@ class _Gap(Exception):
     """The drive cannot be held, and why; never leaves this module."""
 
 
-def take_hold(hold: Hold, grip: Grip) -> Procedure[None]:
+def take_hold(hold: Hold, watchdog: Watchdog) -> Procedure[None]:
     """Make the drive stop by itself if the master's heartbeat (or its guarding) stays away. See this module's text.
 
     If the drive cannot, `hold.gap` says why. Raises SdoFailed if the drive does not answer; NotHeldError if it cannot, and
-    `grip.required` is set.
+    `watchdog.required` is set.
     """
     gaps = []
     for make in (_watch_master, _set_reaction):
         try:
-            yield from make(hold, grip)
+            yield from make(hold, watchdog)
         except _Gap as gap:
             gaps.append(str(gap))
     hold.gap = "; ".join(gaps)
-    hold.is_taken = not (hold.gap and grip.required)
+    hold.is_taken = not (hold.gap and watchdog.required)
     if not hold.is_taken:
         raise not_held(hold)
 
@@ -159,18 +159,18 @@ def release(hold: Hold) -> Procedure[None]:
     hold.forget()
 
 
-def _watch_master(hold: Hold, grip: Grip) -> Procedure[None]:
+def _watch_master(hold: Hold, watchdog: Watchdog) -> Procedure[None]:
     """Make the drive watch the master by its heartbeat, else by its guarding."""
     try:
-        yield from _consume_heartbeat(hold, grip)
+        yield from _consume_heartbeat(hold, watchdog)
     except _Gap as no_heartbeat:
         try:
-            yield from _be_guarded(hold, grip)
+            yield from _be_guarded(hold, watchdog)
         except _Gap as no_guarding:
             raise _Gap(f"{no_heartbeat}, and {no_guarding}") from None
 
 
-def _consume_heartbeat(hold: Hold, grip: Grip) -> Procedure[None]:
+def _consume_heartbeat(hold: Hold, watchdog: Watchdog) -> Procedure[None]:
     count = yield from _read(hold, indices.CONSUMER_HEARTBEAT_TIME, 0)
     place, others = 0, []
     for subindex in range(1, (count & 0xFF) + 1):
@@ -178,23 +178,23 @@ def _consume_heartbeat(hold: Hold, grip: Grip) -> Procedure[None]:
         node_id = entry >> 16 & 0xFF
         if not entry & 0xFFFF or not 1 <= node_id <= MAX_NODE_ID:
             place = place or subindex
-        elif node_id == grip.node_id:
+        elif node_id == watchdog.node_id:
             place = subindex
-            if entry == grip.entry:  # left by a master that died
+            if entry == watchdog.entry:  # left by a master that died
                 hold.before.setdefault((indices.CONSUMER_HEARTBEAT_TIME, subindex), bytes(4))
             break
         else:
             others.append(str(node_id))
     if not place:
         raise _Gap(f"all entries of 0x1016 are in use (node {', '.join(others)})" if others else "0x1016 has no entries")
-    yield from _set(hold, indices.CONSUMER_HEARTBEAT_TIME, place, grip.entry, 4)
+    yield from _set(hold, indices.CONSUMER_HEARTBEAT_TIME, place, watchdog.entry, 4)
 
 
-def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
+def _be_guarded(hold: Hold, watchdog: Watchdog) -> Procedure[None]:
     """Set up life guarding: the drive watches for the master's requests. If that fails, write back what was changed for it."""
     node, kept = hold.node, len(hold.before)
-    factor = min(max(MIN_LIFE_TIME_FACTOR, -(-grip.timeout // grip.period)), MAX_LIFE_TIME_FACTOR)
-    guard_time = max(1, grip.timeout // factor // MILLISECOND)
+    factor = min(max(MIN_LIFE_TIME_FACTOR, -(-watchdog.timeout // watchdog.period)), MAX_LIFE_TIME_FACTOR)
+    guard_time = max(1, watchdog.timeout // factor // MILLISECOND)
     is_guarded = bool(node.guarding.guard_time) and not hold.guards
     if is_guarded:  # guarding was started elsewhere
         guard_time, factor = -(-node.guarding.guard_time // MILLISECOND), MIN_LIFE_TIME_FACTOR
@@ -208,7 +208,7 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
         if not (hold.guards or is_guarded):
             yield from act(lambda now: node.start_guarding(guard_time * MILLISECOND, factor, now))
             hold.guards = True
-        patience = max(grip.timeout, 2 * node.guarding.guard_time)
+        patience = max(watchdog.timeout, 2 * node.guarding.guard_time)
         answer = yield Wait(patience, node, lambda each: isinstance(each, GuardingAnswered) and each.node_id == node.node_id)
         if answer is None:
             raise _Gap("it does not answer guarding (some adapters send no remote frames)")
@@ -218,9 +218,9 @@ def _be_guarded(hold: Hold, grip: Grip) -> Procedure[None]:
         raise
 
 
-def _set_reaction(hold: Hold, grip: Grip) -> Procedure[None]:
+def _set_reaction(hold: Hold, watchdog: Watchdog) -> Procedure[None]:
     for axis in sorted(hold.axes):
-        yield from _set(hold, index_of(swapped(mux(ABORT_CONNECTION), axis)), 0, grip.abort_connection, 2)
+        yield from _set(hold, index_of(swapped(mux(ABORT_CONNECTION), axis)), 0, watchdog.abort_connection, 2)
 
 
 def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Procedure[None]:

@@ -1,4 +1,4 @@
-"""The dead man's grip of a master: whatever it was doing when it died, its drives stand soon; nobody else keeps them alive."""
+"""The watchdog of a master: whatever it was doing when it died, its drives stand soon; nobody else keeps them alive."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import trio
 
 from canopen_master import (
     ChainError,
-    Grip,
     HaltNotConfirmed,
     Host,
     MasterError,
     NodeIdTaken,
     NotHeld,
+    Watchdog,
     open_master,
     powerballs,
     simulate,
     standard_drives,
 )
-from canopen_master.grip import LOGGER
+from canopen_master.watchdog import LOGGER
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis.grip import DEFAULT_GRIP, NotHeldError
+from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, NotHeldError
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
@@ -72,7 +72,7 @@ async def test_a_drive_whose_master_dies_stands_within_the_timeout_and_its_ramp(
             assert abs(value(node, objects.VELOCITY_DEMAND_VALUE)) >= SPEED
             assert (value(node, CONSUMERS), value(node, REACTION)) == (ENTRY, 3)
             cable.copies = lambda frame, is_sent: 0  # kill -9
-            limit = trio.current_time() + DEFAULT_GRIP.timeout / SECOND + QUICK_STOP_SECONDS + 0.02
+            limit = trio.current_time() + DEFAULT_WATCHDOG.timeout / SECOND + QUICK_STOP_SECONDS + 0.02
             while trio.current_time() < limit:
                 if sync_goes_on:
                     await other.send(Frame(0x080, b""))
@@ -200,7 +200,7 @@ async def test_there_is_one_heartbeat_in_each_period_however_many_drives_are_ena
     times = [at for at, is_sent, frame in cable.log if is_sent and frame.can_id == 0x77F]
     gaps = [later - earlier for earlier, later in pairwise(times)]
     assert len(gaps) >= 5
-    assert gaps == pytest.approx([DEFAULT_GRIP.period / SECOND] * len(gaps), abs=0.002)
+    assert gaps == pytest.approx([DEFAULT_WATCHDOG.period / SECOND] * len(gaps), abs=0.002)
 
 
 @virtual_time
@@ -223,10 +223,10 @@ async def test_a_drive_that_boots_while_it_is_taken_hold_of_is_enabled_only_when
 
 
 @virtual_time
-async def test_without_a_grip_nothing_is_sent_or_written() -> None:
+async def test_without_a_watchdog_nothing_is_sent_or_written() -> None:
     async with one_drive() as (_, node):
         cable = Link()
-        async with open_master(cable, grip=None) as master:
+        async with open_master(cable, watchdog=None) as master:
             await master.run(drive.enable(master.device(master.node(NODE)).axis))
             assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 0)
         assert heartbeats(cable) == []
@@ -253,7 +253,7 @@ async def test_a_foreign_heartbeat_with_our_node_id_is_an_error_before_anything_
                 await arm_of(master, 3, 4).initialise()
             assert {node.drive.state for node in drives(host)} == {State.SWITCH_ON_DISABLED}
             assert {value(node, CONSUMERS) for node in drives(host)} == {0}
-        async with open_master(BUS, grip=Grip(node_id=126)) as master:
+        async with open_master(BUS, watchdog=Watchdog(node_id=126)) as master:
             await arm_of(master, 3, 4).initialise()
             assert {value(node, CONSUMERS) for node in drives(host)} == {126 << 16 | 500}
         nursery.cancel_scope.cancel()
@@ -334,13 +334,13 @@ async def test_drives_that_will_not_stop_by_themselves_are_told_once_by_name(cap
 
 @virtual_time
 async def test_a_master_may_insist_on_it() -> None:
-    async with simulated(makers=powerballs(3)) as host, open_master(BUS, grip=Grip(required=True)) as master:
+    async with simulated(makers=powerballs(3)) as host, open_master(BUS, watchdog=Watchdog(required=True)) as master:
         for _ in range(2):
             with pytest.raises(NotHeldError, match=r"drive 3 would not stop by itself .* no 0x6007"):
                 await master.run(drive.enable(master.device(master.node(3)).axis))
         with pytest.raises(ChainError, match=r"no 0x6007") as caught:
             await arm_of(master, 3).initialise()
-        assert caught.value.tries == ("open_master(..., grip=Grip()) enables it all the same, and names it",)
+        assert caught.value.tries == ("open_master(..., watchdog=Watchdog()) enables it all the same, and names it",)
         assert drives(host)[0].drive.state is State.SWITCH_ON_DISABLED
 
 

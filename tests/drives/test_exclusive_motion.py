@@ -25,7 +25,7 @@ Make = Callable[[Axis], Procedure[Any]]
 
 MOTIONS: dict[str, Make] = {
     "move_to": lambda axis: drive.move_to(axis, FAR, timeout=60 * SECOND),
-    "move_along": lambda axis: drive.move_along(axis, [drive.Target(FAR)], timeout=60 * SECOND),
+    "move_along": lambda axis: drive.move_along(axis, [drive.ProfileTarget(FAR)], timeout=60 * SECOND),
     "home": drive.home,
     "run_at": lambda axis: drive.run_at(axis, 0.1),
     "apply_torque": lambda axis: drive.apply_torque(axis, 0.01, 60 * SECOND, max_speed=100.0),
@@ -34,7 +34,7 @@ OTHERS: dict[str, Make] = {
     **MOTIONS,
     "set_mode": lambda axis: drive.set_mode(axis, 3),
     "enable": drive.enable,
-    "select_standing_mode": drive.select_standing_mode,
+    "select_motionless_mode": drive.select_motionless_mode,
     "start_interpolation": lambda axis: drive.start_interpolation(axis, CYCLE, sends_itself=True),
     "start_cyclic_position": lambda axis: drive.start_cyclic_position(axis, CYCLE, sends_itself=True),
     "start_slow_position": start_slow_position,
