@@ -27,11 +27,11 @@ from canopen_cli.lss.support import (
     windowed,
 )
 from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, node_id_of
-from canopen_cli.shared.overlays import read_text
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.questions import Questions, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_data.named_files import read_text
 from canopen_proto.lss.assign import (
     NOBODY_AGREED,
     Assignment,

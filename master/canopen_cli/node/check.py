@@ -15,7 +15,6 @@ from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER, CASES
 from canopen_cli.bus.nmt import confirm
 from canopen_cli.node.check_report import CaseRun, Report, list_cases, write_junit
-from canopen_cli.shared.eds_files import open_description
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings, common
@@ -23,6 +22,7 @@ from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import Session, open_session, read_dictionary
+from canopen_data.named_files import open_description
 from canopen_master.errors import MasterError, SdoRefused
 from canopen_master.simulation.fleet import drive_maker
 from canopen_proto import indices

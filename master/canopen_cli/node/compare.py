@@ -121,7 +121,7 @@ def compare(
     canopen compare 5 before.dcf
     canopen compare before.dcf after.dcf --only changed --tolerance 1%
     """
-    from canopen_cli.shared.eds_files import open_description
+    from canopen_data.named_files import open_description
 
     screen = settings.screen()
     live = settings.node_id(left) if settings.is_node(left) else None

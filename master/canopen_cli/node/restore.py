@@ -116,8 +116,8 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
 
     disturbed: also of a backup that another SDO client has disturbed; else that is a Problem too.
     """
-    from canopen_cli.shared.eds_files import open_description
     from canopen_data.backup_file import disturbance_of
+    from canopen_data.named_files import open_description
 
     description = open_description(path, encoding).description
     named = description.node_id

@@ -7,28 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Final
 
-from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.screen import Screen
+from canopen_data.named_files import read_text
 from canopen_data.overlay import lay_over
 from canopen_proto.dictionary import ObjectDictionary
-
-MAX_FILE_SIZE: Final = 16 * 1024 * 1024
-"""Bytes, as for all data files. A larger file is not one of ours."""
-
-
-def read_text(path: Path) -> str:
-    """Read a text file that the user names. Raises Problem."""
-    try:
-        if path.stat().st_size > MAX_FILE_SIZE:
-            raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} has more than {MAX_FILE_SIZE} bytes", cause="it is another file")
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO330", f"{path} is not UTF-8 text", seen=str(error)) from None
-    except OSError as error:
-        failed = f"cannot read {path}: {error.strerror or error}"
-        raise Problem(ExitCode.BAD_FILE, "CO330", failed, tries=("check the path",)) from None
 
 
 def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen) -> ObjectDictionary:
@@ -36,7 +19,7 @@ def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen)
 
     With -v, names without an object are told.
 
-    Raises Problem if a file cannot be read, DictionaryError for its faults.
+    Raises UnusableFile if a file cannot be read, DictionaryError for its faults.
     """
     for path in paths:
         dictionary, findings = lay_over(dictionary, read_text(Path(path)), path)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import click
 
 from canopen_cli.shared.options import NodeIds, Settings
-from canopen_cli.shared.overlays import overlaid, read_text
+from canopen_cli.shared.overlays import overlaid
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_data import load_dictionary
@@ -20,6 +20,7 @@ from canopen_data.describing import identified
 from canopen_data.description import DeviceDescription
 from canopen_data.device_notices import notices_of
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
+from canopen_data.named_files import read_text
 from canopen_data.toml_file import parse_toml
 from canopen_master.machine_file import MachineFile
 from canopen_master.simulation.fleet import SERIAL, drive_maker, with_serial
@@ -177,8 +178,9 @@ def _with_own_serial(entry: DeviceEntry, description: DeviceDescription, number:
 
 
 def _load(entry: DeviceEntry, names: ObjectDictionary, screen: Screen) -> DeviceDescription:
-    from canopen_cli.shared.eds_files import open_description, tell_faults
+    from canopen_cli.shared.eds_files import tell_faults
     from canopen_data.descriptions import with_names  # the readers are imported only if there is a file
+    from canopen_data.named_files import open_description
 
     file = open_description(entry.file, entry.encoding)
     tell_faults(screen, file)
