@@ -43,10 +43,12 @@ CHANNEL_TAKEN: Final = "CO208"
 """Another program of ours uses the node's SDO channel."""
 NOT_HEARD: Final = "CO210"
 """A node did not boot, or did not send the frame that was waited for."""
+SIMULATED_DEVICE: Final = "CO127"
 CHAIN_FILE: Final = "CO320"
 BAD_SET_POINT: Final = "CO321"
 UNKNOWN_CHAIN: Final = "CO322"
 PLAN_REFUSED: Final = "CO323"
+NOT_A_DRIVE: Final = "CO332"
 CHAIN_FAILED: Final = "CO401"
 CHAIN_FAULT: Final = "CO402"
 CHAIN_HALTED: Final = "CO403"
@@ -62,6 +64,21 @@ class MasterError(Explained, Exception):
 
 class RealtimeRefused(MasterError):
     """The operating system does not give what `Realtime(required=True)` asks for; the master was not opened."""
+
+
+class DeviceRefused(MasterError, ValueError):
+    """A simulated device cannot be made as its entry says: its node-ID is not known, or another one has it; a value does not
+    fit."""
+
+    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(SIMULATED_DEVICE, failed, seen=seen, tries=tries)
+
+
+class NotADrive(MasterError, ValueError):
+    """A file describes no drive by CiA 402 that could move."""
+
+    def __init__(self, failed: str, *tries: str) -> None:
+        super().__init__(NOT_A_DRIVE, failed, tries=tries)
 
 
 class BusError(MasterError):

@@ -12,12 +12,15 @@ from canopen_cli.demo.plan import CHAINS, Plan
 from canopen_cli.demo.run import Demonstration
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.plot.cycles import check_plot, write_plot
+from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import Duration, Fault, FiniteRange, Settings, common, enabling
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
-from canopen_cli.simulation.drive_files import drive_files, drives_of
+from canopen_data import load_dictionary
+from canopen_master.simulated_machine import drives_of_machine
+from canopen_master.simulation.drive_files import drive_of
 from canopen_proto.drives.axis.grip import DEFAULT_GRIP
 from canopen_proto.machine import MILLISECOND, Time
 
@@ -115,8 +118,9 @@ def demo(
     if defaults and not settings.eds and machine is None:
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()
-    files = drive_files(settings.eds, defaults, screen, settings.encoding)
-    drives = {} if machine is None else drives_of(machine, defaults)
+    described = read_device_files(settings.eds, load_dictionary()[0], screen, settings.encoding) if settings.eds else {}
+    files = {node_id: drive_of(each, defaults=defaults) for node_id, each in described.items()}
+    drives = {} if machine is None else drives_of_machine(machine, defaults=defaults)
     scale = None if counts_per_degree is None else math.degrees(counts_per_degree)  # per radian
     grip = DEFAULT_GRIP if machine is None and settings.master_id is None else settings.grip  # not that of CANOPEN_MACHINE
     timeout = settings.timeout if settings.timeout is not None or machine is None else machine.master.timeout

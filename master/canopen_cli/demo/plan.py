@@ -8,10 +8,10 @@ from typing import Final
 
 from canopen_cli.demo.path import MAX_SPEED
 from canopen_cli.shared.problem import usage
-from canopen_cli.simulation.drive_files import DriveFile
 from canopen_master.assembly import described
 from canopen_master.machine_file import MachineFile
 from canopen_master.motion.chain_file import ChainDescription, JointDescription, read_chains
+from canopen_master.simulation.drive_files import DriveFile
 from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.drives.axis.units import Unit

@@ -9,13 +9,14 @@ from functools import partial
 
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import usage
-from canopen_cli.simulation.drive_files import DriveFile, drives_of
 from canopen_master.machine_file import MachineFile, NodeEntry, machine_of_chains
 from canopen_master.master import Master
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_file import read_chains
 from canopen_master.motion.moving import Moving, together
 from canopen_master.session import open_master
+from canopen_master.simulated_machine import drives_of_machine
+from canopen_master.simulation.drive_files import DriveFile
 from canopen_master.simulation.fleet import drive_maker, simulated_fleet
 from canopen_master.simulation.host import DeviceMaker
 from canopen_proto.drives.axis.grip import DEFAULT_GRIP
@@ -111,7 +112,7 @@ def choose_chains(settings: Settings, *names: str) -> ChosenChains:
             raise usage("CO322", f"{machine.source} has no chain {name!r}", seen=f"its chains are: {known}")
     if is_simulated:
         buses = {bus: f"virtual:demo{number or ''}" for number, bus in enumerate(machine.buses)}
-        return ChosenChains(machine, chosen, buses, True, drives_of(machine, False))
+        return ChosenChains(machine, chosen, buses, True, drives_of_machine(machine))
     if settings.bus is None or settings.bus in machine.buses:
         return ChosenChains(machine, chosen)
     used = {machine.nodes[machine.joints[joint].node].bus for name in chosen for joint in machine.chains[name].joints}
