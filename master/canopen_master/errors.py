@@ -56,6 +56,7 @@ CHAIN_NOT_READY: Final = "CO404"
 MODE_UNSUPPORTED: Final = "CO405"
 HOMING_FAILED: Final = "CO406"
 PROCEDURE_FAILED: Final = "CO407"
+NODE_IS_NO_DRIVE: Final = "CO408"
 
 
 class MasterError(Explained, Exception):
@@ -116,6 +117,15 @@ class NodeError(MasterError):
 
 class NodeSilent(NodeError, TimeoutError):
     """A node did not boot in time, or did not send an expected frame in time."""
+
+
+class NodeIsNoDrive(NodeError):
+    """A node has no statusword of CiA 402, or none of the axis that was meant. statusword: its index there."""
+
+    def __init__(self, node_id: int, axis: int, statusword: int) -> None:
+        what = f"has no axis {axis}" if axis else "is no drive by CiA 402"
+        failed = f"node {node_id} (0x{node_id:02X}) {what}: it has no statusword (0x{statusword:04X})"
+        super().__init__(NODE_IS_NO_DRIVE, node_id, "", failed, tries=(f"canopen info {node_id}    what it is",))
 
 
 class SdoError(NodeError):

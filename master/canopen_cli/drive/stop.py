@@ -15,18 +15,12 @@ from typing import Final, NamedTuple
 
 import click
 
-from canopen_cli.drive.session import (
-    AXIS,
-    axis_of_command,
-    command_drive,
-    look_at_drive,
-    run_on_node,
-    show_drive,
-)
+from canopen_cli.drive.session import AXIS, axis_of_command, command_drive, run_on_node, show_drive
 from canopen_cli.shared.options import Settings, commanding, common
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import Session
+from canopen_master.motion.single_drive import look_at_drive
 from canopen_master.node import Node
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
