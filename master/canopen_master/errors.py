@@ -43,6 +43,7 @@ CHANNEL_TAKEN: Final = "CO208"
 """Another program of ours uses the node's SDO channel."""
 NOT_HEARD: Final = "CO210"
 """A node did not boot, or did not send the frame that was waited for."""
+DEMONSTRATION_REFUSED: Final = "CO123"
 SIMULATED_DEVICE: Final = "CO127"
 CHAIN_FILE: Final = "CO320"
 BAD_SET_POINT: Final = "CO321"
@@ -73,6 +74,13 @@ class DeviceRefused(MasterError, ValueError):
 
     def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
         super().__init__(SIMULATED_DEVICE, failed, seen=seen, tries=tries)
+
+
+class DemonstrationRefused(MasterError, ValueError):
+    """A demonstration cannot be shown with these joints: one has no scale, or does not turn."""
+
+    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(DEMONSTRATION_REFUSED, failed, seen=seen, tries=tries)
 
 
 class NotADrive(MasterError, ValueError):

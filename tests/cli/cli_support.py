@@ -14,11 +14,11 @@ import trio
 from trio.testing import MockClock
 
 from canopen_cli.app import main
-from canopen_cli.demo import run as demonstration
 from canopen_cli.live import source as live_source
 from canopen_cli.motion import chain_session
 from canopen_cli.shared import session
 from canopen_cli.simulation import sim
+from canopen_master.demonstration import run as demonstration
 from canopen_master.simulation.fleet import DEMO_LOCATOR, Fleet, simulated_devices, simulated_fleet
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.machine import SECOND, Outbox

@@ -16,10 +16,10 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_cli.demo import run as demonstration
 from canopen_cli.plot.cycles import write_plot
-from canopen_cli.plot.recording import Recording
 from canopen_cli.shared.problem import ExitCode
+from canopen_master.demonstration import run as demonstration
+from canopen_master.demonstration.recording import Recording
 from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_master.simulation.fleet import Fleet, simulated_fleet

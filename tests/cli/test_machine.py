@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from canopen_cli.demo import run as demonstration
 from canopen_cli.shared import session
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_master import ChainState, Master
+from canopen_master.demonstration import run as demonstration
 from canopen_master.machine_file import parse_machine
 from canopen_master.simulation.fleet import simulated_fleet
 from canopen_proto.simulation.drive.settings import Shape

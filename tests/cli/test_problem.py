@@ -93,6 +93,7 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (RecordError("CO344", "cannot read the recording x"), ExitCode.BAD_FILE, "CO344"),
         (UnusableFile("x.eds describes no object", "CO301"), ExitCode.BAD_FILE, "CO301"),
         (errors.DeviceRefused("which node-ID is x.eds to have?"), ExitCode.USAGE, "CO127"),
+        (errors.DemonstrationRefused("joint1 cannot swing by an angle"), ExitCode.USAGE, "CO123"),
         (errors.NodeIsNoDrive(5, 0, 0x6041), ExitCode.SDO_ABORT, "CO408"),
         (errors.NotADrive("x.eds is no drive"), ExitCode.BAD_FILE, "CO332"),
         (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),

@@ -1,4 +1,4 @@
-"""`canopen demo`: a six-joint arm boots, homes itself and follows a smooth path. demonstration.py does it."""
+"""`canopen demo`: a six-joint arm boots, homes itself and follows a smooth path. run.py shows it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.demo.plan import CHAINS, Plan
-from canopen_cli.demo.run import Demonstration
+from canopen_cli.demo.run import ShownDemonstration
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.plot.cycles import check_plot, write_plot
 from canopen_cli.shared.device_files import read_device_files
@@ -19,6 +18,7 @@ from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
 from canopen_data import load_dictionary
+from canopen_master.demonstration.task import CHAINS, DemonstrationTask
 from canopen_master.simulated_machine import drives_of_machine
 from canopen_master.simulation.drive_files import drive_of
 from canopen_proto.drives.axis.grip import DEFAULT_GRIP
@@ -125,14 +125,15 @@ def demo(
     grip = DEFAULT_GRIP if machine is None and settings.master_id is None else settings.grip  # not that of CANOPEN_MACHINE
     timeout = settings.timeout if settings.timeout is not None or machine is None else machine.master.timeout
     arm = chains or CHAINS
-    plan = Plan(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, grip, machine, drives)
-    demonstration = Demonstration(screen, plan, partial(recorded, settings, screen, path=record))
+    task = DemonstrationTask(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, grip, machine, drives)
+    shown = ShownDemonstration(screen, task, partial(recorded, settings, screen, path=record))
+    demonstration = shown.demonstration
     try:
-        run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
-        return demonstration.show_result()
+        run(settings, screen, shown.run, story=lambda _: demonstration.story())
+        return shown.show_result()
     finally:  # also after a breakdown
         if plot is not None and demonstration.recording.times:
-            write_plot(plot, demonstration.recording, *demonstration.titles())
+            write_plot(plot, demonstration.recording, *shown.titles())
             screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")
 
 

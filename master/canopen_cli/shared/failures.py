@@ -80,6 +80,7 @@ def _of_expected(error: BaseException) -> Problem | None:
             | errors.PlanRefused()
             | errors.PackageMissing()
             | errors.DeviceRefused()
+            | errors.DemonstrationRefused()
         ):
             return _spoken(error, ExitCode.USAGE)
         case errors.RealtimeRefused():
@@ -151,6 +152,8 @@ _OF_PYTHON = {
     "180_000 / math.pi for millidegrees on the wire": "or its unit",
     "math.inf": "inf",
     'profile = "none"': "--profile none",
+    "DemonstrationTask.scale = math.degrees(1000)": "--counts-per-degree 1000",
+    "DemonstrationTask.chain = ": "--chain ",
 }
 
 
