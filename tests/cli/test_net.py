@@ -91,7 +91,7 @@ TRACE = ("--trace", "trace.log", "--force")
 
 def without(monkeypatch: pytest.MonkeyPatch, *node_ids: int) -> None:
     """Let simulated devices be away: they are not made."""
-    made = net_support.devices_on
+    made = net_support.devices_of_machine
 
     def fewer(*arguments: Any) -> dict[str, tuple[str, list[DeviceMaker]]]:
         from canopen_proto.machine import Outbox
@@ -101,7 +101,7 @@ def without(monkeypatch: pytest.MonkeyPatch, *node_ids: int) -> None:
             for bus, (locator, makers) in made(*arguments).items()
         }
 
-    monkeypatch.setattr(net_support, "devices_on", fewer)
+    monkeypatch.setattr(net_support, "devices_of_machine", fewer)
 
 
 @pytest.fixture
@@ -266,7 +266,7 @@ def test_a_node_with_another_program_gets_the_right_one(run: Run, monkeypatch: p
     memory, image = ProgramMemory(), bytes(range(200))
     Path("new.bin").write_bytes(image)
     loader = partial(BootLoader, node_id=5, settings=BootLoaderSettings(trial=True), memory=memory)
-    monkeypatch.setattr(net_support, "devices_on", lambda *arguments: {"can0": ("virtual:demo", [loader])})
+    monkeypatch.setattr(net_support, "devices_of_machine", lambda *arguments: {"can0": ("virtual:demo", [loader])})
     boot = f"boot = {{ mandatory = true, software = {crc32(image)}, program = 'new.bin', confirm_program = true }}"
     Path("cell.toml").write_text(f"[buses.can0]\n[nodes.a]\nid = 5\n{boot}\n")
     assert "a may get another program" in run("net", "boot", "cell.toml", *DEMO).err
