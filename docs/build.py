@@ -38,7 +38,7 @@ from canopen_cli.live.top_view import picture as draw_top
 from canopen_cli.live.watch_view import Around
 from canopen_cli.live.watch_view import picture as draw_watch
 from canopen_cli.live.watched import Watched
-from canopen_cli.plot.courses import courses_of_record
+from canopen_cli.plot.curves import curves_of_record
 from canopen_cli.plot.motion import write_motion_plot
 from canopen_data import load_dictionary
 from canopen_data.configured import configure
@@ -291,9 +291,9 @@ def draw_arm(path: Path) -> str:
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / f"{ARM_EXAMPLE}.csv"
         run_on_arms(arm_examples()[ARM_EXAMPLE], recording)
-        courses = courses_of_record(read_record(recording))
-    write_motion_plot(path, courses)
-    return ", ".join(f"{each.name} up to {max(map(abs, each.actual)):.1f} {each.unit}" for each in courses.joints)
+        curves = curves_of_record(read_record(recording))
+    write_motion_plot(path, curves)
+    return ", ".join(f"{each.name} up to {max(map(abs, each.actual)):.1f} {each.unit}" for each in curves.joints)
 
 
 FAULT: Final = "5@3.0"

@@ -1,7 +1,7 @@
 """Commission a new drive: from the box to the first move, in the order of docs/first-move.md. `canopen drive NODE commission`
 asks a person between the steps; a program decides them itself.
 
-    work = Commissioning(master, master.node(5))
+    work = DriveCommissioning(master, master.node(5))
     await work.look()
     units = await work.read_units()
     work.set_unit(Unit.DEGREE, units.counts_per(Unit.DEGREE))
@@ -62,7 +62,7 @@ class HomingMethods(NamedTuple):
     own: int | None
 
 
-class Commissioning:
+class DriveCommissioning:
     """One drive on its way. settings: of its joint, as they go into a machine file. done: what was done so far, for people.
 
     Each step raises what its procedure raises (ProcedureError); a move before `set_limits` is a LocalProtocolError.

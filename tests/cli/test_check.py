@@ -14,7 +14,7 @@ import pytest
 import trio
 
 from canopen_check.catalogue import CASES
-from canopen_cli.node.check_report import Report, write_junit
+from canopen_cli.node.check_report import CheckReport, write_junit
 from canopen_cli.shared import session
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_data.describing import describe
@@ -314,7 +314,7 @@ def test_junit(run: Run, world: World) -> None:
 def test_a_report_that_cannot_be_written_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("report.xml").mkdir()
     with pytest.raises(Problem, match="cannot write"):
-        write_junit("report.xml", Report(5, 0))
+        write_junit("report.xml", CheckReport(5, 0))
 
 
 # ---- how it may end ----

@@ -15,7 +15,7 @@ from trio.testing import MockClock
 from canopen_cli.motion import jog
 from canopen_cli.shared import terminal_keys
 from canopen_cli.shared.problem import ExitCode
-from canopen_cli.shared.terminal_keys import END, LEFT, RIGHT, Keys
+from canopen_cli.shared.terminal_keys import END, LEFT, RIGHT, TerminalKeys
 from canopen_master import read_record
 from canopen_master.simulation.fleet import Fleet
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
@@ -140,7 +140,7 @@ def test_keys_that_waited_count_once() -> None:
         return left.pop(0)
 
     async def test() -> None:
-        keys = Keys(read)
+        keys = TerminalKeys(read)
         assert [await keys.next() for _ in range(4)] == [RIGHT, LEFT, END, END]
 
     trio.run(test, clock=MockClock(autojump_threshold=0))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from canopen_cli.plot.courses import Course, Courses, accelerations, courses_of_record, velocities
+from canopen_cli.plot.curves import JointCurves, MotionCurves, accelerations, curves_of_record, velocities
 from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.problem import ExitCode
 from canopen_master import read_record
@@ -134,10 +134,10 @@ def test_a_skipped_period_is_a_longer_step_and_not_a_faster_one(tmp_path: Path) 
     rows = "".join(f"{n},{n / 10},{int(n == 4)},{n}\n" for n in (0, 1, 2, 4, 5))
     file = tmp_path / "run.csv"
     file.write_text(f"# canopen recording\n# {head}\ncycle,time,skipped,j.set_point\n{rows}")
-    courses = courses_of_record(read_record(file))
-    (joint,) = courses.joints
+    curves = curves_of_record(read_record(file))
+    (joint,) = curves.joints
     assert joint.velocities[1:-1] == pytest.approx([10.0] * 3)
-    assert list(courses.late) == [0.4]
+    assert list(curves.late) == [0.4]
 
 
 def test_what_a_skipped_cycle_made_is_marked_in_each_row(tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_what_a_skipped_cycle_made_is_marked_in_each_row(tmp_path: Path) -> None
     sizes = []
     for late in ([], [0.5]):
         file = tmp_path / "run.svg"
-        write_motion_plot(file, Courses("a", "", times, [Course("j", "turn", times, times, times)], late))
+        write_motion_plot(file, MotionCurves("a", "", times, [JointCurves("j", "turn", times, times, times)], late))
         text = file.read_text(encoding="utf-8")
         assert text.count("late or skipped cycle") == len(late)
         sizes.append(text.count("#ba2525"))
@@ -154,8 +154,10 @@ def test_what_a_skipped_cycle_made_is_marked_in_each_row(tmp_path: Path) -> None
 
 def test_many_joints_of_several_units_fit_on_a_picture(tmp_path: Path) -> None:
     times = [0.0, 0.5, 1.0]
-    joints = [Course(f"joint{number}", ("degree", "millimetre", "")[number % 3], times, times, times) for number in range(24)]
-    write_motion_plot(tmp_path / "path.svg", Courses("24 joints", "as planned", times, joints))
+    joints = [
+        JointCurves(f"joint{number}", ("degree", "millimetre", "")[number % 3], times, times, times) for number in range(24)
+    ]
+    write_motion_plot(tmp_path / "path.svg", MotionCurves("24 joints", "as planned", times, joints))
     text = (tmp_path / "path.svg").read_text(encoding="utf-8")
     assert "joint23" in text
     assert "following error" not in text

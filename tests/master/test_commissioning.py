@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_master.commissioning import Commissioning, commissioned_machine
+from canopen_master.commissioning import DriveCommissioning, commissioned_machine
 from canopen_master.errors import NodeIsNoDrive
 from canopen_master.machine_file import machine_text, parse_machine
 from canopen_master.session import open_master
@@ -31,7 +31,7 @@ def has_no_power(fleet: Fleet) -> bool:
 async def test_from_the_box_to_the_first_move() -> None:
     async with simulated_devices(fleet_of()) as fleet, open_master(BUS) as master:  # type: ignore[arg-type]
         own = fleet.drives[3].values[objects.PROFILE_VELOCITY]
-        work = Commissioning(master, master.node(3))
+        work = DriveCommissioning(master, master.node(3))
         await work.look()
         await work.read_units()
         work.set_unit(Unit.DEGREE, 1000)
@@ -60,7 +60,7 @@ async def test_from_the_box_to_the_first_move() -> None:
 @virtual_time
 async def test_a_move_before_the_limits_are_set_is_refused() -> None:
     async with simulated_devices(fleet_of()) as fleet, open_master(BUS) as master:  # type: ignore[arg-type]
-        work = Commissioning(master, master.node(3))
+        work = DriveCommissioning(master, master.node(3))
         await work.look()
         with pytest.raises(LocalProtocolError, match="set_limits"):
             await work.small_move(5)
@@ -73,7 +73,7 @@ async def test_a_node_that_is_no_drive() -> None:
     devices = {BUS: models_of([DeviceEntry("sample_io.eds", (3,))])}
     async with simulated_devices(devices), open_master(BUS) as master:
         with pytest.raises(NodeIsNoDrive) as caught:
-            await Commissioning(master, master.node(3)).look()
+            await DriveCommissioning(master, master.node(3)).look()
     assert str(caught.value).startswith("CO408: node 3 (0x03) is no drive by CiA 402: it has no statusword (0x6041)")
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import trio
 
-from canopen_cli.motion.view import DemoView, JointView, Step
+from canopen_cli.motion.view import DemoView, JointView, ViewStep
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import all_stand
@@ -48,7 +48,7 @@ class ShownDemonstration:
         _check_fault(task)
         self.demonstration = Demonstration(task, self._tell, self._around)
         self._view: DemoView | None = None
-        self._step: Step | None = None
+        self._step: ViewStep | None = None
         self._refresh = max(1, round(REFRESH * SECOND / task.cycle))
         """Cycles between two redraws."""
 
@@ -107,39 +107,39 @@ class ShownDemonstration:
 
     def _tell(self, event: DemonstrationEvent) -> None:
         match event:
-            case events.Booting(devices=devices):
+            case events.BootBegun(devices=devices):
                 assert self._view is not None
                 self._view.joints = [JointView(device.name, device.node.node_id) for device in devices]
                 self._begin("boot", "NMT, PDOs, fault reset, enable")
-            case events.Booted(count=count, seconds=seconds, modes=modes):
+            case events.JointsEnabled(count=count, seconds=seconds, modes=modes):
                 self._done(f"{counted(count, 'drive')} in operation enabled after {seconds:.2f} s")
                 for text, names in modes.items():
                     self._begin("mode", "")
                     self._done(f"{text} ({counted(len(names), 'joint')}: {', '.join(names)})")
             case events.MovesSoon(seconds=seconds):
                 self._begin("wait", f"the arm is going to move in {seconds:g} s; Ctrl-C stops it")
-            case events.Homing():
+            case events.HomingBegun():
                 if self._step is not None:
                     self._done("the arm moves now; Ctrl-C stops it")
                 self._begin("home", "the joints look for their reference")
-            case events.Homed(count=count, without=without, seconds=seconds):
+            case events.HomingDone(count=count, without=without, seconds=seconds):
                 told = f"{counted(count, 'joint')} homed after {seconds:.2f} s"
                 self._done(told + (f"; {counted(without, 'joint')} without homing" if without else ""))
-            case events.Swinging():
+            case events.SwingCycle():
                 self._tell_cycle(event)
-            case events.Swung(cycles=cycles):
+            case events.SwingDone(cycles=cycles):
                 missed = "none missed or skipped"
                 if cycles.late_share:
                     missed = f"{cycles.missed} missed, {cycles.skipped} skipped: {_percent(cycles.late_share)} late"
                 path = f"{self.task.seconds:g} s along a smooth path"
                 self._done(f"{path}, {cycles.sent} SYNC cycles of {_ms(self.task.cycle)}, {missed}")
-            case events.MovingByPlan():
+            case events.PlannedMoveBegun():
                 self._begin("plan", "out and back, within the limits of all joints")
-            case events.MovedByPlan(seconds=seconds, was_cut=was_cut):
+            case events.PlannedMoveDone(seconds=seconds, was_cut=was_cut):
                 how = "stopped on the path: this computer is too busy" if was_cut else "all joints arrived together"
                 self._done(f"out and back within {seconds:.2f} s, {how}")
 
-    def _tell_cycle(self, cycle: events.Swinging) -> None:
+    def _tell_cycle(self, cycle: events.SwingCycle) -> None:
         if self._step is None:
             self._begin("move", "", 0.0)
             return

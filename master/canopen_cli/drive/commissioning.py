@@ -1,4 +1,4 @@
-"""The dialogue of `canopen drive NODE commission`: what is shown and asked between the steps of `Commissioning`.
+"""The dialogue of `canopen drive NODE commission`: what is shown and asked between the steps of `DriveCommissioning`.
 
 Nothing has power while a question waits.
 """
@@ -12,8 +12,8 @@ from canopen_cli.shared.options import Settings
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.questions import Questions
 from canopen_cli.shared.screen import Screen, escape
-from canopen_cli.shared.session import Session
-from canopen_master.commissioning import SMALL_MOVES, Commissioning
+from canopen_cli.shared.session import BusSession
+from canopen_master.commissioning import SMALL_MOVES, DriveCommissioning
 from canopen_proto.drives.axis.reasons import reasons
 from canopen_proto.drives.axis.settings import AxisSettings, HomingStyle
 from canopen_proto.drives.axis.units import COUNTS, Unit
@@ -26,13 +26,13 @@ class CommissioningDialogue:
     """One run. work: the steps, with their results. is_confirmed: the small move went as it should."""
 
     def __init__(
-        self, settings: Settings, screen: Screen, questions: Questions, session: Session, node_id: int, done: list[str]
+        self, settings: Settings, screen: Screen, questions: Questions, session: BusSession, node_id: int, done: list[str]
     ) -> None:
         self.settings, self.screen, self.questions = settings, screen, questions
         self.session = session
         self.node = session.node(node_id)
         joint = session.files.settings.joint(node_id)
-        self.work = Commissioning(session.master, self.node, AxisSettings() if joint is None else joint.settings, done)
+        self.work = DriveCommissioning(session.master, self.node, AxisSettings() if joint is None else joint.settings, done)
         self.is_confirmed = False
 
     async def run(self, dcf: str) -> None:

@@ -44,7 +44,7 @@ _FIRST_AXIS: Final = ("commission",)
 _AXIS: Final = "axis_number"
 
 
-class _Node(DriveId):
+class _NodeBeforeCommand(DriveId):
     """A node-ID or a name before a command: an exchange of the two is noticed."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -77,7 +77,7 @@ class _Drives(LazyGroup):
 
 
 @click.group(cls=_Drives, table=COMMANDS)
-@click.argument("node_id", metavar="NODE", type=_Node())
+@click.argument("node_id", metavar="NODE", type=_NodeBeforeCommand())
 @click.pass_context
 def drive(ctx: click.Context, node_id: int | str) -> None:
     """One drive (CiA 402): what it shows, why it does not move, what its numbers mean.

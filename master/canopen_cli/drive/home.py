@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from canopen_cli.drive.home_many import METHOD, Homing, OnBus, home_nodes, homing_options, list_methods
+from canopen_cli.drive.home_many import METHOD, DrivesOnBus, HomingChoice, home_nodes, homing_options, list_methods
 from canopen_cli.drive.session import axis_of_command, node_of_command
 from canopen_cli.shared.options import Settings
 from canopen_proto.machine import Time
@@ -23,4 +23,4 @@ def home(settings: Settings, method: int | None, style: str, limit: Time | None,
     if lists:
         list_methods(settings, node_ids, axis_of_command(settings))
     else:
-        home_nodes([OnBus(settings, node_ids, axis_of_command(settings))], Homing(style, method, limit, reset_fault))
+        home_nodes([DrivesOnBus(settings, node_ids, axis_of_command(settings))], HomingChoice(style, method, limit, reset_fault))

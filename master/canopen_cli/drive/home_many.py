@@ -17,7 +17,7 @@ from canopen_cli.shared.problem import usage
 from canopen_cli.shared.rehearsal import rehearse
 from canopen_cli.shared.running import all_stand, run
 from canopen_cli.shared.screen import escape, node_text
-from canopen_cli.shared.session import Session, open_session
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_master.motion.joint_procedures import awake
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis, AxisSettings, HomingStyle
@@ -36,7 +36,7 @@ METHOD: Final = click.IntRange(-128, 127)
 STYLES: Final = {"auto": None, "standard": HomingStyle.STANDARD, "schunk": HomingStyle.SCHUNK}
 
 
-class Homing(NamedTuple):
+class HomingChoice(NamedTuple):
     """How to home, as the command line says."""
 
     style: str
@@ -88,10 +88,10 @@ def home(
     elif not names:
         raise usage("CO001", "no NODE was named", tries=("canopen home 3", "canopen home --list    the homing methods"))
     else:
-        home_nodes(_by_bus(settings, names), Homing(style, method, limit, reset_fault))
+        home_nodes(_by_bus(settings, names), HomingChoice(style, method, limit, reset_fault))
 
 
-class OnBus(NamedTuple):
+class DrivesOnBus(NamedTuple):
     """The drives to home on one bus, and the options of a command that is about this bus. axis: of each node."""
 
     settings: Settings
@@ -99,22 +99,22 @@ class OnBus(NamedTuple):
     axis: int = 0
 
 
-def _by_bus(settings: Settings, names: Sequence[str]) -> list[OnBus]:
+def _by_bus(settings: Settings, names: Sequence[str]) -> list[DrivesOnBus]:
     """Return the drives that these node-IDs and names mean, by their buses. Raises a Problem."""
     machine = settings.machine_file()
     nodes = [None if machine is None or NUMBER.fullmatch(each) else machine.node_of(each.strip()) for each in names]
     buses = {node.bus for node in nodes if node is not None}
     if len(buses) < 2 or None in nodes:  # a node-ID is on the one bus of the command
-        return [OnBus(settings, tuple(dict.fromkeys(settings.node_id(each) for each in names)))]
+        return [DrivesOnBus(settings, tuple(dict.fromkeys(settings.node_id(each) for each in names)))]
     found: dict[str, tuple[Settings, dict[int, None]]] = {}
     for name, node in zip(names, nodes, strict=True):
         assert node is not None
         own, node_ids = found.setdefault(node.bus, (replace(settings, chosen=ChosenMachine()), {}))
         node_ids[own.node_id(name)] = None
-    return [OnBus(own, tuple(node_ids)) for own, node_ids in found.values()]
+    return [DrivesOnBus(own, tuple(node_ids)) for own, node_ids in found.values()]
 
 
-def home_nodes(groups: Sequence[OnBus], homing: Homing) -> None:
+def home_nodes(groups: Sequence[DrivesOnBus], homing: HomingChoice) -> None:
     """Home drives side by side, and show how they stand then. A failure is raised with a note of what was done."""
     if homing.style == "schunk" and homing.method is not None:
         raise usage("CO125", "a method is for drives that home as CiA 402 says", tries=("the same without the method",))
@@ -123,13 +123,13 @@ def home_nodes(groups: Sequence[OnBus], homing: Homing) -> None:
     for each in groups:
         each.settings.required_bus()
 
-    def procedure(session: Session, axes: dict[int, Axis], group: OnBus) -> Procedure[list[None]]:
+    def procedure(session: BusSession, axes: dict[int, Axis], group: DrivesOnBus) -> Procedure[list[None]]:
         return all_of(*(_home(session, axes, node_id, homing, group.axis) for node_id in group.node_ids))
 
     if settings.dry_run:
         for group in groups:
 
-            async def work(session: Session, group: OnBus = group) -> None:
+            async def work(session: BusSession, group: DrivesOnBus = group) -> None:
                 axes: dict[int, Axis] = {}
                 await session.master.run(procedure(session, axes, group))
                 await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
@@ -139,7 +139,7 @@ def home_nodes(groups: Sequence[OnBus], homing: Homing) -> None:
     found: list[dict[int, Axis]] = [{} for _ in groups]
     chosen = [node_id for group in groups for node_id in group.node_ids]
 
-    async def on_bus(group: OnBus, axes: dict[int, Axis]) -> None:
+    async def on_bus(group: DrivesOnBus, axes: dict[int, Axis]) -> None:
         async with open_session(group.settings, screen) as session:
             await session.master.run(procedure(session, axes, group))
             await session.master.run(all_of(*(drive.shut_down(axis) for axis in axes.values())))
@@ -233,7 +233,7 @@ def list_methods(settings: Settings, node_ids: Sequence[int], axis: int = 0) -> 
         screen.say(f"{node_text(node_id)} does not tell its methods (0x60E3): its manual does")
 
 
-def _home(session: Session, axes: dict[int, Axis], node_id: int, homing: Homing, number: int) -> Procedure[None]:
+def _home(session: BusSession, axes: dict[int, Axis], node_id: int, homing: HomingChoice, number: int) -> Procedure[None]:
     style, method, limit, reset_fault = homing
     node = session.node(node_id, number)
     yield from awake(node)
@@ -258,7 +258,7 @@ def _home(session: Session, axes: dict[int, Axis], node_id: int, homing: Homing,
     yield from drive.read_position(axis)
 
 
-async def _watch(view: DemoView, groups: Sequence[OnBus], found: Sequence[dict[int, Axis]]) -> None:
+async def _watch(view: DemoView, groups: Sequence[DrivesOnBus], found: Sequence[dict[int, Axis]]) -> None:
     """Keep the picture up to date."""
     places = [(axes, node_id) for group, axes in zip(groups, found, strict=True) for node_id in group.node_ids]
     while True:

@@ -13,7 +13,7 @@ from canopen_cli.shared.options import DriveId, Settings
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.running import Story, run
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.session import Session, open_session
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_master.motion.joint_procedures import awake
 from canopen_master.motion.single_drive import look_at_drive
 from canopen_master.node import Node
@@ -37,7 +37,7 @@ Scale: TypeAlias = Callable[[AxisNode], Procedure[float]]
 
 
 def run_on_node(
-    settings: Settings, screen: Screen, procedure: Callable[[Session, Node], Procedure[T]], story: Story = lambda confirmed: []
+    settings: Settings, screen: Screen, procedure: Callable[[BusSession, Node], Procedure[T]], story: Story = lambda confirmed: []
 ) -> T:
     """Run a procedure on the node that the command line names."""
     node_id, axis = node_of_command(), axis_of_command(settings)  # a name also says which bus the session opens
@@ -85,19 +85,19 @@ def command_drive(
 ) -> T:
     """Run a procedure that commands the drive, or rehearse it (--dry-run).
 
-    scale: reads the counts in one unit; None: see `Session.axis_settings`. ends: it ends without a Ctrl-C.
+    scale: reads the counts in one unit; None: see `BusSession.axis_settings`. ends: it ends without a Ctrl-C.
     """
 
     number = axis_of_command(settings)
 
-    def whole(session: Session, node: Node) -> Procedure[T]:
+    def whole(session: BusSession, node: Node) -> Procedure[T]:
         yield from awake(node)
         chosen = session.axis_settings(node.node_id, number)
         if scale is not None:
             chosen = replace(chosen, counts_per_unit=(yield from scale(node_of_axis(node.remote, number))))
         return (yield from procedure(session.master.device(node, settings=chosen, axis=number).axis))
 
-    async def work(session: Session) -> None:
+    async def work(session: BusSession) -> None:
         await session.master.run(whole(session, session.node(node_of_command(), number)))
 
     if not ends:
@@ -164,7 +164,7 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tu
 
 
 def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale | None]:
-    """Return the unit of positions, and how the counts in it are found; None: as `Session.axis_settings` says.
+    """Return the unit of positions, and how the counts in it are found; None: as `BusSession.axis_settings` says.
 
     given: that of --in, None without it: then the unit is that of the joint in the machine file, or else the count. Raises a
     Problem for an --in that is not the joint's unit: its limits are in that.

@@ -12,7 +12,7 @@ import click
 import trio
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing, event_text, finding_text
-from canopen_cli.live.monitor import Watch
+from canopen_cli.live.monitor import FrameMonitor
 from canopen_cli.live.source import FILE_OR_INPUT, require_frames, tell_skipped
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
@@ -215,7 +215,7 @@ def decode(
     """
     screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
-    watch = Watch(settings, screen, choice, source)
+    watch = FrameMonitor(settings, screen, choice, source)
     run(settings, screen, watch.show, reads=source)
     watch.tell_skipped()
     watch.require_frames()

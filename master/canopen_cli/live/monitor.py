@@ -57,7 +57,7 @@ def monitor(
     """
     screen = settings.screen()
     choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
-    watch = Watch(settings, screen, choice, source)
+    watch = FrameMonitor(settings, screen, choice, source)
 
     async def show() -> None:
         try:
@@ -71,7 +71,7 @@ def monitor(
     return ExitCode.NO_ANSWER if watch.has_heard_nothing else ExitCode.OK
 
 
-class Watch:
+class FrameMonitor:
     """The frames of a source on the screen, and their counts. source: a recording; None: the bus of the options."""
 
     def __init__(self, settings: Settings, screen: Screen, choice: FrameChoice, source: Path | None) -> None:

@@ -127,7 +127,7 @@ async def open_live_source(settings: Settings, source: Path | None) -> AsyncIter
         await stack.enter_async_context(transport)
         if bus == DEMO:
             await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
-        yield _Bus(bus, locator, transport)
+        yield _BusSource(bus, locator, transport)
 
 
 def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
@@ -142,7 +142,7 @@ def require_frames(source: LogReader | LiveSource, name: str, frames: int) -> No
         raise Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
 
 
-class _Bus(LiveSource):
+class _BusSource(LiveSource):
     is_live = True
 
     def __init__(self, name: str, locator: str, transport: Transport) -> None:

@@ -20,7 +20,7 @@ from canopen_cli.live.screen import LiveScreen
 from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source
 from canopen_cli.live.watch_polling import Load, Polling, load_text
 from canopen_cli.live.watch_view import Around, picture, plain
-from canopen_cli.live.watched import Sample, View, Watched
+from canopen_cli.live.watched import View, Watched, WatchedSample
 from canopen_cli.node.objects import find
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
@@ -174,7 +174,7 @@ class _Watching:
         self._has_value = False
         self._notes: dict[str, str] = {}
         self.is_drawn = screen.out.is_terminal and not screen.out.is_dumb_terminal and not settings.json
-        self.sinks: list[Callable[[Sample], None]] = []
+        self.sinks: list[Callable[[WatchedSample], None]] = []
 
     def now(self) -> Time:
         """Return the time of the frames, now."""
@@ -287,7 +287,7 @@ class _Watching:
         makes_way = self._polling is not None and self._polling.makes_way
         return {**self._notes, "others": OTHERS} if makes_way else self._notes
 
-    def tell(self, sample: Sample) -> None:
+    def tell(self, sample: WatchedSample) -> None:
         """Print a value that has changed."""
         if sample.is_change:
             row = self._watched.row(sample.variable, sample.time)
@@ -345,11 +345,11 @@ class _Watching:
         )
 
 
-def _tell_json(screen: Screen, node_id: int, sample: Sample) -> None:
+def _tell_json(screen: Screen, node_id: int, sample: WatchedSample) -> None:
     screen.out.out(json_text(_document(node_id, sample)), highlight=False)
 
 
-def _document(node_id: int, sample: Sample) -> dict[str, Any]:
+def _document(node_id: int, sample: WatchedSample) -> dict[str, Any]:
     variable, value = sample.variable, sample.value
     return {
         "time": sample.time,
@@ -363,14 +363,14 @@ def _document(node_id: int, sample: Sample) -> dict[str, Any]:
 
 
 @contextmanager
-def _csv_sink(path: str, node_id: int) -> Iterator[Callable[[Sample], None]]:
+def _csv_sink(path: str, node_id: int) -> Iterator[Callable[[WatchedSample], None]]:
     """Open a CSV file with a line for each value. Values that came until a second ago are in it, however the program ends."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("time", "node", "object", "name", "value", "physical", "unit", "source"))
         flushed = -math.inf
 
-        def write(sample: Sample) -> None:
+        def write(sample: WatchedSample) -> None:
             nonlocal flushed
             variable, value = sample.variable, sample.value
             amount = physical(variable, value)

@@ -13,7 +13,7 @@ import trio
 from canopen_cli.bus.nmt import confirm
 from canopen_cli.lss.support import (
     Lss,
-    Target,
+    LssTarget,
     TargetKind,
     address_text,
     estimate,
@@ -59,7 +59,7 @@ TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 @windowed
 @common
 @click.pass_obj
-def set_id(settings: Settings, device: Target, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
+def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
     """Give one device a node-ID, or another one.
 
     DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus. A device that has a node-ID resets its
@@ -95,7 +95,7 @@ def set_id(settings: Settings, device: Target, node_id: int, no_store: bool, yes
 @windowed
 @common
 @click.pass_obj
-def store(settings: Settings, device: Target, window: Time) -> None:
+def store(settings: Settings, device: LssTarget, window: Time) -> None:
     """Let one device store its node-ID and bit rate. DEVICE: see set-id."""
     screen = settings.screen()
 

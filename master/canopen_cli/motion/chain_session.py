@@ -58,7 +58,7 @@ class ChosenChains:
         return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
 
 
-class Group:
+class ChainGroup:
     """The chains of a command, which move as one: what it needs of a `Chain`, for one or several. moving: moves them all."""
 
     def __init__(self, chains: Sequence[Chain]) -> None:
@@ -131,7 +131,7 @@ def _demo_machine() -> MachineFile:
 
 
 @asynccontextmanager
-async def open_chains(settings: Settings, chosen: ChosenChains) -> AsyncIterator[tuple[Master, Group]]:
+async def open_chains(settings: Settings, chosen: ChosenChains) -> AsyncIterator[tuple[Master, ChainGroup]]:
     """Open the buses of a machine while the block runs; for a simulated one with its drives. Nothing is sent yet."""
     async with AsyncExitStack() as stack:
         if chosen.is_simulated:
@@ -141,4 +141,4 @@ async def open_chains(settings: Settings, chosen: ChosenChains) -> AsyncIterator
         timeout = None if settings.timeout is None else settings.timeout / SECOND
         opened = open_master(machine=chosen.machine, buses=chosen.buses, sdo_timeout=timeout, grip=grip)
         master = await stack.enter_async_context(opened)
-        yield master, Group([master.chains[name] for name in chosen.names])
+        yield master, ChainGroup([master.chains[name] for name in chosen.names])

@@ -43,7 +43,7 @@ _BLOCK = click.option(
 
 
 @dataclass(frozen=True)
-class Request:
+class AccessRequest:
     """The choices of the command line. type_name, block: see --type and --block; None if not given."""
 
     node_id: int
@@ -53,7 +53,7 @@ class Request:
 
 
 @dataclass
-class Reading:
+class ObjectReading:
     """The value of an object as it was read."""
 
     node_id: int
@@ -86,14 +86,14 @@ class Reading:
 COLUMNS = ("object", "name", "value", "hex", "constants")
 
 
-async def read_object(node: Node, variable: Variable, block: bool | None = None) -> Reading:
+async def read_object(node: Node, variable: Variable, block: bool | None = None) -> ObjectReading:
     """Read an object, also one that the node's dictionary lacks. block: see --block; None decides by the object."""
     how = block_of(variable, block)
     if node.dictionary.get(variable.index, variable.subindex) is not None:
         message = await node.read_message(variable, block=how)
-        return Reading(node.node_id, variable, message.value, message.constants)
+        return ObjectReading(node.node_id, variable, message.value, message.constants)
     value = variable.decode(await node.read_bytes(variable.index, variable.subindex, block=how))
-    return Reading(node.node_id, variable, value, ())
+    return ObjectReading(node.node_id, variable, value, ())
 
 
 def block_of(variable: Variable, block: bool | None) -> Block:
@@ -144,7 +144,7 @@ def read(
     canopen read 3 6041 6064 --json -b demo
     canopen read 3 1008 -o name.bin -b demo
     """
-    screen, request = settings.screen(), Request(node_id, type_name, block)
+    screen, request = settings.screen(), AccessRequest(node_id, type_name, block)
     if output is not None:
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
@@ -162,7 +162,7 @@ def read(
         screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
 
 
-async def _read(settings: Settings, screen: Screen, request: Request, keys: tuple[str, ...]) -> list[Reading]:
+async def _read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...]) -> list[ObjectReading]:
     async with open_session(settings, screen) as session, session.turn(request.node_id):
         node = session.node(request.node_id)
         variables = [find(node.dictionary, key, request.type_name) for key in keys]
@@ -172,7 +172,7 @@ async def _read(settings: Settings, screen: Screen, request: Request, keys: tupl
 
 
 async def _read_file(
-    settings: Settings, screen: Screen, request: Request, key: str, output: str, file: IO[bytes]
+    settings: Settings, screen: Screen, request: AccessRequest, key: str, output: str, file: IO[bytes]
 ) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim(request.node_id):
         node = session.node(request.node_id)
@@ -230,7 +230,7 @@ def write(
     canopen write 3 6081 20000 -b demo
     canopen write 5 1F50:01 --file firmware.bin
     """
-    screen, request = settings.screen(), Request(node_id, type_name, block, verify)
+    screen, request = settings.screen(), AccessRequest(node_id, type_name, block, verify)
     if path is not None and text is None:
         written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
@@ -246,14 +246,14 @@ def write(
     screen.data(f"{node_text(node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
 
 
-def _shown(reading: Reading) -> str:
+def _shown(reading: ObjectReading) -> str:
     numbers = (hex_text(reading.variable, reading.value), physical_text(reading.variable, reading.value))
     number = ", ".join(text for text in numbers if text)
     words = f" [{', '.join(reading.constants)}]" if reading.constants else ""
     return f"{value_text(reading.variable, reading.value)}{f' ({number})' if number else ''}{words}"
 
 
-async def _write_file(settings: Settings, screen: Screen, request: Request, key: str, path: str) -> FileTransfer:
+async def _write_file(settings: Settings, screen: Screen, request: AccessRequest, key: str, path: str) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim_to_write(request.node_id):
         node = session.node(request.node_id)
         variable = find(node.dictionary, key, request.type_name or BYTES)
@@ -262,7 +262,9 @@ async def _write_file(settings: Settings, screen: Screen, request: Request, key:
         return await write_from_file(screen, node, variable, path, block_of(variable, request.block), verify)
 
 
-async def _write(settings: Settings, screen: Screen, request: Request, key: str, text: str) -> tuple[Reading | None, Reading]:
+async def _write(
+    settings: Settings, screen: Screen, request: AccessRequest, key: str, text: str
+) -> tuple[ObjectReading | None, ObjectReading]:
     async with open_session(settings, screen) as session:
         node_id, block = request.node_id, request.block
         node = session.node(node_id)
@@ -278,7 +280,7 @@ async def _write(settings: Settings, screen: Screen, request: Request, key: str,
             await node.write(variable, value, block=how)
         else:
             await node.write_bytes(variable.index, variable.subindex, data, block=how)
-        after = Reading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
+        after = ObjectReading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
         if request.verify and variable.access.readable:
             shown = await read_object(node, variable, block)
             if shown.value != value:

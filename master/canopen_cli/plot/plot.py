@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.plot.courses import Course, Courses, courses_of_path, courses_of_record, largest
+from canopen_cli.plot.curves import JointCurves, MotionCurves, curves_of_path, curves_of_record, largest
 from canopen_cli.plot.cycles import check_plot
 from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.new_files import check_new_file
@@ -47,27 +47,27 @@ def plot(settings: Settings, file: str, output: Path | None) -> None:
     screen = settings.screen()
     target = Path(file).with_suffix(".png") if output is None else output
     check_plot(target)
-    courses = read_courses(settings, file, screen)
+    curves = read_curves(settings, file, screen)
     check_new_file(settings, screen, target, file)
-    write_motion_plot(target, courses)
+    write_motion_plot(target, curves)
     if settings.json:
-        screen.json({"file": file, "picture": str(target), "joints": [_as_json(joint) for joint in courses.joints]})
+        screen.json({"file": file, "picture": str(target), "joints": [_as_json(joint) for joint in curves.joints]})
     else:
-        screen.table(COLUMNS, [_row(joint) for joint in courses.joints], right=COLUMNS[2:])
+        screen.table(COLUMNS, [_row(joint) for joint in curves.joints], right=COLUMNS[2:])
     screen.say(f"Drawn: [bold]{escape(str(target))}[/]")
 
 
-def read_courses(settings: Settings, file: str, screen: Screen) -> Courses:
+def read_curves(settings: Settings, file: str, screen: Screen) -> MotionCurves:
     """Read what is to be drawn. Raises RecordError, DictionaryError."""
     text = None if not Path(file).is_file() or is_record(file) else text_of(Path(file), file)
     if text is not None and _is_path(text):
         machine = settings.machine_file()
         units = {} if machine is None else {name: joint.settings.unit for name, joint in machine.joints.items()}
-        return courses_of_path(read_path(text, file), file, units)
+        return curves_of_path(read_path(text, file), file, units)
     record = read_record(file)
     if record.is_cut:
         screen.say("[yellow]the last line is not whole, and was left out: the program ended while it wrote, or writes still[/]")
-    return courses_of_record(record)
+    return curves_of_record(record)
 
 
 def _is_path(text: str) -> bool:
@@ -76,7 +76,7 @@ def _is_path(text: str) -> bool:
     return TIME in (cell.strip().strip('"') for cell in re.split("[,;\t]", head))
 
 
-def _as_json(joint: Course) -> dict[str, object]:
+def _as_json(joint: JointCurves) -> dict[str, object]:
     known = [value for value in joint.wanted if value == value]
     return {
         "joint": joint.name,
@@ -89,7 +89,7 @@ def _as_json(joint: Course) -> dict[str, object]:
     }
 
 
-def _row(joint: Course) -> tuple[str, ...]:
+def _row(joint: JointCurves) -> tuple[str, ...]:
     name, unit, *numbers = _as_json(joint).values()
     return escape(str(name)), escape(str(unit)), *map(_shown, numbers)
 

@@ -48,7 +48,7 @@ LOOK_AGAIN: Final = 0.05
 """Seconds between two checks of what was heard."""
 
 
-class Session:
+class BusSession:
     """An open master of one bus, and the files of the devices on it. bus: its locator."""
 
     def __init__(self, master: Master, files: NodeFiles, bus: str, screen: Screen) -> None:
@@ -129,7 +129,7 @@ def simulated_fleet(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextM
 @asynccontextmanager
 async def open_session(
     settings: Settings, screen: Screen, *, heard: Callable[[Record], None] | None = None
-) -> AsyncIterator[Session]:
+) -> AsyncIterator[BusSession]:
     """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError.
 
     heard: is called with each frame on the bus, those that we send too. Raises also TransportError then.
@@ -146,7 +146,7 @@ async def open_session(
         master = await stack.enter_async_context(
             open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, grip=settings.grip)
         )
-        session = Session(master, files, bus, screen)
+        session = BusSession(master, files, bus, screen)
         try:
             yield session
         except Exception as error:
@@ -167,7 +167,7 @@ def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
     return None
 
 
-async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed) -> Problem:
+async def _explained(node: Node, session: BusSession, error: SdoTimeout | SdoFailed) -> Problem:
     """Return the Problem for a missing answer, with what was heard until now and a little longer."""
     if not node.was_enabled:  # else a drive may move and must be halted first
         with trio.move_on_after(LISTEN_ON):

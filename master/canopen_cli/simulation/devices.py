@@ -21,7 +21,7 @@ from canopen_data.named_files import read_text
 from canopen_data.toml_file import parse_toml
 from canopen_master.machine_file import MachineFile
 from canopen_master.simulation.device_files import FileRead, MakingEvent, ModelMade, ValueFilled, read_plant
-from canopen_master.simulation.plant import AUTOMATIC, DeviceEntry, Plant
+from canopen_master.simulation.plant import AUTOMATIC, DeviceEntry, PlantFile
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.machine import Outbox
 
@@ -44,7 +44,7 @@ class SimulatedIds(NodeIds):
         return (super().convert(others, param, ctx) if others else ()) + (UNCONFIGURED,) * len(without)
 
 
-def named_devices(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> Plant:
+def named_devices(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> PlantFile:
     """Return the devices that the arguments name: "5=drive.eds", "drive.eds" with --id, "plant.toml".
 
     common: the options for all of them. Raises Problem, DataError, DictionaryError.
@@ -66,7 +66,7 @@ def named_devices(files: Sequence[str], node_ids: tuple[int, ...] | None, common
         if len(entries) > 1 or entries[0].node_ids:
             raise usage("CO127", "--id is for one file", tries=("canopen sim 5=a.eds 6=b.eds     node-IDs of several",))
         entries = [replace(entries[0], node_ids=node_ids)]
-    return Plant(tuple(entries))
+    return PlantFile(tuple(entries))
 
 
 def _completed(entry: DeviceEntry, common: DeviceEntry) -> DeviceEntry:

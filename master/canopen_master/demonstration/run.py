@@ -90,14 +90,14 @@ class CycleCounts:
 
 
 @dataclass(frozen=True)
-class Booting:
+class BootBegun:
     """The drives are booted, made ready and enabled from now on."""
 
     devices: tuple[Device, ...]
 
 
 @dataclass(frozen=True)
-class Booted:
+class JointsEnabled:
     """All drives are in Operation enabled. seconds: how long that took. modes: each way in which joints follow set-points by
     their own files, in words, and the names of these joints."""
 
@@ -114,12 +114,12 @@ class MovesSoon:
 
 
 @dataclass(frozen=True)
-class Homing:
+class HomingBegun:
     """The joints look for their reference from now on."""
 
 
 @dataclass(frozen=True)
-class Homed:
+class HomingDone:
     """count: joints that were homed; without: joints that have no homing."""
 
     count: int
@@ -128,7 +128,7 @@ class Homed:
 
 
 @dataclass(frozen=True)
-class Swinging:
+class SwingCycle:
     """A cycle of the path. time: seconds since its first one; number: of the cycle; sync_cycles: SYNCs so far."""
 
     time: float
@@ -137,26 +137,28 @@ class Swinging:
 
 
 @dataclass(frozen=True)
-class Swung:
+class SwingDone:
     """The path is done."""
 
     cycles: CycleCounts
 
 
 @dataclass(frozen=True)
-class MovingByPlan:
+class PlannedMoveBegun:
     """The joints move out and back from now on, as fast as their limits allow."""
 
 
 @dataclass(frozen=True)
-class MovedByPlan:
+class PlannedMoveDone:
     """They are back. was_cut: they were stopped on the path, since this computer is too busy."""
 
     seconds: float
     was_cut: bool
 
 
-DemonstrationEvent: TypeAlias = Booting | Booted | MovesSoon | Homing | Homed | Swinging | Swung | MovingByPlan | MovedByPlan
+DemonstrationEvent: TypeAlias = (
+    BootBegun | JointsEnabled | MovesSoon | HomingBegun | HomingDone | SwingCycle | SwingDone | PlannedMoveBegun | PlannedMoveDone
+)
 
 
 class Demonstration:
@@ -274,7 +276,7 @@ class Demonstration:
         ]
 
     async def _boot(self, arm: Chain) -> None:
-        self._tell(Booting(arm.devices))
+        self._tell(BootBegun(arm.devices))
         start = trio.current_time()
         await arm.initialise()
         for device in arm.devices:
@@ -283,18 +285,18 @@ class Demonstration:
                 if self.task.machine is not None:
                     tries = (f'unit = "degree" in [joints.{device.name}]',)
                 raise DemonstrationRefused(f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
-        self._tell(Booted(len(arm.devices), trio.current_time() - start, _modes(arm)))
+        self._tell(JointsEnabled(len(arm.devices), trio.current_time() - start, _modes(arm)))
 
     async def _home(self, arm: Chain) -> None:
         if self.task.bus is not None:
             self._tell(MovesSoon(HARDWARE_DELAY))
             await trio.sleep(HARDWARE_DELAY)
         self._stage, self._has_begun = "the joints were homing", True
-        self._tell(Homing())
+        self._tell(HomingBegun())
         start = trio.current_time()
         without = [] if self.task.bus is not None else [each for each in arm.devices if each.axis.settings.keeps_reference]
         await arm.home(if_needed=bool(without))
-        self._tell(Homed(len(arm.devices) - len(without), len(without), trio.current_time() - start))
+        self._tell(HomingDone(len(arm.devices) - len(without), len(without), trio.current_time() - start))
 
     async def _swing(self, arm: Chain) -> None:
         """Send the path: one set-point for each joint in each cycle."""
@@ -302,7 +304,7 @@ class Demonstration:
         await arm.follow()
         for device in arm.devices:
             device.following.largest_error = 0.0
-        self._tell(Swinging(0.0, 0, arm.sync_cycles))
+        self._tell(SwingCycle(0.0, 0, arm.sync_cycles))
         self.recording.joints = [JointTrack(device.name, device.node.node_id) for device in arm.devices]
         units = [1 / _radians(device, 1.0) for device in arm.devices]  # in a radian
         speeds = [_radians(device, _speed_of(device)) for device in arm.devices]
@@ -320,8 +322,8 @@ class Demonstration:
             arm.set_positions([unit * position for unit, position in zip(units, path.at(cycle.time), strict=True)])
             if cycle.time > task.seconds + SETTLING_TIME:
                 break
-            self._tell(Swinging(cycle.time, cycle.number, arm.sync_cycles))  # right after a SYNC: there is time to draw now
-        self._tell(Swung(CycleCounts(arm.sync_cycles, arm.missed_cycles, arm.skipped_cycles)))
+            self._tell(SwingCycle(cycle.time, cycle.number, arm.sync_cycles))  # right after a SYNC: there is time to draw now
+        self._tell(SwingDone(CycleCounts(arm.sync_cycles, arm.missed_cycles, arm.skipped_cycles)))
 
     async def _move_by_plan(self, arm: Chain) -> None:
         """Move simulated joints out and back, as fast as their limits allow; left out without ruckig, for slow joints, and in a
@@ -329,7 +331,7 @@ class Demonstration:
         slow = any(device.plan is not None and device.plan.mode is Mode.PROFILE_POSITION for device in arm.devices)
         if self.task.bus is not None or self.task.seconds < PLANNED_FROM or slow or find_spec("ruckig") is None:
             return
-        self._tell(MovingByPlan())
+        self._tell(PlannedMoveBegun())
         began = trio.current_time()
         self._stage = "the arm was moving by a plan"
         self.recording.planned_from = self.recording.times[-1]
@@ -338,7 +340,7 @@ class Demonstration:
         with trio.move_on_after(PLANNED_TIME) as scope:
             await self._move_to(arm, out)
             await self._move_to(arm, start)
-        self._tell(MovedByPlan(trio.current_time() - began, scope.cancelled_caught))
+        self._tell(PlannedMoveDone(trio.current_time() - began, scope.cancelled_caught))
 
     async def _move_to(self, arm: Chain, targets: Sequence[float]) -> None:
         """Move to a target by a plan, and record that behind what was recorded so far."""

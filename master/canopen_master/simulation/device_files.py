@@ -27,7 +27,7 @@ from canopen_master.errors import DeviceRefused, NotADrive
 from canopen_master.simulation.fleet import SERIAL, with_serial
 from canopen_master.simulation.hooks import Script
 from canopen_master.simulation.host import DeviceModel
-from canopen_master.simulation.plant import AUTOMATIC, DRIVE, DeviceEntry, Plant, parse_plant
+from canopen_master.simulation.plant import AUTOMATIC, DRIVE, DeviceEntry, PlantFile, parse_plant
 from canopen_proto import indices
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
@@ -66,7 +66,7 @@ class ModelMade:
 MakingEvent: TypeAlias = FileRead | Finding | ValueFilled | ModelMade
 
 
-def read_plant(path: Path) -> Plant:
+def read_plant(path: Path) -> PlantFile:
     """Return the plant of a plant file, with paths that are relative to the present folder.
 
     A device's file that is not there may be a sample, and keeps its name. Raises UnusableFile, DictionaryError.

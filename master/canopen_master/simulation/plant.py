@@ -60,7 +60,7 @@ class DeviceEntry:
 
 
 @dataclass(frozen=True)
-class Plant:
+class PlantFile:
     """A plant file. bus, state: empty if it names none."""
 
     devices: tuple[DeviceEntry, ...]
@@ -68,7 +68,7 @@ class Plant:
     state: str = ""
 
 
-def parse_plant(text: str, source: str = "plant.toml") -> Plant:
+def parse_plant(text: str, source: str = "plant.toml") -> PlantFile:
     """Return the plant that a text describes. Raises DictionaryError with every error in it."""
     reading = TomlReading(source, "plant")
     plant = TomlTable(reading, "", parse_toml(text, source))
@@ -88,7 +88,7 @@ def parse_plant(text: str, source: str = "plant.toml") -> Plant:
             table.error("it has no file")
         devices.append(device_of(table))
     reading.raise_errors()
-    return Plant(tuple(devices), bus or "", state or "")
+    return PlantFile(tuple(devices), bus or "", state or "")
 
 
 DEVICE_KEYS: Final = ("file", "id", "encoding", "profile", "shape", "script", "overlay", "defaults", "values")

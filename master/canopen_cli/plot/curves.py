@@ -1,4 +1,4 @@
-"""The course of each joint over time, of a recording or a path, and the velocities and accelerations that its positions make."""
+"""The curves of each joint over time, of a recording or a path, and the velocities and accelerations that its positions make."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ NAN = math.nan
 
 
 @dataclass(frozen=True)
-class Course:
-    """One joint. unit: of its positions, "" for one without a name. All lists are as long as `Courses.times`; NaN: not known.
+class JointCurves:
+    """One joint. unit: of its positions, "" for one without a name. NaN: not known. All lists are as long as
+    `MotionCurves.times`.
 
     wanted: the set-points; actual, actual_velocities, errors: empty where only a path is known.
     """
@@ -32,18 +33,18 @@ class Course:
 
 
 @dataclass(frozen=True)
-class Courses:
+class MotionCurves:
     """All joints. times: seconds. late: the times of cycles that brought nothing new, or that were late themselves."""
 
     title: str
     subtitle: str
     times: Sequence[float]
-    joints: Sequence[Course]
+    joints: Sequence[JointCurves]
     late: Sequence[float] = field(default=())
 
 
-def courses_of_record(record: Record) -> Courses:
-    """Return the courses in a recording.
+def curves_of_record(record: Record) -> MotionCurves:
+    """Return the curves in a recording.
 
     Velocities and accelerations are those of the set-points, over the nominal cycle: the clock of the computer that sent them
     trembles by more than a motion changes within a cycle.
@@ -54,7 +55,7 @@ def courses_of_record(record: Record) -> Courses:
     for joint in head.joints:
         wanted = record.of(joint.name, "set_point")
         joints.append(
-            Course(
+            JointCurves(
                 joint.name,
                 joint.unit,
                 wanted,
@@ -70,20 +71,20 @@ def courses_of_record(record: Record) -> Courses:
     missed, skipped = (int(sum(count)) for count in counts)
     subtitle = f"{len(record)} cycles of {1000 * head.cycle_time:g} ms, {missed} missed, {skipped} skipped"
     begun = head.begun.replace("T", " ").partition(".")[0]
-    return Courses(f"{head.chain}: what it did", f"{subtitle}; begun {begun} UTC", times, joints, late)
+    return MotionCurves(f"{head.chain}: what it did", f"{subtitle}; begun {begun} UTC", times, joints, late)
 
 
-def courses_of_path(file: PathFile, source: str, units: Mapping[str, str | None]) -> Courses:
-    """Return the courses of a path, which are those of its polynomials. units: of the joints, by name."""
+def curves_of_path(file: PathFile, source: str, units: Mapping[str, str | None]) -> MotionCurves:
+    """Return the curves of a path, which are those of its polynomials. units: of the joints, by name."""
     path = file.path
     times = [path.duration * place / POINTS for place in range(POINTS + 1)]
     points = [path.at(time) for time in times]
     joints = [
-        Course(name, units.get(name) or "", *([point[kind][number] for point in points] for kind in range(3)))
+        JointCurves(name, units.get(name) or "", *([point[kind][number] for point in points] for kind in range(3)))
         for number, name in enumerate(file.joints)
     ]
     count = f"{len(joints)} joint{'s' * (len(joints) != 1)}"
-    return Courses(f"{source}: a path", f"{path.duration:.4g} s, {count}; not followed yet", times, joints)
+    return MotionCurves(f"{source}: a path", f"{path.duration:.4g} s, {count}; not followed yet", times, joints)
 
 
 def velocities(times: Sequence[float], positions: Sequence[float]) -> list[float]:
