@@ -26,7 +26,7 @@ from canopen_master.machine_file import JointEntry, MachineFile, NodeEntry, mach
 from canopen_master.master import Master
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import awake
+from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_master.motion.single_drive import at_profile_velocity, ends_unpowered, look_at_drive
 from canopen_master.node import Node
 from canopen_master.simulation.plant import DeviceEntry
@@ -104,14 +104,14 @@ class DriveCommissioning:
 
     async def reset_fault(self) -> DriveView:
         """Reset a fault, and return what the drive shows then."""
-        await self._run(awake(self.node))
+        await self._run(ensure_answers(self.node))
         await self._run(procedures.reset_fault(self.axis))
         self.done.append("its fault was reset")
         return await self.look()
 
     async def read_units(self) -> DriveUnits:
         """Identify the drive, and return what it tells about its units."""
-        await self._run(awake(self.node))
+        await self._run(ensure_answers(self.node))
         await self._run(identify(self.axis))
         return await self._run(learn_units(self.axis))
 

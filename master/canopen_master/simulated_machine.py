@@ -9,9 +9,9 @@ from canopen_master.machine_file import MachineFile
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.simulation.device_files import MakingEvent, models_of
 from canopen_master.simulation.drive_files import DriveFile, drive_of
-from canopen_master.simulation.fleet import drive_maker
 from canopen_master.simulation.host import DeviceMaker
 from canopen_master.simulation.plant import DeviceEntry
+from canopen_master.simulation.serving import drive_maker
 from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE, Shape
 
 

@@ -20,7 +20,7 @@ from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_data.describing import describe
 from canopen_data.descriptions import load_description, read_file
 from canopen_data.eds.writer import write_eds
-from canopen_master.simulation.fleet import DEMO_LOCATOR, simulated_devices
+from canopen_master.simulation.serving import DEMO_LOCATOR, simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -78,7 +78,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     made = World()
-    monkeypatch.setattr(session, "simulated_fleet", made.fleet)
+    monkeypatch.setattr(session, "simulated_drives", made.fleet)
     return made
 
 

@@ -12,11 +12,11 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.simulation.devices import named_devices, teller
 from canopen_master import open_master
 from canopen_master.simulation.device_files import models_of
-from canopen_master.simulation.fleet import simulated_devices
 from canopen_master.simulation.hooks import Script, ScriptError
 from canopen_master.simulation.host import DeviceModel
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_master.simulation.plant import DeviceEntry
+from canopen_master.simulation.serving import simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from tests.cli.cli_support import Run, runner

@@ -9,8 +9,8 @@ from canopen_master.errors import NodeIsNoDrive
 from canopen_master.machine_file import machine_text, parse_machine
 from canopen_master.session import open_master
 from canopen_master.simulation.device_files import models_of
-from canopen_master.simulation.fleet import Fleet, drive_maker, simulated_devices
 from canopen_master.simulation.plant import DeviceEntry
+from canopen_master.simulation.serving import SimulatedDevices, drive_maker, simulated_devices
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
@@ -23,7 +23,7 @@ def fleet_of(shape: Shape = Shape.STANDARD) -> dict[str, list[object]]:
     return {BUS: [drive_maker(0, 3, shape)]}
 
 
-def has_no_power(fleet: Fleet) -> bool:
+def has_no_power(fleet: SimulatedDevices) -> bool:
     return fleet.drives[3].drive.state not in (State.OPERATION_ENABLED, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE)
 
 

@@ -19,7 +19,7 @@ from canopen_cli.shared.screen import escape
 from canopen_cli.shared.session import open_session
 from canopen_master.commissioning import commissioned_machine
 from canopen_master.machine_file import machine_text
-from canopen_master.simulation.fleet import DEMO_LOCATOR
+from canopen_master.simulation.serving import DEMO_LOCATOR
 
 
 @click.command()

@@ -18,7 +18,7 @@ from canopen_cli.shared.rehearsal import rehearse
 from canopen_cli.shared.running import all_stand, run
 from canopen_cli.shared.screen import escape, node_text
 from canopen_cli.shared.session import BusSession, open_session
-from canopen_master.motion.joint_procedures import awake
+from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.axis import Axis, AxisSettings, HomingStyle
 from canopen_proto.drives.axis.axis_node import node_of_axis
@@ -236,7 +236,7 @@ def list_methods(settings: Settings, node_ids: Sequence[int], axis: int = 0) -> 
 def _home(session: BusSession, axes: dict[int, Axis], node_id: int, homing: HomingChoice, number: int) -> Procedure[None]:
     style, method, limit, reset_fault = homing
     node = session.node(node_id, number)
-    yield from awake(node)
+    yield from ensure_answers(node)
     settings = session.axis_settings(node_id, number)
     settings = replace(
         settings,

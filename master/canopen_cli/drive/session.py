@@ -14,7 +14,7 @@ from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.running import Story, run
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import BusSession, open_session
-from canopen_master.motion.joint_procedures import awake
+from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_master.motion.single_drive import look_at_drive
 from canopen_master.node import Node
 from canopen_proto.drives.axis.axis import Axis
@@ -91,7 +91,7 @@ def command_drive(
     number = axis_of_command(settings)
 
     def whole(session: BusSession, node: Node) -> Procedure[T]:
-        yield from awake(node)
+        yield from ensure_answers(node)
         chosen = session.axis_settings(node.node_id, number)
         if scale is not None:
             chosen = replace(chosen, counts_per_unit=(yield from scale(node_of_axis(node.remote, number))))

@@ -10,7 +10,7 @@ import click
 import trio
 
 from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, choosing
-from canopen_cli.live.outlet import Outlet, open_outlet
+from canopen_cli.live.slow_reader import LineWriter, open_line_writer
 from canopen_cli.live.source import FILE_OR_INPUT, Heard, LiveSource, open_live_source, require_frames, tell_skipped
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import FiniteRange, Settings, common
@@ -80,7 +80,7 @@ class FrameMonitor:
         self._choice = choice
         self._source = source
         self._live: LiveSource | None = None
-        self._outlet: Outlet | None = None
+        self._lines_out: LineWriter | None = None
         self._begin: Time | None = None
         self._frames = 0
         self._shown = 0
@@ -95,9 +95,9 @@ class FrameMonitor:
         try:
             async with (
                 open_live_source(self._settings, self._source) as live,
-                open_outlet(self._screen, lines.gap, waits=not live.is_live) as outlet,
+                open_line_writer(self._screen, lines.gap, waits=not live.is_live) as lines_out,
             ):
-                self._live, self._outlet = live, outlet
+                self._live, self._lines_out = live, lines_out
                 if live.is_live:
                     self._begin = live.now()
                     how = "the adapter only listens" if live.is_silent else "nothing is sent"
@@ -106,16 +106,16 @@ class FrameMonitor:
                 while (taken := await _next(live)) != []:
                     lines.measure()
                     for heard in taken or ():
-                        await self._tell(heard, buses, lines, outlet)
+                        await self._tell(heard, buses, lines, lines_out)
                     if taken is None:
-                        await self._tell_silence(live.now() - LATE, buses, lines, outlet)
+                        await self._tell_silence(live.now() - LATE, buses, lines, lines_out)
                 for channel, summary in buses.unfinished():
                     if self._choice.tells(summary):
-                        await outlet.put(lines.summary(live.now(), channel, summary))
+                        await lines_out.put(lines.summary(live.now(), channel, summary))
         except ExceptionGroup as group:
             raise first_of(group) from None
 
-    async def _tell(self, heard: Heard, buses: Buses, lines: FrameLines, outlet: Outlet) -> None:
+    async def _tell(self, heard: Heard, buses: Buses, lines: FrameLines, lines_out: LineWriter) -> None:
         if isinstance(heard, Record):
             if self._begin is None:
                 self._begin = heard.time
@@ -124,27 +124,27 @@ class FrameMonitor:
             self._findings += len(observation.findings)
             for summary in observation.summaries:
                 if self._choice.tells(summary):
-                    await outlet.put(lines.summary(heard.time, heard.channel, summary))
+                    await lines_out.put(lines.summary(heard.time, heard.channel, summary))
             if self._choice.shows(heard, observation):
                 self._shown += 1
-                await outlet.put(lines.frame(seconds, heard, observation))
+                await lines_out.put(lines.frame(seconds, heard, observation))
         elif self._live is not None:
             if isinstance(heard, ReceiveOverrun):
                 buses.lost(heard.seen, self._live.now())  # the line below tells it
-            await outlet.put(lines.report(buses.seconds(self._live.now()), self._live.now(), heard))
+            await lines_out.put(lines.report(buses.seconds(self._live.now()), self._live.now(), heard))
 
-    async def _tell_silence(self, time: Time, buses: Buses, lines: FrameLines, outlet: Outlet) -> None:
+    async def _tell_silence(self, time: Time, buses: Buses, lines: FrameLines, lines_out: LineWriter) -> None:
         """Tell what is wrong because nothing came until this time."""
         for channel, findings, summaries in buses.idle(time):
             self._findings += len(findings)
             for finding in filter(self._choice.warns, findings):
-                await outlet.put(lines.finding(buses.seconds(time), time, channel, finding))
+                await lines_out.put(lines.finding(buses.seconds(time), time, channel, finding))
             for summary in filter(self._choice.tells, summaries):
-                await outlet.put(lines.summary(time, channel, summary))
+                await lines_out.put(lines.summary(time, channel, summary))
 
     def tell_counts(self) -> None:
         """Tell what was heard and shown, if anything was opened."""
-        if self._live is None or self._outlet is None:
+        if self._live is None or self._lines_out is None:
             return
         seconds = 0.0 if self._begin is None else (self._live.now() - self._begin) / SECOND
         parts = [f"{counted(self._frames, 'frame')} in {seconds:.1f} s"]
@@ -152,8 +152,8 @@ class FrameMonitor:
             parts.append(f"{self._shown} shown")
         parts.append(counted(self._findings, "finding") if self._findings else "no findings")
         self._screen.say(", ".join(parts))
-        if self._outlet.left_out:
-            self._screen.say(f"[yellow]{self._outlet.left_out} of these are missing above: the reader was too slow[/]")
+        if self._lines_out.left_out:
+            self._screen.say(f"[yellow]{self._lines_out.left_out} of these are missing above: the reader was too slow[/]")
         if self._live.lost:
             self._screen.say(f"[yellow]{counted(self._live.lost, 'frame')} lost before they came here[/]")
         self.tell_skipped()

@@ -176,7 +176,7 @@ def _below(row: WatchedRow, width: int) -> list[Text]:
 
 def _curves(rows: Sequence[WatchedRow], width: int, room: int, span: float) -> tuple[list[RenderableType], int]:
     """Return the curves that fit, and how many lines they have."""
-    numbers = [row for row in rows if row.course or row.number is not None]
+    numbers = [row for row in rows if row.curve or row.number is not None]
     if not numbers:
         return [], 0
     size = min(MOST_CURVE, room // len(numbers) - 1)
@@ -186,7 +186,7 @@ def _curves(rows: Sequence[WatchedRow], width: int, room: int, span: float) -> t
     pieces: list[RenderableType] = []
     for row in numbers:
         pieces.append(line(f"{row.name}{f' in {row.unit}' if row.unit else ''}, the last {span:g} s", width, "bold"))
-        points = ((1 - slot.age / SECOND / span, slot.least, slot.most) for slot in row.course)
+        points = ((1 - slot.age / SECOND / span, slot.least, slot.most) for slot in row.curve)
         lines, least, most = curve(points, max(1, width - SCALE - 1), size, JOINED / span)
         labels = [""] * size
         labels[-1], labels[0] = f"{least:.6g}", f"{most:.6g}" if most > least else ""

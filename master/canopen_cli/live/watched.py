@@ -31,7 +31,7 @@ FRESH: Final = SECOND
 within it."""
 BOOTED: Final = "from before its boot-up"
 SLOTS: Final = 400
-"""Slots of time that a course has: twice as many points as a wide terminal has in a line."""
+"""Slots of time that a curve has: twice as many points as a wide terminal has in a line."""
 CODES: Final = (STATUSWORD, CONTROLWORD, ERROR_CODE)
 """Objects whose numbers are read in hexadecimal."""
 _STATES: Final = ("heartbeat", "guarding")
@@ -51,7 +51,7 @@ class WatchedSample(NamedTuple):
 
 
 class CurveSlot(NamedTuple):
-    """A part of the course of a value. age: ns, of its end. least, most: of the values in it."""
+    """A part of the curve of a value. age: ns, of its end. least, most: of the values in it."""
 
     age: Time
     least: float
@@ -63,7 +63,7 @@ class WatchedRow(NamedTuple):
 
     value: "" if there is none yet. age: ns; None without a value. words: the state and bits of a word, or the names of a value.
     bits: of a word, by fours. trouble: why there is no newer value. is_stale: the value must not be taken for the present one.
-    is_fault: the drive shows a fault. number, course: for a plot; None and nothing for bits and texts.
+    is_fault: the drive shows a fault. number, curve: for a plot; None and nothing for bits and texts.
     """
 
     place: str
@@ -80,7 +80,7 @@ class WatchedRow(NamedTuple):
     is_stale: bool = False
     is_fault: bool = False
     number: float | None = None
-    course: tuple[CurveSlot, ...] = ()
+    curve: tuple[CurveSlot, ...] = ()
 
 
 class View(NamedTuple):
@@ -108,14 +108,14 @@ class _WatchedObject:
     is_old: bool = False
     is_plain: bool = True
     """Its number is an amount: no bits, no names."""
-    course: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=SLOTS))
+    curve: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=SLOTS))
     """By the numbers of slots of time, the oldest first: the least and the greatest value in each."""
 
 
 class Watched:
     """See this module's text.
 
-    node_id, dictionary: of the node. variables: its objects to show. fresh_for: ns. span: ns that the course of a value goes
+    node_id, dictionary: of the node. variables: its objects to show. fresh_for: ns. span: ns that the curve of a value goes
     back; 0: none is kept.
     """
 
@@ -198,12 +198,12 @@ class Watched:
 
     @staticmethod
     def _draw(entry: _WatchedObject, number: float, slot: int) -> None:
-        """Add a value to the course."""
+        """Add a value to the curve."""
         least = most = number
-        if entry.course and entry.course[-1][0] == slot:
-            _, low, high = entry.course.pop()
+        if entry.curve and entry.curve[-1][0] == slot:
+            _, low, high = entry.curve.pop()
             least, most = min(low, number), max(high, number)
-        entry.course.append((slot, least, most))
+        entry.curve.append((slot, least, most))
 
     def refused(self, variable: Variable, why: str) -> None:
         """Take note why an object could not be read. It stands until a value comes."""
@@ -269,7 +269,7 @@ class Watched:
             is_stale,
             is_fault,
             number,
-            tuple(CurveSlot(max(0, now - (slot + 1) * self._slot), low, high) for slot, low, high in entry.course),
+            tuple(CurveSlot(max(0, now - (slot + 1) * self._slot), low, high) for slot, low, high in entry.curve),
         )
 
     def _number(self, entry: _WatchedObject) -> float | None:

@@ -21,7 +21,7 @@ from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.questions import require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_master.simulation.fleet import DEMO_LOCATOR
+from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all
 from canopen_proto.lss.messages import BIT_RATES, LssAddress
 from canopen_proto.lss.scan import survey

@@ -17,8 +17,8 @@ from canopen_master.motion.moving import Moving, together
 from canopen_master.session import open_master
 from canopen_master.simulated_machine import drives_of_machine
 from canopen_master.simulation.drive_files import DriveFile
-from canopen_master.simulation.fleet import drive_maker, simulated_fleet
 from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import drive_maker, simulated_drives
 from canopen_proto.drives.axis.grip import DEFAULT_GRIP
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import Unit
@@ -136,7 +136,7 @@ async def open_chains(settings: Settings, chosen: ChosenChains) -> AsyncIterator
     async with AsyncExitStack() as stack:
         if chosen.is_simulated:
             drives = [(chosen.locator_of(joint), chosen.node_of(joint).node_id) for joint in chosen.joints]
-            await stack.enter_async_context(simulated_fleet(drives, make=partial(chosen.maker)))
+            await stack.enter_async_context(simulated_drives(drives, make=partial(chosen.maker)))
         grip = DEFAULT_GRIP if settings.master_id is None else settings.grip
         timeout = None if settings.timeout is None else settings.timeout / SECOND
         opened = open_master(machine=chosen.machine, buses=chosen.buses, sdo_timeout=timeout, grip=grip)

@@ -11,7 +11,7 @@ import click
 import trio
 
 from canopen_cli.motion.chain_session import ChainGroup, ChosenChains, choose_chains, open_chains
-from canopen_cli.motion.move_plan import Legs, check_before_power, legs_of, smoothed_text, targets_of, told_legs
+from canopen_cli.motion.move_legs import Legs, check_before_power, legs_of, show_legs, smoothed_text, targets_of
 from canopen_cli.motion.move_rehearsal import rehearse_move
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.motion.view import DemoView, JointView, ViewStep
@@ -179,7 +179,7 @@ class _Move:
             except MasterError:
                 await arm.shut_down()  # nothing is going to move
                 raise
-            await told_legs(self.screen, arm, legs)
+            await show_legs(self.screen, arm, legs)
             arm.moving.override = self.override
             async with recorded(self.settings, self.screen, arm.chains[0], file, told=self.told) as self.recorder:
                 await self._move(arm, legs, view)

@@ -21,8 +21,8 @@ from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_master.simulated_machine import devices_of_machine
-from canopen_master.simulation.fleet import simulated_devices
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
+from canopen_master.simulation.serving import simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.remote_node import RemoteNode
 

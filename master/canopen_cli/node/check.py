@@ -24,7 +24,7 @@ from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session, read_dictionary
 from canopen_data.named_files import open_description
 from canopen_master.errors import MasterError, SdoRefused
-from canopen_master.simulation.fleet import drive_maker
+from canopen_master.simulation.serving import drive_maker
 from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import Outbox

@@ -25,10 +25,10 @@ from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.configured import configure
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
-from canopen_master.motion.joint_procedures import awake
+from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_master.node import Node
-from canopen_master.simulation.fleet import Fleet, simulated_devices
 from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import SimulatedDevices, simulated_devices
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axes_of, swapped
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
@@ -126,8 +126,8 @@ def rehearse(
     apart = replace(settings, bus=LOCATOR, trace=None, clock=clock)
 
     async def perform() -> None:
-        async with simulated_devices({LOCATOR: [each.make for each in likenesses]}) as fleet:
-            prepare(fleet, likenesses)
+        async with simulated_devices({LOCATOR: [each.make for each in likenesses]}) as served:
+            prepare(served, likenesses)
             async with open_session(apart, screen) as rehearsal:
                 frames.records.clear()
                 with trio.move_on_after(float("inf") if ends else INTERRUPTED_AFTER):
@@ -141,15 +141,15 @@ def rehearse(
     screen.say("nothing of this was sent: a simulated drive with the values of yours has answered. Yours may answer otherwise")
 
 
-def prepare(fleet: Fleet, likenesses: Sequence[Likeness]) -> None:
-    """Lead the simulated drives of a fleet, which have just booted, to the states that were read."""
+def prepare(served: SimulatedDevices, likenesses: Sequence[Likeness]) -> None:
+    """Lead the simulated drives which have just booted, to the states that were read."""
     for each in likenesses:
-        fleet.change(each.node_id, each.prepare)
+        served.change(each.node_id, each.prepare)
 
 
 def likeness_of(node: Node) -> Procedure[Likeness]:
     """Read the drives of a node. Raises a Problem if no simulated drive can stand for it."""
-    yield from awake(node)
+    yield from ensure_answers(node)
     axes = axes_of(node.dictionary) or (0,)
     ranges = [sorted({index_of(swapped(mux(index), axis)) for axis in axes for index in drive_dictionary().objects})]
     read = yield from walk(node.remote, ranges, names=node.remote.dictionary)

@@ -40,7 +40,7 @@ from canopen_transports.record import Record
 from canopen_transports.tracing import overheard
 
 if TYPE_CHECKING:
-    from canopen_master.simulation.fleet import Fleet
+    from canopen_master.simulation.serving import SimulatedDevices
 
 LISTEN_ON: Final = 1.5
 """Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may just be late."""
@@ -119,11 +119,11 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
     return dictionary
 
 
-def simulated_fleet(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextManager[Fleet]:
-    """See fleet.py, which is imported only for the demonstration: a command on a real bus sends its first frame sooner."""
-    from canopen_master.simulation import fleet
+def simulated_drives(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextManager[SimulatedDevices]:
+    """See serving.py, which is imported only for the demonstration: a command on a real bus sends its first frame sooner."""
+    from canopen_master.simulation import serving
 
-    return fleet.simulated_fleet(devices)
+    return serving.simulated_drives(devices)
 
 
 @asynccontextmanager
@@ -138,9 +138,9 @@ async def open_session(
     files = NodeFiles(settings, screen, read_dictionary(screen))
     async with AsyncExitStack() as stack:
         if bus == DEMO:
-            from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES
+            from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES
 
-            await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
+            await stack.enter_async_context(simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
         opened = bus if heard is None else overheard(await open_transport(bus), heard)
         master = await stack.enter_async_context(

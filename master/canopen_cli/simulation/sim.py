@@ -21,9 +21,16 @@ from canopen_cli.simulation.devices import SimulatedIds, buses_of, machine_of, n
 from canopen_master.machine_file import MachineFile
 from canopen_master.simulated_machine import devices_of_machine
 from canopen_master.simulation.device_files import models_of
-from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, drive_maker, simulated_devices, simulated_fleet
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_master.simulation.plant import PROFILES, DeviceEntry
+from canopen_master.simulation.serving import (
+    DEMO_LOCATOR,
+    DEMO_NODES,
+    SimulatedDevices,
+    drive_maker,
+    simulated_devices,
+    simulated_drives,
+)
 from canopen_proto.error_codes import error_text
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.lss.slave import LssNodeIdSet
@@ -123,7 +130,7 @@ def sim(
     locator = DEMO_LOCATOR if bus == DEMO else bus
     tell = _event_teller(screen)
 
-    def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
+    def devices() -> tuple[str, AbstractAsyncContextManager[SimulatedDevices]]:
         if plant is None:
             ids = node_ids or DEFAULT_IDS
             if boot_loader:
@@ -133,19 +140,19 @@ def sim(
                 return counted(len(ids), "boot loader"), simulated_devices({locator: loaders}, tell)
             drives = [(locator, node_id) for node_id in ids]
             make = partial(drive_maker, shape=Shape(shape or "schunk"), sync_tolerance=SYNC_TOLERANCE)  # the master is elsewhere
-            fleet = simulated_fleet(drives, on_event=tell, make=make, keeper=_keeper(state or ""))
-            return counted(len(ids), "simulated drive"), fleet
+            block = simulated_drives(drives, on_event=tell, make=make, keeper=_keeper(state or ""))
+            return counted(len(ids), "simulated drive"), block
         made = models_of(plant.devices, teller(screen))
         keeper = _keeper(state or plant.state)
         what = counted(len(made), "simulated device")
         return what, simulated_devices({locator: made}, tell, keeper=keeper, say=partial(_report, screen))
 
     async def serve() -> None:
-        what, fleet = devices()
+        what, block = devices()
         screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
         if locator.startswith("virtual:"):
             screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
-        async with fleet as served:
+        async with block as served:
             if settings.json:
                 screen.json({"bus": locator, "nodes": served.node_ids})
             await trio.sleep(math.inf if seconds is None else seconds)

@@ -29,8 +29,8 @@ from canopen_master.motion.chain_file import same_nodes
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
 from canopen_master.session import open_master
-from canopen_master.simulation.fleet import Fleet, drive_maker, simulated_fleet
 from canopen_master.simulation.host import DeviceMaker, patient_cycles
+from canopen_master.simulation.serving import SimulatedDevices, drive_maker, simulated_drives
 from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402.modes import Mode, mode_name
@@ -189,7 +189,7 @@ class Demonstration:
             raise LocalProtocolError(f"fault: {self.description.name} has no node {task.fault[0]}")
         self._stage = "the drives were booting, and nothing had moved"
         self._has_begun = False  # to move
-        self._fleet: Fleet | None = None
+        self._drives: SimulatedDevices | None = None
         self.devices: tuple[Device, ...] = ()
         self._arm: Chain | None = None  # once it follows set-points
         self._halts: Sequence[Halt] = ()
@@ -214,7 +214,7 @@ class Demonstration:
         async with contextlib.AsyncExitStack() as stack:
             if self.task.bus is None:
                 joints = [(locators[joint.bus], joint.node_id) for joint in self.description.joints]
-                self._fleet = await stack.enter_async_context(simulated_fleet(joints, make=self._maker))
+                self._drives = await stack.enter_async_context(simulated_drives(joints, make=self._maker))
             master = await stack.enter_async_context(self._open_master(locators))
             await self._demonstrate(self._chain(master, locators))
 
@@ -361,8 +361,8 @@ class Demonstration:
             raise failure
 
     def _break(self, node_id: int) -> None:
-        assert self._fleet is not None
-        self._fleet.raise_fault(node_id, DEMO_FAULT)
+        assert self._drives is not None
+        self._drives.raise_fault(node_id, DEMO_FAULT)
 
     def _record(self, time: float) -> None:
         self.recording.times.append(time)
@@ -396,7 +396,7 @@ class Demonstration:
         if not self.devices:
             return []
         told = [self._stage]
-        moving = () if self._fleet is None else self._fleet.moving
+        moving = () if self._drives is None else self._drives.moving
         unconfirmed = [halt.device for halt in self._halts if halt.problem]
         fates: dict[str, list[str]] = {"in fault, without power": [], "halted": [], "told to halt": [], "STILL MOVING": []}
         for device in self.devices:

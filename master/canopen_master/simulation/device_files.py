@@ -24,10 +24,10 @@ from canopen_data.findings import Finding
 from canopen_data.named_files import DescriptionFile, open_description, read_text
 from canopen_data.overlay import lay_over
 from canopen_master.errors import DeviceRefused, NotADrive
-from canopen_master.simulation.fleet import SERIAL, with_serial
 from canopen_master.simulation.hooks import Script
 from canopen_master.simulation.host import DeviceModel
 from canopen_master.simulation.plant import AUTOMATIC, DRIVE, DeviceEntry, PlantFile, parse_plant
+from canopen_master.simulation.serving import SERIAL, with_serial
 from canopen_proto import indices
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable

@@ -20,8 +20,8 @@
         device.raise_error(0x4210)
 
 Each of these may be left out. Without OBJECTS, on_read and on_write serve all objects from 0x2000 on. `device` is a
-`ScriptDevice`: `device[name]` reads and writes an object by name, index or (index, subindex). A value that is set is sent by the event-driven
-TPDOs that carry it.
+`ScriptDevice`: `device[name]` reads and writes an object by name, index or (index, subindex). A value that is set is sent by the
+event-driven TPDOs that carry it.
 
 Objects that a script serves are `LocalNode.deferred`: the core reports ObjectAccessPending, and the script's answer is given by
 `complete`. on_read and on_write may be `async`; the client waits, up to 5 s. PDOs do not ask the script: a TPDO carries the

@@ -1,4 +1,4 @@
-"""`Outlet`: a reader that is slow, or goes away. The pipe and the thread are real, and waited for; no time is measured."""
+"""`LineWriter`: a reader that is slow, or goes away. The pipe and the thread are real, and waited for; no time is measured."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import IO
 import pytest
 import trio
 
-from canopen_cli.live import outlet
-from canopen_cli.live.outlet import Outlet, open_outlet
+from canopen_cli.live import slow_reader
+from canopen_cli.live.slow_reader import LineWriter, open_line_writer
 from canopen_cli.shared.screen import Screen
 
 LINE = "x" * 99
@@ -22,11 +22,11 @@ MANY = 3000
 
 @pytest.fixture
 def stdout(monkeypatch: pytest.MonkeyPatch) -> Iterator[IO[str]]:
-    """The end of a pipe, to which outlets write. Few lines wait for its reader."""
+    """The end of a pipe, to which writers write. Few lines wait for its reader."""
     ours, theirs = os.pipe()
-    monkeypatch.setattr(outlet, "FULL", 100)
-    monkeypatch.setattr(outlet, "CHUNK", 10)
-    monkeypatch.setattr(outlet, "_descriptor_of", lambda stream: theirs)
+    monkeypatch.setattr(slow_reader, "FULL", 100)
+    monkeypatch.setattr(slow_reader, "CHUNK", 10)
+    monkeypatch.setattr(slow_reader, "_descriptor_of", lambda stream: theirs)
     with os.fdopen(theirs, "w") as stdout, os.fdopen(ours, "r") as stdout.reader:  # type: ignore[attr-defined]
         yield stdout
 
@@ -42,7 +42,7 @@ def missing(number: int) -> str:
     return f"{number} missing\n"
 
 
-async def put_all(lines: Outlet, number: int) -> None:
+async def put_all(lines: LineWriter, number: int) -> None:
     for each in range(number):
         await lines.put(f"{each:<5} {LINE}\n")
         if each % 10 == 0:
@@ -65,7 +65,7 @@ def test_a_recording_waits_for_its_reader(reading: IO[str]) -> None:
     async def body() -> None:
         async with trio.open_nursery() as nursery:
             nursery.start_soon(read_all, reading, found)
-            async with open_outlet(Screen(), missing, waits=True) as lines:
+            async with open_line_writer(Screen(), missing, waits=True) as lines:
                 await put_all(lines, MANY)
                 await lines.put("end\n")
         assert lines.left_out == 0
@@ -78,7 +78,7 @@ def test_a_bus_does_not_wait_and_says_what_is_missing(reading: IO[str]) -> None:
     found: list[str] = []
 
     async def body() -> int:
-        async with open_outlet(Screen(), missing, waits=False) as lines:
+        async with open_line_writer(Screen(), missing, waits=False) as lines:
             await put_all(lines, MANY)  # nobody reads
             assert lines.left_out > 0
             async with trio.open_nursery() as nursery:
@@ -105,7 +105,7 @@ def test_a_bus_does_not_wait_and_says_what_is_missing(reading: IO[str]) -> None:
 def test_an_interruption_does_not_wait_for_a_reader_who_does_not_read(
     stdout: IO[str], reading: IO[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(outlet, "LAST_WORDS", 0.01)
+    monkeypatch.setattr(slow_reader, "LAST_WORDS", 0.01)
     os.set_blocking(stdout.fileno(), False)
     with suppress(BlockingIOError):
         while True:
@@ -114,21 +114,21 @@ def test_an_interruption_does_not_wait_for_a_reader_who_does_not_read(
 
     async def body() -> int:
         with trio.CancelScope() as scope:
-            async with open_outlet(Screen(), missing, waits=True) as lines, trio.open_nursery() as nursery:
+            async with open_line_writer(Screen(), missing, waits=True) as lines, trio.open_nursery() as nursery:
                 nursery.start_soon(put_all, lines, MANY)
-                while lines.waiting < outlet.FULL + 1:  # one is in the hands of the thread
+                while lines.waiting < slow_reader.FULL + 1:  # one is in the hands of the thread
                     await trio.sleep(0)
                 scope.cancel()
         return lines.left_out
 
-    assert trio.run(body) > outlet.FULL
+    assert trio.run(body) > slow_reader.FULL
     reading.close()  # the thread ends
 
 
 def test_an_interruption_lets_a_reader_have_the_last_lines(reading: IO[str]) -> None:
     async def body() -> None:
         with trio.CancelScope() as scope:
-            async with open_outlet(Screen(), missing, waits=False) as lines:
+            async with open_line_writer(Screen(), missing, waits=False) as lines:
                 await lines.put("one\n")
                 await lines.put("two\n")
                 scope.cancel()
@@ -144,7 +144,7 @@ def test_a_reader_who_has_gone(stdout: IO[str], reading: IO[str], monkeypatch: p
     monkeypatch.setattr(sys, "stdout", stdout)
 
     async def body() -> None:
-        async with open_outlet(Screen(), missing, waits=waits) as lines:
+        async with open_line_writer(Screen(), missing, waits=waits) as lines:
             reading.close()
             if waits:
                 await lines.put("one\n")
@@ -157,7 +157,7 @@ def test_a_reader_who_has_gone(stdout: IO[str], reading: IO[str], monkeypatch: p
 
 def test_what_was_shown_before_an_error_is_written(reading: IO[str]) -> None:
     async def body() -> None:
-        async with open_outlet(Screen(), missing, waits=True) as lines:
+        async with open_line_writer(Screen(), missing, waits=True) as lines:
             await lines.put("one\n")
             raise ValueError
 

@@ -15,7 +15,7 @@ from canopen_data.path_file import PathFile, Rounding
 from canopen_master.errors import PathRefused, PlanRefused
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import awake
+from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_master.motion.path_check import check_path
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis.identity import identify
@@ -76,7 +76,7 @@ async def check_before_power(master: Master, arm: ChainGroup, targets: dict[str,
 
 
 def _learn_limits(device: Device) -> Procedure[None]:
-    yield from awake(device.node)
+    yield from ensure_answers(device.node)
     yield from identify(device.axis)
     device.limits = yield from read_limits(device.axis)
 
@@ -144,7 +144,7 @@ def planned(arm: ChainGroup, here: Sequence[float], there: Sequence[float]) -> P
         raise
 
 
-async def told_legs(screen: Screen, arm: ChainGroup, legs: Legs) -> None:
+async def show_legs(screen: Screen, arm: ChainGroup, legs: Legs) -> None:
     """Show each part of the motion, with what it asks of each joint, and the limits."""
     if screen.json_output:
         return

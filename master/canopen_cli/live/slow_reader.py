@@ -1,4 +1,4 @@
-"""`Outlet`: lines for stdout whose reader may be slow: a pager, a terminal that is stopped (Ctrl-S), a program in a pipe.
+"""`LineWriter`: lines for stdout whose reader may be slow: a pager, a terminal that is stopped (Ctrl-S), a program in a pipe.
 
 A bus does not wait. So a thread writes, while the command goes on listening. If FULL lines wait, further ones are left out and
 counted, until the reader has taken half of them; a line at their place says how many are missing. A recording waits, and nothing
@@ -30,7 +30,7 @@ LOOK: Final = 1.0
 """Seconds between two looks whether there is still a reader: on a bus without frames nothing is written that would tell."""
 
 
-class Outlet:
+class LineWriter:
     """See this module's text. left_out: how many lines were left out."""
 
     def __init__(self, missing: Callable[[int], str], *, waits: bool) -> None:
@@ -54,7 +54,7 @@ class Outlet:
         return len(self._lines) + self._in_hand
 
     async def put(self, line: str) -> None:
-        """Write a line, with its end. Returns at once, unless this outlet waits for its reader."""
+        """Write a line, with its end. Returns at once, unless this writer waits for its reader."""
         while self._waits and len(self._lines) >= FULL:
             self._has_room = trio.Event()
             await self._has_room.wait()
@@ -137,20 +137,20 @@ class Outlet:
 
 
 @asynccontextmanager
-async def open_outlet(screen: Screen, missing: Callable[[int], str], *, waits: bool) -> AsyncIterator[Outlet]:
-    """Give an outlet while the block runs, and write at its end what is left. Raises what the block raises, and OSError if the
+async def open_line_writer(screen: Screen, missing: Callable[[int], str], *, waits: bool) -> AsyncIterator[LineWriter]:
+    """Give a writer while the block runs, and write at its end what is left. Raises what the block raises, and OSError if the
     reader has gone; both in a group."""
-    outlet = Outlet(missing, waits=waits)
+    writer = LineWriter(missing, waits=waits)
     async with trio.open_nursery() as nursery:
-        nursery.start_soon(outlet.run)
+        nursery.start_soon(writer.run)
         if not waits:
             nursery.start_soon(_look_for_reader, screen)
         try:
-            yield outlet
+            yield writer
         except Exception:
-            await outlet.finish()
+            await writer.finish()
             raise
-        await outlet.finish()
+        await writer.finish()
         nursery.cancel_scope.cancel()
 
 
