@@ -23,7 +23,7 @@ COMMANDS: Final = {
     ),
     "mode": ("drive.state", "Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one."),
     "enable": ("drive.power", "Give a drive power, in a mode in which that moves nothing, until Ctrl-C."),
-    "home": ("drive.home", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
+    "home": ("drive.home:home_one", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
     "move": ("drive.power", "Move a drive to POSITION by its own profile (profile position)."),
     "velocity": ("drive.velocity", "Run a drive at a velocity (profile velocity, else velocity), until Ctrl-C."),
     "torque": ("drive.torque", "Let a drive push with a torque (profile torque) for a time."),

@@ -21,7 +21,6 @@ from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source
 from canopen_cli.live.watch_polling import Load, Polling, load_text
 from canopen_cli.live.watch_view import Around, picture, plain
 from canopen_cli.live.watched import View, Watched, WatchedSample
-from canopen_cli.node.objects import find
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Duration, FiniteRange, NodeId, Settings, common
@@ -29,7 +28,7 @@ from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import open_session, read_dictionary
-from canopen_cli.shared.values import TYPES, as_json, object_json, physical, place_text
+from canopen_cli.shared.values import TYPES, as_json, find_object, object_json, physical, place_text
 from canopen_master.participant.bus import BusChanged, FramesLost
 from canopen_master.plain_text import clean, json_text
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
@@ -134,7 +133,7 @@ def _objects(
     dictionary: ObjectDictionary, keys: Sequence[str], drive: bool, type_name: str | None
 ) -> tuple[ObjectDictionary, list[Variable]]:
     """Return the named objects, and the dictionary with those that it lacks. Raises ObjectNotFound, Problem."""
-    variables = {each.mux: each for key in keys for each in [find(dictionary, key, type_name)]}
+    variables = {each.mux: each for key in keys for each in [find_object(dictionary, key, type_name)]}
     for key in DRIVE_OBJECTS if drive else ():
         try:
             variable = dictionary.variable(key)

@@ -18,8 +18,8 @@ from typing import Final, NoReturn
 import trio
 
 from canopen_cli.live.watched import FRESH, Watched
-from canopen_cli.node.objects import block_of
 from canopen_cli.shared.session import BusSession
+from canopen_cli.shared.values import block_of
 from canopen_master.errors import NO_ANSWER, SdoError, SdoRefused
 from canopen_master.node import Node
 from canopen_proto.abort import AbortOrigin, text_of

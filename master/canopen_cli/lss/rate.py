@@ -14,11 +14,10 @@ from typing import Any, Final
 import click
 import trio
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.lss.support import Lss, address_text, open_lss, windowed
 from canopen_cli.shared.options import DEMO, Duration, Settings, common
 from canopen_cli.shared.problem import ExitCode, Problem, usage
-from canopen_cli.shared.questions import require_somebody
+from canopen_cli.shared.questions import confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.simulation.serving import DEMO_LOCATOR

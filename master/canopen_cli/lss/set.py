@@ -10,7 +10,6 @@ from typing import Any, Final
 import click
 import trio
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.lss.support import (
     Lss,
     LssTarget,
@@ -28,7 +27,7 @@ from canopen_cli.lss.support import (
 )
 from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, node_id_of
 from canopen_cli.shared.problem import ExitCode, Problem, usage
-from canopen_cli.shared.questions import Questions, require_somebody
+from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.named_files import read_text

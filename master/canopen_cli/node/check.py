@@ -13,12 +13,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from canopen_check.bench import Bench
 from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER, CASES
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.node.check_report import CaseRun, CheckReport, list_cases, write_junit
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session, read_dictionary

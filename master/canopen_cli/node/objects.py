@@ -18,6 +18,8 @@ from canopen_cli.shared.values import (
     BYTES,
     TYPES,
     as_json,
+    block_of,
+    find_object,
     hex_text,
     object_json,
     parse_value,
@@ -28,10 +30,7 @@ from canopen_cli.shared.values import (
 )
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
-from canopen_proto.dictionary.standard import find_standard
-from canopen_proto.indices import COMMUNICATION_AREA
-from canopen_proto.sdo.client import AUTO_BLOCK, Block
+from canopen_proto.dictionary import Variable
 
 _TYPE = click.option(
     "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
@@ -96,34 +95,6 @@ async def read_object(node: Node, variable: Variable, block: bool | None = None)
     return ObjectReading(node.node_id, variable, value, ())
 
 
-def block_of(variable: Variable, block: bool | None) -> Block:
-    """Return what --block means for an object. Without it a number is never read in blocks: the device might not know them."""
-    if block is not None:
-        return block
-    return "auto" if variable.size is None or variable.size > AUTO_BLOCK else False
-
-
-def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
-    """Return the object that a key names, or that --type describes. A communication object that the dictionary lacks is that
-    of the standard. Raises ObjectNotFound, Problem."""
-    try:
-        return dictionary.variable(key)
-    except ObjectNotFound as unknown:
-        index, _, subindex = key.lower().removeprefix("0x").replace(".", ":").partition(":")
-        try:
-            place = int(index, 16), int(subindex or "0", 16)
-        except ValueError:
-            raise unknown from None
-        if not (0 < place[0] <= 0xFFFF and place[1] <= 0xFF and len(index) == 4):
-            raise unknown from None
-        standard = find_standard(*place) if place[0] in COMMUNICATION_AREA else None
-        if type_name is None and standard is not None:
-            return standard
-        if type_name is None:
-            raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
-        return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]
-
-
 @click.command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.argument("keys", metavar="OBJECT...", nargs=-1, required=True)
@@ -165,7 +136,7 @@ def read(
 async def _read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...]) -> list[ObjectReading]:
     async with open_session(settings, screen) as session, session.turn(request.node_id):
         node = session.node(request.node_id)
-        variables = [find(node.dictionary, key, request.type_name) for key in keys]
+        variables = [find_object(node.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
             _check_readable(variable)
         return [await read_object(node, variable, request.block) for variable in variables]
@@ -176,7 +147,7 @@ async def _read_file(
 ) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim(request.node_id):
         node = session.node(request.node_id)
-        variable = find(node.dictionary, key, request.type_name or BYTES)
+        variable = find_object(node.dictionary, key, request.type_name or BYTES)
         _check_readable(variable)
         return await read_into_file(screen, node, variable, output, file, block_of(variable, request.block))
 
@@ -256,7 +227,7 @@ def _shown(reading: ObjectReading) -> str:
 async def _write_file(settings: Settings, screen: Screen, request: AccessRequest, key: str, path: str) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim_to_write(request.node_id):
         node = session.node(request.node_id)
-        variable = find(node.dictionary, key, request.type_name or BYTES)
+        variable = find_object(node.dictionary, key, request.type_name or BYTES)
         _check_writable(variable)
         verify = request.verify and variable.access.readable
         return await write_from_file(screen, node, variable, path, block_of(variable, request.block), verify)
@@ -269,7 +240,7 @@ async def _write(
         node_id, block = request.node_id, request.block
         node = session.node(node_id)
         dictionary = node.dictionary
-        variable = find(dictionary, key, request.type_name)
+        variable = find_object(dictionary, key, request.type_name)
         value = parse_value(dictionary, variable, text)
         _check_writable(variable)
         variable.check_limits(value)

@@ -9,11 +9,11 @@ from typing import Any, Final
 
 import click
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.node.restore_output import show, story, tell_unread, told
 from canopen_cli.shared.options import NodeId, Settings, common
 from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import BusSession, open_session
