@@ -55,7 +55,7 @@ COMMANDS: Final = {
         "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.",
     ),
     "plan": (
-        "machine.plan",
+        "machine.network_plan:plan",
         "Does this network fit? Load, worst latency of each PDO, margins, the shortest cycle that fits.",
     ),
     "eds": ("eds.group", "Device descriptions: EDS, DCF, XDD and XDC files."),

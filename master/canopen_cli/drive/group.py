@@ -18,7 +18,7 @@ COMMANDS: Final = {
     "units": ("drive.state", "Show what the numbers of a drive mean, and which of its objects say so (the factor group)."),
     "fault-reset": ("drive.state", "Reset a fault: a rising edge of bit 7."),
     "plan": (
-        "drive.plan",
+        "drive.motion_plan:plan",
         "Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it.",
     ),
     "mode": ("drive.state", "Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one."),

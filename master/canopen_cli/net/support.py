@@ -22,7 +22,7 @@ from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_master.simulated_machine import devices_of_machine
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
-from canopen_master.simulation.serving import simulated_devices
+from canopen_master.simulation.serving import simulated_devices, virtual_buses
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.remote_node import RemoteNode
 
@@ -102,7 +102,7 @@ def choose_network(settings: Settings, screen: Screen, path: Path | None) -> Cho
 
 def _locators(settings: Settings, machine: MachineFile, listed: Sequence[str]) -> dict[str, str]:
     if settings.bus == DEMO:
-        return {bus: f"virtual:demo{number or ''}" for number, bus in enumerate(listed)}
+        return virtual_buses(listed)
     if settings.bus is None:
         return {bus: machine.buses[bus].locator for bus in listed}
     if settings.bus in listed:

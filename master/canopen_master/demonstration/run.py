@@ -29,8 +29,9 @@ from canopen_master.motion.chain_file import same_nodes
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
 from canopen_master.session import open_master
+from canopen_master.simulation.drive_files import joint_maker
 from canopen_master.simulation.host import DeviceMaker, patient_cycles
-from canopen_master.simulation.serving import SimulatedDevices, drive_maker, simulated_drives
+from canopen_master.simulation.serving import SimulatedDevices, simulated_drives
 from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402.modes import Mode, mode_name
@@ -219,9 +220,7 @@ class Demonstration:
             await self._demonstrate(self._chain(master, locators))
 
     def _maker(self, number: int, node_id: int) -> DeviceMaker:
-        """Return the maker of a simulated drive."""
-        file = self.task.file_of(self.description.joints[number])
-        return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
+        return joint_maker(number, node_id, self.task.file_of(self.description.joints[number]))
 
     def _open_master(self, locators: dict[str, str]) -> contextlib.AbstractAsyncContextManager[Master]:
         timeout = SDO_TIMEOUT if self.task.timeout is None else self.task.timeout / SECOND

@@ -12,6 +12,7 @@ from canopen_master.errors import UNKNOWN_CHAIN, DemonstrationRefused, UnknownCh
 from canopen_master.machine_file import MachineFile
 from canopen_master.motion.chain_file import ChainDescription, JointDescription, read_chains
 from canopen_master.simulation.drive_files import DriveFile
+from canopen_master.simulation.serving import virtual_buses
 from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.drives.axis.grip import DEFAULT_GRIP, Grip
 from canopen_proto.drives.axis.units import Unit
@@ -83,7 +84,7 @@ class DemonstrationTask:
             return {name: machine.buses[name].locator for name in description.buses}
         if self.bus is not None:
             return dict.fromkeys(description.buses, self.bus)
-        return {name: f"virtual:demo{number or ''}" for number, name in enumerate(description.buses)}
+        return virtual_buses(description.buses)
 
     def axis_of(self, joint: JointDescription) -> AxisSettings:
         """Return the settings of a joint. Raises DemonstrationRefused for a real joint of a machine that does not turn."""

@@ -10,6 +10,8 @@ from canopen_data.description import DeviceDescription
 from canopen_data.drive_from_file import drive_obstacle
 from canopen_master.errors import NotADrive
 from canopen_master.simulation.device_files import shape_of
+from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import drive_maker
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL, AxisSettings
 from canopen_proto.drives.cia402.modes import Mode, supported
@@ -58,6 +60,11 @@ class DriveFile:
             return replace(self.axis, velocity_unit=1.0)
         high = method.high_limit
         return replace(self.axis, velocity_unit=1.0, homing_method=HERE if high is None or high >= HERE else None)
+
+
+def joint_maker(number: int, node_id: int, file: DriveFile | None) -> DeviceMaker:
+    """Return the maker of the simulated drive of a joint: of its file, else a Powerball joint. number: as of `drive_maker`."""
+    return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
 
 
 def drive_of(description: DeviceDescription, *, defaults: bool = False) -> DriveFile:

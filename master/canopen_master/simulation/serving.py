@@ -79,6 +79,11 @@ def drive_maker(
     return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
 
 
+def virtual_buses(names: Iterable[str]) -> dict[str, str]:
+    """Return a virtual bus in the place of each of these buses: its locator by the name. The first one is DEMO_LOCATOR."""
+    return {name: f"{DEMO_LOCATOR}{number or ''}" for number, name in enumerate(names)}
+
+
 def with_serial(dictionary: ObjectDictionary, serial: int, node_id: int) -> ObjectDictionary:
     """Return the dictionary with a serial number (0x1018:04), if it has that object: LSS tells devices apart by it."""
     if dictionary.get(indices.IDENTITY_OBJECT, SERIAL) is None:
