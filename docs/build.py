@@ -44,7 +44,7 @@ from canopen_data import load_dictionary
 from canopen_data.configured import configure
 from canopen_master import Chain, ChainSettings, Master, open_master, read_record
 from canopen_master.motion.device import Device
-from canopen_master.simulation.fleet import simulated_devices
+from canopen_master.simulation.serving import simulated_devices
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import Unit

@@ -41,7 +41,7 @@ COMMANDS: Final = {
     "drive": ("drive.group", "One drive (CiA 402): what it shows, why it does not move, what its numbers mean."),
     "move": ("motion.move", "Move chains to a target, or along a path."),
     "jog": ("motion.jog", "Move joints of a chain by keys, as long as a key is held."),
-    "home": ("drive.home_many", "Home drives (CiA 402), all at the same time."),
+    "home": ("drive.home", "Home drives (CiA 402), all at the same time."),
     "backup": ("node.backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),
     "restore": ("node.restore", "Write those settings of a DCF or XDC to a node that differ from its own."),
     "flash": ("node.flash", "Write a new program (firmware) into a device that takes it by CiA 302-3, and start it."),
@@ -55,7 +55,7 @@ COMMANDS: Final = {
         "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.",
     ),
     "plan": (
-        "machine.plan",
+        "machine.network_plan:plan",
         "Does this network fit? Load, worst latency of each PDO, margins, the shortest cycle that fits.",
     ),
     "eds": ("eds.group", "Device descriptions: EDS, DCF, XDD and XDC files."),

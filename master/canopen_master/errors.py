@@ -43,10 +43,13 @@ CHANNEL_TAKEN: Final = "CO208"
 """Another program of ours uses the node's SDO channel."""
 NOT_HEARD: Final = "CO210"
 """A node did not boot, or did not send the frame that was waited for."""
+DEMONSTRATION_REFUSED: Final = "CO123"
+SIMULATED_DEVICE: Final = "CO127"
 CHAIN_FILE: Final = "CO320"
 BAD_SET_POINT: Final = "CO321"
 UNKNOWN_CHAIN: Final = "CO322"
 PLAN_REFUSED: Final = "CO323"
+NOT_A_DRIVE: Final = "CO332"
 CHAIN_FAILED: Final = "CO401"
 CHAIN_FAULT: Final = "CO402"
 CHAIN_HALTED: Final = "CO403"
@@ -54,6 +57,7 @@ CHAIN_NOT_READY: Final = "CO404"
 MODE_UNSUPPORTED: Final = "CO405"
 HOMING_FAILED: Final = "CO406"
 PROCEDURE_FAILED: Final = "CO407"
+NODE_IS_NO_DRIVE: Final = "CO408"
 
 
 class MasterError(Explained, Exception):
@@ -62,6 +66,28 @@ class MasterError(Explained, Exception):
 
 class RealtimeRefused(MasterError):
     """The operating system does not give what `Realtime(required=True)` asks for; the master was not opened."""
+
+
+class DeviceRefused(MasterError, ValueError):
+    """A simulated device cannot be made as its entry says: its node-ID is not known, or another one has it; a value does not
+    fit."""
+
+    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(SIMULATED_DEVICE, failed, seen=seen, tries=tries)
+
+
+class DemonstrationRefused(MasterError, ValueError):
+    """A demonstration cannot be shown with these joints: one has no scale, or does not turn."""
+
+    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(DEMONSTRATION_REFUSED, failed, seen=seen, tries=tries)
+
+
+class NotADrive(MasterError, ValueError):
+    """A file describes no drive by CiA 402 that could move."""
+
+    def __init__(self, failed: str, *tries: str) -> None:
+        super().__init__(NOT_A_DRIVE, failed, tries=tries)
 
 
 class BusError(MasterError):
@@ -99,6 +125,15 @@ class NodeError(MasterError):
 
 class NodeSilent(NodeError, TimeoutError):
     """A node did not boot in time, or did not send an expected frame in time."""
+
+
+class NodeIsNoDrive(NodeError):
+    """A node has no statusword of CiA 402, or none of the axis that was meant. statusword: its index there."""
+
+    def __init__(self, node_id: int, axis: int, statusword: int) -> None:
+        what = f"has no axis {axis}" if axis else "is no drive by CiA 402"
+        failed = f"node {node_id} (0x{node_id:02X}) {what}: it has no statusword (0x{statusword:04X})"
+        super().__init__(NODE_IS_NO_DRIVE, node_id, "", failed, tries=(f"canopen info {node_id}    what it is",))
 
 
 class SdoError(NodeError):

@@ -79,7 +79,7 @@ class Lasting:
 def lasting(monkeypatch: pytest.MonkeyPatch, dictionary: ObjectDictionary) -> Lasting:
     """A device that the next commands find on `-b demo`, Operational."""
     world = Lasting(dictionary)
-    monkeypatch.setattr(session, "simulated_fleet", world.fleet)
+    monkeypatch.setattr(session, "simulated_drives", world.fleet)
     return world
 
 

@@ -14,12 +14,12 @@ import trio
 from trio.testing import MockClock
 
 from canopen_cli.app import main
-from canopen_cli.demo import run as demonstration
 from canopen_cli.live import source as live_source
 from canopen_cli.motion import chain_session
 from canopen_cli.shared import session
 from canopen_cli.simulation import sim
-from canopen_master.simulation.fleet import DEMO_LOCATOR, Fleet, simulated_devices, simulated_fleet
+from canopen_master.demonstration import run as demonstration
+from canopen_master.simulation.serving import DEMO_LOCATOR, SimulatedDevices, simulated_devices, simulated_drives
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.machine import SECOND, Outbox
 from canopen_proto.simulation.drive.node import DriveNode
@@ -61,14 +61,14 @@ class Alarm:
 
     def __init__(self) -> None:
         self.signals: list[tuple[float, int]] = []
-        self.task: Callable[[Fleet], Awaitable[None]] | None = None
+        self.task: Callable[[SimulatedDevices], Awaitable[None]] | None = None
         """Something else that happens to the drives meanwhile."""
 
     def set(self, *signals: tuple[float, int]) -> None:
         """Send each signal so many seconds after the one before. For the next command only."""
         self.signals = list(signals)
 
-    async def ring(self, fleet: Fleet) -> None:
+    async def ring(self, fleet: SimulatedDevices) -> None:
         """What goes on beside the command."""
         if self.task is not None:
             await self.task(fleet)
@@ -101,22 +101,22 @@ def runner_in_folder(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
     return runner(capsys, monkeypatch, tmp_path)
 
 
-def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
+def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[SimulatedDevices]:
     """The fleets of simulated drives that commands make from now on, to look into when they have ended. alarm: rings in them."""
-    fleets: list[Fleet] = []
+    fleets: list[SimulatedDevices] = []
 
     @asynccontextmanager
-    async def watched(*arguments: Any, **options: Any) -> AsyncIterator[Fleet]:
-        async with simulated_fleet(*arguments, **options) as fleet:
+    async def watched(*arguments: Any, **options: Any) -> AsyncIterator[SimulatedDevices]:
+        async with simulated_drives(*arguments, **options) as fleet:
             fleets.append(fleet)
             trio.lowlevel.spawn_system_task(alarm.ring, fleet)
             yield fleet
 
-    monkeypatch.setattr(demonstration, "simulated_fleet", watched)
-    monkeypatch.setattr(session, "simulated_fleet", watched)
-    monkeypatch.setattr(live_source, "simulated_fleet", watched)
-    monkeypatch.setattr(sim, "simulated_fleet", watched)
-    monkeypatch.setattr(chain_session, "simulated_fleet", watched)
+    monkeypatch.setattr(demonstration, "simulated_drives", watched)
+    monkeypatch.setattr(session, "simulated_drives", watched)
+    monkeypatch.setattr(live_source, "simulated_drives", watched)
+    monkeypatch.setattr(sim, "simulated_drives", watched)
+    monkeypatch.setattr(chain_session, "simulated_drives", watched)
     return fleets
 
 
@@ -125,13 +125,13 @@ def only_drive(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, make: Callable[[Ou
     made: list[DriveNode] = []
 
     @asynccontextmanager
-    async def simulated(*arguments: object) -> AsyncIterator[Fleet]:
+    async def simulated(*arguments: object) -> AsyncIterator[SimulatedDevices]:
         async with simulated_devices({DEMO_LOCATOR: [lambda out: make(out, 5)]}) as fleet:
             made.append(fleet.drives[5])
             trio.lowlevel.spawn_system_task(alarm.ring, fleet)
             yield fleet
 
-    monkeypatch.setattr(session, "simulated_fleet", simulated)
+    monkeypatch.setattr(session, "simulated_drives", simulated)
     return made
 
 

@@ -13,7 +13,7 @@ import pytest
 import trio
 
 from canopen_cli.app import main
-from canopen_master.simulation.fleet import simulated_fleet
+from canopen_master.simulation.serving import simulated_drives
 from canopen_transports.log_files import LogReader
 from canopen_transports.tcp import BusServer, serve_bus
 from tests.cli.cli_support import Outcome, Run, runner
@@ -160,7 +160,7 @@ def test_two_terminals(run_in_real_time: Run) -> None:
     async def other_terminals() -> None:
         async with trio.open_nursery() as nursery:
             (locator,) = await nursery.start(serve_bus, "127.0.0.1", 0, BusServer())
-            async with simulated_fleet([(locator, 3), (locator, 4)]):
+            async with simulated_drives([(locator, 3), (locator, 4)]):
                 over.extend((locator, trio.lowlevel.current_trio_token(), nursery.cancel_scope))
                 ready.set()
                 await trio.sleep_forever()

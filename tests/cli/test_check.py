@@ -14,13 +14,13 @@ import pytest
 import trio
 
 from canopen_check.catalogue import CASES
-from canopen_cli.node.check_report import Report, write_junit
+from canopen_cli.node.check_report import CheckReport, write_junit
 from canopen_cli.shared import session
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_data.describing import describe
 from canopen_data.descriptions import load_description, read_file
 from canopen_data.eds.writer import write_eds
-from canopen_master.simulation.fleet import DEMO_LOCATOR, simulated_devices
+from canopen_master.simulation.serving import DEMO_LOCATOR, simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
@@ -78,7 +78,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     made = World()
-    monkeypatch.setattr(session, "simulated_fleet", made.fleet)
+    monkeypatch.setattr(session, "simulated_drives", made.fleet)
     return made
 
 
@@ -314,7 +314,7 @@ def test_junit(run: Run, world: World) -> None:
 def test_a_report_that_cannot_be_written_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("report.xml").mkdir()
     with pytest.raises(Problem, match="cannot write"):
-        write_junit("report.xml", Report(5, 0))
+        write_junit("report.xml", CheckReport(5, 0))
 
 
 # ---- how it may end ----

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import pytest
 
 from canopen_check.catalogue import CASES, run_all
-from canopen_cli.shared.screen import Screen
-from canopen_cli.simulation.devices import models
 from canopen_data.reading import read_description
+from canopen_master.simulation.device_files import models_of
 from canopen_master.simulation.plant import DeviceEntry
 from canopen_proto.verdict import Result
 from tests.check.conformance_rig import Fault, Site
@@ -70,7 +69,7 @@ FAILURES: Mapping[str, Mapping[str, Failure]] = {
 @pytest.mark.parametrize("name", ALL_NAMES)
 def test_what_fails_is_explained_by_the_file(name: str) -> None:
     description = read_description(load(name), name)
-    (model,) = models([DeviceEntry(str(path_of(name)), (NODE_ID,))], Screen(verbosity=-1))
+    (model,) = models_of([DeviceEntry(str(path_of(name)), (NODE_ID,))])
     device = Fault("what sim makes of the file", node=lambda out, node_id, dictionary: model(out))
     results = Site(device, description=description, stimulus=False).result_of(lambda bench: run_all(bench))
     assert len(results) == len(CASES)

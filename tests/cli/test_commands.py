@@ -16,8 +16,8 @@ import trio
 from canopen_cli.shared import session
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen
-from canopen_master.simulation.fleet import Fleet
 from canopen_master.simulation.host import simulate
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.datatypes import Value
 from canopen_proto.drives.cia402.objects import PROFILE_VELOCITY
 from canopen_proto.local_node import LocalNode
@@ -185,7 +185,7 @@ def test_a_refusal_of_the_drive(run: Run) -> None:
     assert outcome.error["abort"] == 0x06090030
 
 
-def test_a_value_that_reads_back_differently(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+def test_a_value_that_reads_back_differently(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
     alarm.task = _stubborn_drive
     outcome = run("write", "3", "profile_velocity", "5", "--verify", *DEMO)
     assert outcome.status == ExitCode.VERIFY_MISMATCH
@@ -200,7 +200,7 @@ class Stubborn(dict[int, Value]):
             super().__setitem__(key, value)
 
 
-async def _stubborn_drive(fleet: Fleet) -> None:
+async def _stubborn_drive(fleet: SimulatedDevices) -> None:
     values = fleet.drives[3].values
     values.store = Stubborn(values.store)
 
@@ -360,8 +360,8 @@ def test_info_asks_for_each_value_of_up_to_4_bytes_in_one_frame(run: Run, tmp_pa
     assert len({data[1:4] for data in frames if data[0] in (0x43, 0x47, 0x4B, 0x4F)}) > 40
 
 
-def test_info_of_a_drive_in_fault(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
-    async def fault(fleet: Fleet) -> None:
+def test_info_of_a_drive_in_fault(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
+    async def fault(fleet: SimulatedDevices) -> None:
         fleet.raise_fault(3, 0x2310)
 
     alarm.task = fault
@@ -380,7 +380,7 @@ def test_info_of_something_that_is_no_drive(run: Run, monkeypatch: pytest.Monkey
             yield
             nursery.cancel_scope.cancel()
 
-    monkeypatch.setattr(session, "simulated_fleet", io_module)
+    monkeypatch.setattr(session, "simulated_drives", io_module)
     outcome = run("info", "5", *DEMO)
     assert outcome.status == 0
     assert "I/O module (CiA 401)" in outcome.out
@@ -442,7 +442,7 @@ def test_waiting_for_a_node_that_is_not_there(run: Run) -> None:
 # ---- home ----
 
 
-def test_home(run: Run, fleets: list[Fleet]) -> None:
+def test_home(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run("home", "3", "4", "3", *DEMO)
     assert outcome.status == 0
     assert [line.split()[:3] for line in outcome.out.splitlines()[2:]] == [["3", "(0x03)", "yes"], ["4", "(0x04)", "yes"]]
@@ -458,7 +458,7 @@ def test_a_mode_that_the_drive_lacks(run: Run) -> None:
     assert "interpolated position" in outcome.err
 
 
-def test_homing_takes_too_long(run: Run, fleets: list[Fleet]) -> None:
+def test_homing_takes_too_long(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run("home", "3", "--limit", "100ms", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "CO407" in outcome.err
@@ -476,7 +476,7 @@ def test_a_method_for_a_drive_that_knows_none(run: Run) -> None:
 
 
 @pytest.mark.parametrize("at", [0.02, 0.3, 0.8])
-def test_ctrl_c_while_homing_halts_the_drives(run: Run, fleets: list[Fleet], alarm: Alarm, at: float) -> None:
+def test_ctrl_c_while_homing_halts_the_drives(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
     outcome = run("home", "3", "5", *DEMO)
     assert outcome.status == ExitCode.INTERRUPTED
@@ -495,8 +495,8 @@ def test_sim_serves_for_a_while(run: Run) -> None:
     assert "node 13 (0x0D)  switch on disabled" in outcome.err
 
 
-def test_sim_ends_well_by_ctrl_c(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
-    async def fault(fleet: Fleet) -> None:
+def test_sim_ends_well_by_ctrl_c(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
+    async def fault(fleet: SimulatedDevices) -> None:
         await trio.sleep(0.1)
         fleet.raise_fault(3, 0x2310)
 

@@ -16,25 +16,25 @@ import pytest
 import trio
 from trio.testing import MockClock
 
-from canopen_cli.demo import run as demonstration
 from canopen_cli.plot.cycles import write_plot
-from canopen_cli.plot.recording import Recording
 from canopen_cli.shared.problem import ExitCode
+from canopen_master.demonstration import run as demonstration
+from canopen_master.demonstration.recording import Recording
 from canopen_master.master import Master
 from canopen_master.session import open_master
-from canopen_master.simulation.fleet import Fleet, simulated_fleet
+from canopen_master.simulation.serving import SimulatedDevices, simulated_drives
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from tests.cli.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, stands
 from tests.cli.test_demo_eds import written
 
 
-def assert_all_stand(fleets: list[Fleet]) -> None:
+def assert_all_stand(fleets: list[SimulatedDevices]) -> None:
     (fleet,) = fleets
     assert all(stands(drive) for drive in fleet.drives.values())
 
 
-def test_six_joints_home_and_move(run: Run, fleets: list[Fleet]) -> None:
+def test_six_joints_home_and_move(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run("demo", *SHORT)
     assert outcome.status == 0
     lines = [line.split() for line in outcome.out.splitlines() if line.startswith("joint")]
@@ -58,10 +58,10 @@ def test_the_result_as_json(run: Run) -> None:
 
 
 @pytest.mark.parametrize("times", [1, 6])
-def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alarm: Alarm, times: int) -> None:
+def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, times: int) -> None:
     """All was done all the same."""
 
-    async def stall(fleet: Fleet) -> None:
+    async def stall(fleet: SimulatedDevices) -> None:
         """Stop the whole process, again and again, while the arm moves."""
         await trio.sleep(3.2)
         for _ in range(times):
@@ -89,7 +89,7 @@ def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[Fleet], alar
 
 @pytest.mark.parametrize("has_ruckig", [True, False])
 def test_a_planned_motion_where_ruckig_is(
-    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, has_ruckig: bool
+    run: Run, fleets: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, has_ruckig: bool
 ) -> None:
     """Its picture has both motions, and says where the planned one begins."""
     drawn = recordings_drawn(monkeypatch)
@@ -106,7 +106,7 @@ def test_a_planned_motion_where_ruckig_is(
 
 
 def test_a_planned_motion_that_takes_too_long_stops_on_its_path(
-    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch
+    run: Run, fleets: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("ruckig", reason="a planned motion needs the extra `motion`")
     monkeypatch.setattr(demonstration, "PLANNED_TIME", 0.5)
@@ -136,7 +136,7 @@ def test_the_bus_variable_does_not_make_it_move_real_drives(run: Run, monkeypatc
 
 
 @pytest.mark.parametrize("at", [0.0, 0.01, 0.02, 0.5, 1.3, 1.52, 1.57, 1.59, 1.67, 1.97, 2.12, 2.17])
-def test_ctrl_c_leaves_every_drive_halted(run: Run, fleets: list[Fleet], alarm: Alarm, at: float) -> None:
+def test_ctrl_c_leaves_every_drive_halted(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
     outcome = run("demo", *TWO)
     assert outcome.status == ExitCode.INTERRUPTED
@@ -150,7 +150,7 @@ def test_ctrl_c_leaves_every_drive_halted(run: Run, fleets: list[Fleet], alarm: 
 @pytest.mark.parametrize("steps", range(25))
 def test_a_cancel_while_the_simulated_drives_begin_ends_them(steps: int) -> None:
     async def serve() -> None:
-        async with simulated_fleet([("virtual:begin", 3), ("virtual:begin too", 3)]):
+        async with simulated_drives([("virtual:begin", 3), ("virtual:begin too", 3)]):
             await trio.sleep_forever()
 
     async def test() -> None:
@@ -163,7 +163,7 @@ def test_a_cancel_while_the_simulated_drives_begin_ends_them(steps: int) -> None
     trio.run(test)
 
 
-def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
     alarm.set((1.0, signal.SIGINT), (0.001, signal.SIGINT))
     outcome = run("demo", *TWO)
     assert outcome.status == ExitCode.INTERRUPTED
@@ -171,10 +171,10 @@ def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[Fleet], alarm: A
     assert_all_stand(fleets)
 
 
-def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
     """Two joints hardly brake."""
 
-    async def wear_out_the_brakes(fleet: Fleet) -> None:
+    async def wear_out_the_brakes(fleet: SimulatedDevices) -> None:
         for node_id in (4, 7):
             fleet.drives[node_id].values.store[objects.PROFILE_DECELERATION] = 1
 
@@ -194,7 +194,7 @@ def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: lis
 
 @pytest.mark.parametrize(("at", "joints", "names"), [(2.0, (), range(1, 7)), (3.1, TWO_JOINTS, range(1, 3))])
 def test_ctrl_c_halts_drives_made_of_a_file(
-    run: Run, fleets: list[Fleet], alarm: Alarm, at: float, joints: tuple[str, ...], names: range
+    run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float, joints: tuple[str, ...], names: range
 ) -> None:
     alarm.set((at, signal.SIGINT), (0.009, signal.SIGINT))
     outcome = run("demo", "--eds", "sample_drive.eds", "--seconds", "20", *joints)
@@ -204,7 +204,7 @@ def test_ctrl_c_halts_drives_made_of_a_file(
     assert_all_stand(fleets)
 
 
-def test_sigterm_is_as_good(run: Run, fleets: list[Fleet], alarm: Alarm) -> None:
+def test_sigterm_is_as_good(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
     alarm.set((1.8, signal.SIGTERM))
     outcome = run("demo", *TWO)
     assert outcome.status == ExitCode.INTERRUPTED
@@ -212,7 +212,7 @@ def test_sigterm_is_as_good(run: Run, fleets: list[Fleet], alarm: Alarm) -> None
     assert_all_stand(fleets)
 
 
-def test_a_fault_in_the_middle_of_a_move(run: Run, fleets: list[Fleet]) -> None:
+def test_a_fault_in_the_middle_of_a_move(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run("demo", *SHORT, "--fault", "5@0.2")
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert len(outcome.err.splitlines()) <= 16
@@ -243,13 +243,13 @@ def test_a_fault_wants_a_simulated_drive_of_the_chain(run: Run) -> None:
 
 
 @pytest.fixture
-def bus(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
+def bus(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[SimulatedDevices]:
     """The bus virtual:real has two drives, which the command takes for real ones."""
-    fleets: list[Fleet] = []
+    fleets: list[SimulatedDevices] = []
 
     @asynccontextmanager
     async def with_drives(*locators: str, **options: Any) -> AsyncIterator[Master]:
-        async with simulated_fleet(("virtual:real", node_id) for node_id in (3, 4)) as fleet:
+        async with simulated_drives(("virtual:real", node_id) for node_id in (3, 4)) as fleet:
             fleets.append(fleet)
             trio.lowlevel.spawn_system_task(alarm.ring, fleet)
             async with open_master(*locators, **options) as master:
@@ -259,7 +259,7 @@ def bus(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[Fleet]:
     return fleets
 
 
-def test_the_same_on_a_bus(run: Run, bus: list[Fleet]) -> None:
+def test_the_same_on_a_bus(run: Run, bus: list[SimulatedDevices]) -> None:
     outcome = run("demo", *TWO, "-b", "virtual:real", "--timeout", "100ms")
     assert outcome.status == 0
     assert "2 drives on virtual:real" in outcome.err
@@ -269,14 +269,14 @@ def test_the_same_on_a_bus(run: Run, bus: list[Fleet]) -> None:
     assert run("demo", *TWO, "-b", "virtual:real", "--json").json["simulated"] is False
 
 
-def test_a_file_of_schunks_brings_its_scale(run: Run, bus: list[Fleet], tmp_path: Path) -> None:
+def test_a_file_of_schunks_brings_its_scale(run: Run, bus: list[SimulatedDevices], tmp_path: Path) -> None:
     outcome = run("demo", *TWO, "--eds", written(tmp_path / "joint.dcf"), "-b", "virtual:real")
     assert outcome.status == 0, outcome.err
     assert_all_stand(bus)
 
 
-def test_a_drive_on_a_bus_breaks_down(run: Run, bus: list[Fleet], alarm: Alarm) -> None:
-    async def break_down(fleet: Fleet) -> None:
+def test_a_drive_on_a_bus_breaks_down(run: Run, bus: list[SimulatedDevices], alarm: Alarm) -> None:
+    async def break_down(fleet: SimulatedDevices) -> None:
         await trio.sleep(4.9)
         fleet.raise_fault(4, 0x3210)
 
@@ -345,7 +345,9 @@ def test_a_bus_that_is_not_there(run: Run) -> None:
     assert run("demo", "-b", "nonsense:1").status == ExitCode.CANNOT_OPEN
 
 
-def test_a_real_drive_whose_unit_nobody_said_is_not_moved(run: Run, bus: list[Fleet], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_real_drive_whose_unit_nobody_said_is_not_moved(
+    run: Run, bus: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(objects, "SCHUNK_VENDOR_ID", 0x1234)
     outcome = run("demo", *TWO, "-b", "virtual:real")
     assert outcome.status == ExitCode.USAGE

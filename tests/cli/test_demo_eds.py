@@ -10,7 +10,7 @@ from canopen_data.configured import with_configured
 from canopen_data.describing import describe
 from canopen_data.description import Commissioning, DeviceInfo, FileKind
 from canopen_data.eds.writer import write_eds
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives.cia402.homing_methods import HOMING_METHODS
 from canopen_proto.pdo.slots import described_pdos
@@ -26,7 +26,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 
 @pytest.fixture
-def fleets(monkeypatch: pytest.MonkeyPatch) -> list[Fleet]:
+def fleets(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedDevices]:
     return watched_fleets(monkeypatch, Alarm())
 
 
@@ -39,7 +39,7 @@ def written(path: Path, shape: Shape = Shape.SCHUNK_POWERBALL, values: dict[int,
     return str(path)
 
 
-def tpdos(fleet: Fleet, node_id: int = 3) -> dict[int, list[int]]:
+def tpdos(fleet: SimulatedDevices, node_id: int = 3) -> dict[int, list[int]]:
     """What the valid TPDOs of a drive carry: indices, by number."""
     pdos = described_pdos(fleet.drives[node_id].values.dictionary, node_id)
     return {each.number: [entry >> 16 for entry in each.entries] for each in pdos if each.direction is Direction.TPDO}
@@ -58,7 +58,7 @@ def test_drives_made_of_a_file_home_and_move(run: Run, tmp_path: Path, shape: Sh
     assert "6 simulated drives made of" in outcome.err
 
 
-def test_a_dcf_says_which_pdos_and_defaults_leave_that_out(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
+def test_a_dcf_says_which_pdos_and_defaults_leave_that_out(run: Run, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
     path = written(tmp_path / "drive.dcf", values={0x1A0000: 2, 0x1A0002: 0x60640020})
     assert run("demo", *TWO, "--eds", path).status == 0
     assert run("demo", *TWO, "--eds", path, "--defaults").status == 0
@@ -70,7 +70,7 @@ def test_only_one_joint_of_a_file(run: Run, tmp_path: Path) -> None:
     assert outcome.status == 0, outcome.err
 
 
-def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
+def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
     outcome = run("demo", *TWO, "--eds", written(tmp_path / "drive.dcf", values={0x160000: 1}))
     assert outcome.status == 0, outcome.err
     store = fleets[0].drives[3].values.store
@@ -104,7 +104,9 @@ def test_defaults_of_nothing(run: Run) -> None:
         (("--defaults",), {1: [0x6041, 0x6077, 0x6064]}),
     ],
 )
-def test_the_schunk_arm(run: Run, fleets: list[Fleet], options: tuple[str, ...], carried: dict[int, list[int]]) -> None:
+def test_the_schunk_arm(
+    run: Run, fleets: list[SimulatedDevices], options: tuple[str, ...], carried: dict[int, list[int]]
+) -> None:
     path = vendor_files.path_of("schunk-powerball-lwa4p.dcf")
     outcome = run("demo", *TWO, "--eds", str(path), *options)
     assert outcome.status == 0, outcome.err
@@ -125,7 +127,7 @@ DRIVE_FILES = {
 
 
 @pytest.mark.parametrize("name", DRIVE_FILES)
-def test_any_drives_file_moves(run: Run, fleets: list[Fleet], name: str) -> None:
+def test_any_drives_file_moves(run: Run, fleets: list[SimulatedDevices], name: str) -> None:
     outcome = run("demo", *TWO, "--eds", str(vendor_files.path_of(name)))
     assert outcome.status == 0, outcome.err
     assert all("yes" in line for line in joints(outcome.out))

@@ -17,7 +17,7 @@ from canopen_cli.shared import questions
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import Screen
 from canopen_master.machine_file import read_machine
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
@@ -60,7 +60,7 @@ def profile_speed(drive: DriveNode) -> object:
     return drive.values[objects.PROFILE_VELOCITY]
 
 
-def test_from_the_box_to_the_first_move(commission: Commission, fleets: list[Fleet]) -> None:
+def test_from_the_box_to_the_first_move(commission: Commission, fleets: list[SimulatedDevices]) -> None:
     moves = ["5", "y", "r", "4", "y", "y"]  # the other way round; once more
     outcome = commission(*SHAPE_ANSWERS, *LIMIT_ANSWERS, *moves, "y", "10", "2", "yes", options=("--name", "elbow"))
     assert outcome.status == 0, outcome.err
@@ -79,7 +79,7 @@ def test_from_the_box_to_the_first_move(commission: Commission, fleets: list[Fle
     assert re.search("^\\[6081\\][^[]*^ParameterValue=(20000|0x4E20)$", Path("elbow.dcf").read_text(), re.MULTILINE)
 
 
-def test_an_empty_answer_is_safe_at_each_question(commission: Commission, fleets: list[Fleet]) -> None:
+def test_an_empty_answer_is_safe_at_each_question(commission: Commission, fleets: list[SimulatedDevices]) -> None:
     outcome = commission(*[""] * 20)
     assert outcome.status == ExitCode.PARTIAL
     assert "It was not moved, so nothing else will be." in outcome.err
@@ -88,7 +88,7 @@ def test_an_empty_answer_is_safe_at_each_question(commission: Commission, fleets
     assert not Path("drive3.toml").exists()
 
 
-def test_a_move_that_is_not_confirmed_ends_it(commission: Commission, fleets: list[Fleet]) -> None:
+def test_a_move_that_is_not_confirmed_ends_it(commission: Commission, fleets: list[SimulatedDevices]) -> None:
     outcome = commission(*SHAPE_ANSWERS, *LIMIT_ANSWERS, "", "y", "", "y", "y")
     assert outcome.status == ExitCode.PARTIAL
     assert "Its scale is wrong then" in outcome.err
@@ -98,7 +98,9 @@ def test_a_move_that_is_not_confirmed_ends_it(commission: Commission, fleets: li
 
 
 @pytest.mark.parametrize("at", [0.001, 0.02, 0.1, 0.5, 1.9])
-def test_ctrl_c_leaves_it_standing_and_says_what_was_done(commission: Commission, fleets: list[Fleet], at: float) -> None:
+def test_ctrl_c_leaves_it_standing_and_says_what_was_done(
+    commission: Commission, fleets: list[SimulatedDevices], at: float
+) -> None:
     outcome = commission(*SHAPE_ANSWERS, *LIMIT_ANSWERS, "80", at, "y", "y", "y")
     assert outcome.status == ExitCode.INTERRUPTED
     drive = fleets[0].drives[3]
@@ -111,7 +113,7 @@ def test_ctrl_c_leaves_it_standing_and_says_what_was_done(commission: Commission
     assert "the small move was begun" in outcome.err
 
 
-def test_the_end_of_the_input_is_as_a_ctrl_c(commission: Commission, fleets: list[Fleet]) -> None:
+def test_the_end_of_the_input_is_as_a_ctrl_c(commission: Commission, fleets: list[SimulatedDevices]) -> None:
     outcome = commission(*SHAPE_ANSWERS)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "by the end of the input" in outcome.err
@@ -119,7 +121,7 @@ def test_the_end_of_the_input_is_as_a_ctrl_c(commission: Commission, fleets: lis
     assert fleets[0].drives[3].drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_failure_says_what_was_done(commission: Commission, fleets: list[Fleet]) -> None:
+def test_a_failure_says_what_was_done(commission: Commission, fleets: list[SimulatedDevices]) -> None:
     outcome = commission(*SHAPE_ANSWERS, "", "-12", "", "5", "y")  # it would go beyond its limits
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "max_position" in outcome.err
@@ -143,7 +145,7 @@ def test_answers_that_make_no_sense_are_asked_again(
     assert made[-1].values[objects.POSITION_ACTUAL_VALUE] == 0  # here is its home
 
 
-def test_the_machine_of_m_gets_the_joint(commission: Commission, tmp_path: Path, fleets: list[Fleet]) -> None:
+def test_the_machine_of_m_gets_the_joint(commission: Commission, tmp_path: Path, fleets: list[SimulatedDevices]) -> None:
     cell = tmp_path / "cell.toml"
     cell.write_text(
         '[buses.left]\nlocator = "virtual:x"\n[nodes]\na = { id = 3 }\nb = { id = 4 }\n[joints]\nelbow = { node = "a" }\nb = {}\n'
@@ -157,7 +159,9 @@ def test_the_machine_of_m_gets_the_joint(commission: Commission, tmp_path: Path,
     assert machine.buses["left"].locator == "virtual:x"
 
 
-def test_yes_is_for_simulated_drives(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fleets: list[Fleet]) -> None:
+def test_yes_is_for_simulated_drives(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fleets: list[SimulatedDevices]
+) -> None:
     monkeypatch.chdir(tmp_path)
     for bus in ("tcp", "socketcan:can0"):
         outcome = run("drive", "3", "commission", "--yes", "-b", bus)

@@ -8,7 +8,7 @@ import pytest
 import trio
 
 from canopen_cli.shared.problem import ExitCode
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.multiplexer import mux
@@ -82,7 +82,7 @@ def test_what_is_no_output(run: Run, drives: list[DriveNode], change: str) -> No
 def test_a_probe_that_latches(run: Run, drives: list[DriveNode], alarm: Alarm) -> None:
     """The index pulse, while somebody else moves the drive."""
 
-    async def turn(fleet: Fleet) -> None:
+    async def turn(fleet: SimulatedDevices) -> None:
         await trio.sleep(0.5)
         drive = fleet.drives[5]
         drive.values.store[objects.TARGET_VELOCITY] = 20_000

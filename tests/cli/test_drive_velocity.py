@@ -9,7 +9,7 @@ import pytest
 import trio
 
 from canopen_cli.shared.problem import ExitCode
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -82,7 +82,7 @@ def test_ctrl_c_stops_it(run: Run, drives: list[DriveNode], alarm: Alarm, at: fl
 
 
 def test_a_fault_ends_it_and_is_told(run: Run, drives: list[DriveNode], alarm: Alarm) -> None:
-    async def fault(fleet: Fleet) -> None:
+    async def fault(fleet: SimulatedDevices) -> None:
         await trio.sleep(1)
         fleet.raise_fault(5, 0x2310)
 
@@ -100,7 +100,7 @@ def test_a_velocity_beyond_the_limit(run: Run, drives: list[DriveNode]) -> None:
     assert drives[-1].drive.mode == Mode.NO_MODE
 
 
-def test_the_joints_of_the_demonstration_count_turns_of_their_motor(run: Run, fleets: list[Fleet]) -> None:
+def test_the_joints_of_the_demonstration_count_turns_of_their_motor(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "velocity", "500", "--seconds", "1", *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert "does not tell how many counts a turn of its motor has" in outcome.err

@@ -13,7 +13,7 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_data.descriptions import load_description
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_data.eds.writer import write_eds
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.dictionary import Access
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
@@ -80,7 +80,7 @@ def test_the_frames_are_those_of_the_command(
     assert drives[0].drive.state is (before if state is not untouched else State.SWITCH_ON_DISABLED)
 
 
-def test_what_is_told(run: Run, fleets: list[Fleet]) -> None:
+def test_what_is_told(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "move", "2000", "--dry-run", *DEMO)
     assert outcome.status == 0
     rows = [" ".join(line.split()[1:]) for line in outcome.out.splitlines()[2:]]

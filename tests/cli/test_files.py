@@ -93,7 +93,7 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> Devices:
         async with simulated(bus="virtual:demo", makers=[found.make]):
             yield
 
-    monkeypatch.setattr(session, "simulated_fleet", fleet)
+    monkeypatch.setattr(session, "simulated_drives", fleet)
     return found
 
 

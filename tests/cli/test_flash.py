@@ -16,7 +16,7 @@ from canopen_cli.node import flash
 from canopen_cli.shared import questions, session
 from canopen_cli.shared.problem import ExitCode
 from canopen_master.errors import BusError
-from canopen_master.simulation.fleet import DEMO_LOCATOR, Fleet, simulated_devices
+from canopen_master.simulation.serving import DEMO_LOCATOR, SimulatedDevices, simulated_devices
 from canopen_proto.abort import AbortCode
 from canopen_proto.indices import FLASH_STATUS
 from canopen_proto.lss.messages import LssConfiguration
@@ -53,12 +53,12 @@ def world(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, tmp_path: Path) -> Worl
     world.file.write_bytes(IMAGE)
 
     @asynccontextmanager
-    async def simulated(*arguments: object) -> AsyncIterator[Fleet]:
+    async def simulated(*arguments: object) -> AsyncIterator[SimulatedDevices]:
         async with simulated_devices({DEMO_LOCATOR: [world.make]}) as fleet:
             trio.lowlevel.spawn_system_task(alarm.ring, fleet)
             yield fleet
 
-    monkeypatch.setattr(session, "simulated_fleet", simulated)
+    monkeypatch.setattr(session, "simulated_drives", simulated)
     return world
 
 

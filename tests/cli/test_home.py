@@ -9,8 +9,8 @@ import pytest
 
 from canopen_cli.shared import session
 from canopen_cli.shared.problem import ExitCode
-from canopen_master.simulation.fleet import simulated_fleet
 from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import simulated_drives
 from canopen_proto.simulation.drive.homing import METHODS
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
@@ -22,7 +22,7 @@ DEMO = ("-b", "demo")
 @pytest.fixture
 def standard(monkeypatch: pytest.MonkeyPatch) -> None:
     """The drives of the demo are those of CiA 402, with homing methods."""
-    monkeypatch.setattr(session, "simulated_fleet", partial(simulated_fleet, shape=Shape.STANDARD))
+    monkeypatch.setattr(session, "simulated_drives", partial(simulated_drives, shape=Shape.STANDARD))
 
 
 def test_one_drive_is_homed_by_either_command(run: Run, standard: None) -> None:
@@ -84,7 +84,7 @@ def test_a_rehearsal_knows_no_switches_and_has_some_to_home_by(run: Run, monkeyp
         settings = DriveSettings(position=5_000_000, track=Track(-math.inf, math.inf))
         return partial(DriveNode, node_id=node_id, settings=settings)
 
-    monkeypatch.setattr(session, "simulated_fleet", partial(simulated_fleet, make=far_away))
+    monkeypatch.setattr(session, "simulated_drives", partial(simulated_drives, make=far_away))
     assert run("drive", "3", "home", method, "--dry-run", *DEMO).status == 0
     outcome = run("drive", "3", "move", "10000", "--relative", "--dry-run", *DEMO)
     assert outcome.status == 0, outcome.err

@@ -15,9 +15,9 @@ from trio.testing import MockClock
 from canopen_cli.motion import jog
 from canopen_cli.shared import terminal_keys
 from canopen_cli.shared.problem import ExitCode
-from canopen_cli.shared.terminal_keys import END, LEFT, RIGHT, Keys
+from canopen_cli.shared.terminal_keys import END, LEFT, RIGHT, TerminalKeys
 from canopen_master import read_record
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
 from tests.cli.cli_support import Outcome, Run, stands
@@ -65,11 +65,11 @@ def jogged(run: Run, monkeypatch: pytest.MonkeyPatch) -> Jog:
     return command
 
 
-def degrees(fleets: list[Fleet]) -> list[float]:
+def degrees(fleets: list[SimulatedDevices]) -> list[float]:
     return [float(drive.values[POSITION_ACTUAL_VALUE]) / 1000 for drive in fleets[0].drives.values()]  # type: ignore[arg-type]
 
 
-def test_a_joint_moves_while_its_key_is_held(jogged: Jog, fleets: list[Fleet], tmp_path: Path) -> None:
+def test_a_joint_moves_while_its_key_is_held(jogged: Jog, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
     file = tmp_path / "run.csv"
     keys = [*held(RIGHT, 2.5), (1.0, "3"), *held(LEFT, 1.5), (1.0, "q")]
     outcome = jogged(*keys, options=("--record", str(file)))
@@ -84,21 +84,21 @@ def test_a_joint_moves_while_its_key_is_held(jogged: Jog, fleets: list[Fleet], t
 
 
 @pytest.mark.parametrize("key", [RIGHT, LEFT, "+", "-", "x", "\x1bOA"])
-def test_a_tap_moves_nothing(jogged: Jog, fleets: list[Fleet], key: str) -> None:
+def test_a_tap_moves_nothing(jogged: Jog, fleets: list[SimulatedDevices], key: str) -> None:
     assert jogged((0.1, key), (1.5, key), (1.5, "q")).status == 0
     assert degrees(fleets) == [-14, 9, 21, -7, 16, -22]
 
 
 @pytest.mark.parametrize("end", [[(0.04, END)], [(0.04, "q")], [(0.04, "2"), (0.5, "q")], [(5.0, "q")]])
 def test_whatever_comes_in_place_of_the_key_ends_the_motion(
-    jogged: Jog, fleets: list[Fleet], end: list[tuple[float, str]]
+    jogged: Jog, fleets: list[SimulatedDevices], end: list[tuple[float, str]]
 ) -> None:
     assert jogged(*held(RIGHT, 1.0), *end).status == 0
     assert degrees(fleets)[0] == pytest.approx(-14 + 3 * 0.55, abs=0.6)
     assert all(stands(drive) for drive in fleets[0].drives.values())
 
 
-def test_ctrl_c(jogged: Jog, fleets: list[Fleet]) -> None:
+def test_ctrl_c(jogged: Jog, fleets: list[SimulatedDevices]) -> None:
     outcome = jogged(*held(RIGHT, 1.5), (0.01, CTRL_C))
     assert outcome.status == ExitCode.INTERRUPTED
     assert "the joints braked and were halted" in outcome.err
@@ -106,7 +106,7 @@ def test_ctrl_c(jogged: Jog, fleets: list[Fleet]) -> None:
     assert -13 < degrees(fleets)[0] < -9
 
 
-def test_a_terminal_that_goes_away(jogged: Jog, fleets: list[Fleet]) -> None:
+def test_a_terminal_that_goes_away(jogged: Jog, fleets: list[SimulatedDevices]) -> None:
     outcome = jogged(*held(RIGHT, 1.5), (0.01, HANG_UP))
     assert outcome.status == ExitCode.INTERRUPTED
     assert "by the end of its terminal" in outcome.err
@@ -114,7 +114,7 @@ def test_a_terminal_that_goes_away(jogged: Jog, fleets: list[Fleet]) -> None:
     assert -13 < degrees(fleets)[0] < -9
 
 
-def test_a_position_limit_ends_it(jogged: Jog, fleets: list[Fleet], tmp_path: Path) -> None:
+def test_a_position_limit_ends_it(jogged: Jog, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
     cell = tmp_path / "cell.toml"
     cell.write_text(
         '[buses.left]\nlocator = "virtual:x"\n[nodes]\na = { id = 3 }\n'
@@ -125,7 +125,7 @@ def test_a_position_limit_ends_it(jogged: Jog, fleets: list[Fleet], tmp_path: Pa
     assert degrees(fleets)[0] == pytest.approx(-12, abs=0.02)
 
 
-def test_a_pipe_holds_no_keys(run: Run, fleets: list[Fleet]) -> None:
+def test_a_pipe_holds_no_keys(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run("jog", "-b", "demo")
     assert outcome.status == ExitCode.USAGE
     assert "CO122" in outcome.err
@@ -140,7 +140,7 @@ def test_keys_that_waited_count_once() -> None:
         return left.pop(0)
 
     async def test() -> None:
-        keys = Keys(read)
+        keys = TerminalKeys(read)
         assert [await keys.next() for _ in range(4)] == [RIGHT, LEFT, END, END]
 
     trio.run(test, clock=MockClock(autojump_threshold=0))

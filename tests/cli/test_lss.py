@@ -9,7 +9,7 @@ import pytest
 from canopen_cli.lss.set import read_table
 from canopen_cli.shared import questions
 from canopen_cli.shared.problem import ExitCode, Problem
-from canopen_master.simulation import fleet
+from canopen_master.simulation import serving
 from canopen_proto.lss.slave import LssSlave
 from tests.cli.cli_support import Run
 
@@ -22,7 +22,7 @@ DRIVE = ("--vendor", "0x332", "--product", "0x43", "--revision", "0x10000")
 @pytest.fixture
 def without_ids(monkeypatch: pytest.MonkeyPatch) -> None:
     """The demo's drives are two, and have no node-ID."""
-    monkeypatch.setattr(fleet, "DEMO_NODES", (255, 255))
+    monkeypatch.setattr(serving, "DEMO_NODES", (255, 255))
 
 
 @pytest.mark.usefixtures("without_ids")

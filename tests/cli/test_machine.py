@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from canopen_cli.demo import run as demonstration
 from canopen_cli.shared import session
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_master import ChainState, Master
+from canopen_master.demonstration import run as demonstration
 from canopen_master.machine_file import parse_machine
-from canopen_master.simulation.fleet import simulated_fleet
+from canopen_master.simulation.serving import simulated_drives
 from canopen_proto.simulation.drive.settings import Shape
 from canopen_proto.sync import SyncSent
 from tests.cli.cli_support import SHORT, TWO, Run
@@ -64,7 +64,7 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: Shape) -> str:
     @asynccontextmanager
     async def with_drives(bus: str, **options: Any) -> AsyncIterator[Any]:
         drives = (("virtual:left", 3), ("virtual:right", 4))
-        fleet = simulated_fleet([each for each in drives if each[0] == bus], shape)
+        fleet = simulated_drives([each for each in drives if each[0] == bus], shape)
         async with fleet, open_master(bus, **options) as master:
             yield master
 
@@ -308,7 +308,7 @@ def test_on_its_own_buses_a_machine_moves_within_its_limits(run: Run, cell: str,
 
     @asynccontextmanager
     async def with_drives(*buses: str, **options: Any) -> AsyncIterator[Any]:
-        async with simulated_fleet([("virtual:left", 3), ("virtual:right", 4)]), open_master(*buses, **options) as master:
+        async with simulated_drives([("virtual:left", 3), ("virtual:right", 4)]), open_master(*buses, **options) as master:
             master.watch((SyncSent,), lambda _: look(master), master.bus("virtual:left"))
             yield master
 

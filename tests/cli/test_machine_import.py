@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from canopen_cli.shared.problem import ExitCode
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from tests.cli.cli_support import Run
 from tests.ros_configurations import FOLDER, SETS, needs_configurations
@@ -38,7 +38,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(("file", "joint"), [("ros1.yaml", "shoulder"), ("bus.yml", "lift")])
-def test_an_imported_machine_is_checked_and_moves(run: Run, folder: Path, fleets: list[Fleet], file: str, joint: str) -> None:
+def test_an_imported_machine_is_checked_and_moves(
+    run: Run, folder: Path, fleets: list[SimulatedDevices], file: str, joint: str
+) -> None:
     done = run("machine", "import", file, "-o", "cell.toml", "--chain", "arm")
     assert done.status == ExitCode.PARTIAL, done.err
     assert f"nothing says how fast {joint} may go" in done.out

@@ -16,7 +16,7 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
 from canopen_master import read_record
 from canopen_master.errors import PlanRefused
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
 from tests.cli.cli_support import Alarm, Run, stands
@@ -52,11 +52,11 @@ def cell(tmp_path: Path) -> str:
     return str(path)
 
 
-def degrees(fleet: Fleet) -> list[float]:
+def degrees(fleet: SimulatedDevices) -> list[float]:
     return [float(drive.values[POSITION_ACTUAL_VALUE]) / 1000 for drive in fleet.drives.values()]  # type: ignore[arg-type]
 
 
-def test_to_a_target(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
+def test_to_a_target(run: Run, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
     file, picture = tmp_path / "run.csv", tmp_path / "run.png"
     outcome = run(*DEMO, "--to", "10,-20,30,0,0,5", "--record", str(file), "--plot", str(picture))
     assert outcome.status == 0, outcome.err
@@ -71,14 +71,14 @@ def test_to_a_target(run: Run, fleets: list[Fleet], tmp_path: Path) -> None:
     assert record["joint2.set_point"][-1] == pytest.approx(-20)
 
 
-def test_some_joints_and_json(run: Run, fleets: list[Fleet]) -> None:
+def test_some_joints_and_json(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run(*DEMO, "--to", "joint3=25, joint1=-10", "--json", "-q")
     assert degrees(fleets[0]) == pytest.approx([-10, 9, 25, -7, 16, -22], abs=0.02)
     assert [joint["joint"] for joint in outcome.json] == [f"joint{number}" for number in range(1, 7)]
     assert outcome.json[2]["position"] == pytest.approx(25, abs=0.02)
 
 
-def test_a_path_of_a_file_from_its_start_on(run: Run, fleets: list[Fleet], cell: str, tmp_path: Path) -> None:
+def test_a_path_of_a_file_from_its_start_on(run: Run, fleets: list[SimulatedDevices], cell: str, tmp_path: Path) -> None:
     path, file = tmp_path / "path.csv", tmp_path / "run.csv"
     path.write_text("time,elbow,shoulder\n0,10,0\n2,0,5\n4,10,-5\n")
     outcome = run("move", cell, str(path), "-b", "demo", "--override", "0.5", "--record", str(file))
@@ -92,7 +92,7 @@ def test_a_path_of_a_file_from_its_start_on(run: Run, fleets: list[Fleet], cell:
     assert record["time"][-1] > 8  # at half its speed
 
 
-def test_a_rehearsal_moves_nothing_and_shows_the_first_cycle(run: Run, fleets: list[Fleet], cell: str) -> None:
+def test_a_rehearsal_moves_nothing_and_shows_the_first_cycle(run: Run, fleets: list[SimulatedDevices], cell: str) -> None:
     outcome = run("move", cell, "-b", "demo", "--to", "30,20", "--dry-run")
     assert outcome.status == 0, outcome.err
     assert "within all limits" in outcome.out
@@ -106,7 +106,7 @@ def test_a_rehearsal_moves_nothing_and_shows_the_first_cycle(run: Run, fleets: l
 
 @pytest.mark.parametrize("arguments", [("--to", "50,20"), ("PATH",)])
 def test_what_is_beyond_a_limit_is_refused_before_it_moves(
-    run: Run, fleets: list[Fleet], cell: str, tmp_path: Path, arguments: tuple[str, ...]
+    run: Run, fleets: list[SimulatedDevices], cell: str, tmp_path: Path, arguments: tuple[str, ...]
 ) -> None:
     path = tmp_path / "path.csv"
     path.write_text("time,shoulder,elbow\n0,0,0\n4,50,0\n")
@@ -148,7 +148,7 @@ def test_a_path_of_few_decimals_moves_and_a_refusal_tells_what_rounding_has_to_d
 
 
 @pytest.mark.parametrize("at", [0.5, 1.2, 1.9])
-def test_ctrl_c_brakes_on_the_path(run: Run, fleets: list[Fleet], alarm: Alarm, tmp_path: Path, at: float) -> None:
+def test_ctrl_c_brakes_on_the_path(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, tmp_path: Path, at: float) -> None:
     file = tmp_path / "run.csv"
     alarm.set((at, signal.SIGINT))
     outcome = run(*DEMO, "--to", "80,9,21,-7,16,-22", "--record", str(file))
@@ -167,7 +167,7 @@ def test_ctrl_c_brakes_on_the_path(run: Run, fleets: list[Fleet], alarm: Alarm, 
 
 
 @pytest.mark.parametrize("is_ignored", [False, True])
-def test_a_terminal_that_goes_away_is_a_ctrl_c(run: Run, fleets: list[Fleet], alarm: Alarm, is_ignored: bool) -> None:
+def test_a_terminal_that_goes_away_is_a_ctrl_c(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, is_ignored: bool) -> None:
     """But for `nohup canopen move`, which goes on."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN if is_ignored else signal.SIG_DFL)
     try:
@@ -194,7 +194,7 @@ def test_a_terminal_that_is_gone_takes_what_is_written(monkeypatch: pytest.Monke
         print("not drawn", file=stream, flush=True)
 
 
-def test_home_first(run: Run, fleets: list[Fleet]) -> None:
+def test_home_first(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run(*DEMO, "--home", "--to", "1,2,3,4,5,6")
     assert outcome.status == 0
     assert "all joints have their reference" in outcome.err
@@ -207,7 +207,7 @@ def two_chains(cell: str) -> str:
     return cell
 
 
-def test_two_chains_on_two_buses_are_one_motion(run: Run, fleets: list[Fleet], cell: str, tmp_path: Path) -> None:
+def test_two_chains_on_two_buses_are_one_motion(run: Run, fleets: list[SimulatedDevices], cell: str, tmp_path: Path) -> None:
     machine, path = two_chains(cell), tmp_path / "path.csv"
     path.write_text("time,elbow,shoulder\n0,10,0\n2,0,5\n4,10,-5\n")
     outcome = run("move", machine, str(path), "-b", "demo", "--chain", "arm", "--chain", "leg", "--json")
@@ -236,7 +236,7 @@ def test_two_chains_on_two_buses_are_one_motion(run: Run, fleets: list[Fleet], c
         (("--to", "1,2,3,4,5,6", "--override", "0"), "0"),
     ],
 )
-def test_wrong_words(run: Run, fleets: list[Fleet], arguments: tuple[str, ...], text: str) -> None:
+def test_wrong_words(run: Run, fleets: list[SimulatedDevices], arguments: tuple[str, ...], text: str) -> None:
     outcome = run(*DEMO, *arguments)
     assert outcome.status == ExitCode.USAGE
     assert text in outcome.err
@@ -244,7 +244,9 @@ def test_wrong_words(run: Run, fleets: list[Fleet], arguments: tuple[str, ...], 
 
 
 @pytest.mark.parametrize("option", ["--record", "--plot"])
-def test_a_file_that_cannot_be_written_is_told_before_anything_has_power(run: Run, fleets: list[Fleet], option: str) -> None:
+def test_a_file_that_cannot_be_written_is_told_before_anything_has_power(
+    run: Run, fleets: list[SimulatedDevices], option: str
+) -> None:
     if not Path("/proc/self").is_dir():
         pytest.skip("needs a folder in which nobody, not even root, may write")
     outcome = run(*DEMO, "--to", "joint1=5", option, f"/proc/run.{'csv' if option == '--record' else 'png'}")
@@ -253,7 +255,7 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_has_power(run: Ru
 
 
 def test_what_is_not_installed_is_told_before_anything_has_power(
-    run: Run, fleets: list[Fleet], monkeypatch: pytest.MonkeyPatch
+    run: Run, fleets: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ruckig", None)
     outcome = run(*DEMO, "--to", "joint1=5")
@@ -261,7 +263,7 @@ def test_what_is_not_installed_is_told_before_anything_has_power(
     assert not fleets
 
 
-def test_the_advice_at_a_limit_switch_is_for_the_command_line(run: Run, fleets: list[Fleet]) -> None:
+def test_the_advice_at_a_limit_switch_is_for_the_command_line(run: Run, fleets: list[SimulatedDevices]) -> None:
     outcome = run(*DEMO, "--to", "joint1=500")
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "try:   move it the other way" in outcome.err

@@ -26,8 +26,8 @@ from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import write_eds
 from canopen_master.machine_file import BootSettings, read_machine
 from canopen_master.network_booting import network_boot
-from canopen_master.simulation.fleet import Fleet, simulated_devices
 from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import SimulatedDevices, simulated_devices
 from canopen_proto.datatypes import Value
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND
@@ -91,7 +91,7 @@ TRACE = ("--trace", "trace.log", "--force")
 
 def without(monkeypatch: pytest.MonkeyPatch, *node_ids: int) -> None:
     """Let simulated devices be away: they are not made."""
-    made = net_support.devices_on
+    made = net_support.devices_of_machine
 
     def fewer(*arguments: Any) -> dict[str, tuple[str, list[DeviceMaker]]]:
         from canopen_proto.machine import Outbox
@@ -101,7 +101,7 @@ def without(monkeypatch: pytest.MonkeyPatch, *node_ids: int) -> None:
             for bus, (locator, makers) in made(*arguments).items()
         }
 
-    monkeypatch.setattr(net_support, "devices_on", fewer)
+    monkeypatch.setattr(net_support, "devices_of_machine", fewer)
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def rung(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> Alarm:
     """An alarm that rings while a command has simulated devices."""
 
     @asynccontextmanager
-    async def watched(*arguments: Any, **options: Any) -> AsyncIterator[Fleet]:
+    async def watched(*arguments: Any, **options: Any) -> AsyncIterator[SimulatedDevices]:
         async with simulated_devices(*arguments, **options) as fleet:
             trio.lowlevel.spawn_system_task(alarm.ring, fleet)
             yield fleet
@@ -266,7 +266,7 @@ def test_a_node_with_another_program_gets_the_right_one(run: Run, monkeypatch: p
     memory, image = ProgramMemory(), bytes(range(200))
     Path("new.bin").write_bytes(image)
     loader = partial(BootLoader, node_id=5, settings=BootLoaderSettings(trial=True), memory=memory)
-    monkeypatch.setattr(net_support, "devices_on", lambda *arguments: {"can0": ("virtual:demo", [loader])})
+    monkeypatch.setattr(net_support, "devices_of_machine", lambda *arguments: {"can0": ("virtual:demo", [loader])})
     boot = f"boot = {{ mandatory = true, software = {crc32(image)}, program = 'new.bin', confirm_program = true }}"
     Path("cell.toml").write_text(f"[buses.can0]\n[nodes.a]\nid = 5\n{boot}\n")
     assert "a may get another program" in run("net", "boot", "cell.toml", *DEMO).err
@@ -281,7 +281,7 @@ def test_a_node_with_another_program_gets_the_right_one(run: Run, monkeypatch: p
 
 
 def test_watch_boots_a_node_that_comes_back(run: Run, rung: Alarm) -> None:
-    async def reset(fleet: Fleet) -> None:
+    async def reset(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         fleet.change(3, lambda drive, now: drive.execute(NmtCommand.RESET_NODE, now))
 
@@ -297,7 +297,7 @@ def test_watch_boots_a_node_that_comes_back(run: Run, rung: Alarm) -> None:
 
 
 def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
-    async def silence(fleet: Fleet) -> None:
+    async def silence(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         fleet.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 
@@ -313,7 +313,7 @@ def test_watch_watches_the_heartbeats_that_nodes_send_of_their_own_and_names_the
 ) -> None:
     """answers: the node has only ended its heartbeats, and answers SDO. Else it is silent, until it is reset."""
 
-    async def silence(fleet: Fleet) -> None:
+    async def silence(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         fleet.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
         if not answers:
@@ -347,7 +347,7 @@ def test_watch_tells_of_the_bus_and_not_of_its_nodes_while_it_is_away(
         boots.append(network_boot(*arguments))
         return boots[-1]
 
-    async def unplug(fleet: Fleet) -> None:
+    async def unplug(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         boots[-1].network.outage = "can0 is down: unplugged"
         for node_id in (3, 4):
@@ -379,7 +379,7 @@ def test_watch_that_is_interrupted_says_what_is_half_done(run: Run, rung: Alarm)
 def test_a_node_that_is_lost_while_others_boot_does_not_count_as_running(
     run: Run, rung: Alarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def silence(fleet: Fleet) -> None:
+    async def silence(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 
@@ -390,7 +390,7 @@ def test_a_node_that_is_lost_while_others_boot_does_not_count_as_running(
 
 
 def test_watch_of_two_buses_tells_at_its_end_that_one_was_stopped(run: Run, rung: Alarm) -> None:
-    async def silence(fleet: Fleet) -> None:
+    async def silence(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 
@@ -408,7 +408,7 @@ def test_watch_of_two_buses_tells_at_its_end_that_one_was_stopped(run: Run, rung
 def test_watch_calls_stopped_what_was_stopped(run: Run, rung: Alarm) -> None:
     """Not "not finished: perhaps configured"."""
 
-    async def silence(fleet: Fleet) -> None:
+    async def silence(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 

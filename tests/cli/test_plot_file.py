@@ -14,7 +14,7 @@ from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.problem import ExitCode
 from canopen_master import read_record
 from canopen_master.motion.record_files import CsvFile
-from canopen_master.simulation.fleet import Fleet
+from canopen_master.simulation.serving import SimulatedDevices
 from tests.cli.cli_support import TWO, Alarm, Run
 from tests.master.test_recording import pyarrow, wait_for_file
 
@@ -49,7 +49,9 @@ def test_parquet_is_drawn_too(run: Run, tmp_path: Path) -> None:
     assert run("plot", str(file)).status == 0
 
 
-def test_ctrl_c_leaves_a_recording_that_can_be_read(run: Run, fleets: list[Fleet], alarm: Alarm, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_recording_that_can_be_read(
+    run: Run, fleets: list[SimulatedDevices], alarm: Alarm, tmp_path: Path
+) -> None:
     file = tmp_path / "run.csv"
     alarm.set((1.0, signal.SIGINT))
     assert run("demo", *TWO, "--record", str(file)).status == ExitCode.INTERRUPTED

@@ -24,6 +24,7 @@ from canopen_cli.shared.running import notes_of
 from canopen_cli.shared.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
+from canopen_data.named_files import UnusableFile
 from canopen_master import errors
 from canopen_master.claims.channel_claim import ChannelTaken
 from canopen_master.motion.record_format import RecordError
@@ -90,6 +91,11 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (ProgramDownloadFailed(5, ProgramDownload(1), "silent", is_silent=True), ExitCode.NO_ANSWER, "CO214"),
         (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
         (RecordError("CO344", "cannot read the recording x"), ExitCode.BAD_FILE, "CO344"),
+        (UnusableFile("x.eds describes no object", "CO301"), ExitCode.BAD_FILE, "CO301"),
+        (errors.DeviceRefused("which node-ID is x.eds to have?"), ExitCode.USAGE, "CO127"),
+        (errors.DemonstrationRefused("joint1 cannot swing by an angle"), ExitCode.USAGE, "CO123"),
+        (errors.NodeIsNoDrive(5, 0, 0x6041), ExitCode.SDO_ABORT, "CO408"),
+        (errors.NotADrive("x.eds is no drive"), ExitCode.BAD_FILE, "CO332"),
         (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),
         (StateFileError(Path("state.json"), "it is not JSON"), ExitCode.BAD_FILE, "CO333"),
         (ValueRangeError("too large"), ExitCode.USAGE, "CO304"),

@@ -9,13 +9,14 @@ import trio
 
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.problem import ExitCode
-from canopen_cli.simulation.devices import models, wanted
+from canopen_cli.simulation.devices import named_devices, teller
 from canopen_master import open_master
-from canopen_master.simulation.fleet import simulated_devices
+from canopen_master.simulation.device_files import models_of
 from canopen_master.simulation.hooks import Script, ScriptError
 from canopen_master.simulation.host import DeviceModel
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_master.simulation.plant import DeviceEntry
+from canopen_master.simulation.serving import simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from tests.cli.cli_support import Run, runner
@@ -235,9 +236,9 @@ def test_the_bus_of_a_plant_file(capsys: pytest.CaptureFixture[str], monkeypatch
 @virtual_time
 async def serve_plant(path: Path) -> None:
     screen = Settings().screen()
-    plant = wanted([str(path)], None, DeviceEntry(""))
+    plant = named_devices([str(path)], None, DeviceEntry(""))
     assert plant.state == str(path.parent / "state.json")
-    made = models(plant.devices, screen)
+    made = models_of(plant.devices, teller(screen))
     keeper = ParameterKeeper(Path(plant.state))
     async with simulated_devices({BUS: made}, keeper=keeper) as fleet, open_master(BUS) as master:
         node = master.node(5, made[0].dictionary)
@@ -263,7 +264,7 @@ def test_a_plant_is_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 @virtual_time
 async def serve_dcf(path: str) -> None:
-    made = models(wanted([path], None, DeviceEntry("")).devices, Settings().screen())
+    made = models_of(named_devices([path], None, DeviceEntry("")).devices, teller(Settings().screen()))
     async with simulated_devices({BUS: made}) as fleet, open_master(BUS) as master:
         node = master.node(9, made[0].dictionary)
         assert await node.read("temperature") == 25000
@@ -280,7 +281,7 @@ def test_a_dcf_has_what_it_configures_until_the_defaults_are_restored(run: Run) 
 
 def test_the_makers_drives_are_known(run: Run, tmp_path: Path) -> None:
     (tmp_path / "joint.eds").write_text(drive_eds(vendor="SCHUNK GmbH"))
-    (made,) = models(wanted(["joint.eds"], (3,), DeviceEntry("")).devices, Settings().screen())
+    (made,) = models_of(named_devices(["joint.eds"], (3,), DeviceEntry("")).devices, teller(Settings().screen()))
     assert made.drive is not None
     assert made.drive.shape.value == "schunk"
 

@@ -19,8 +19,8 @@ from canopen_cli.shared import session
 from canopen_cli.shared.problem import ExitCode
 from canopen_master.master import Master
 from canopen_master.session import open_master
-from canopen_master.simulation.fleet import Fleet, simulated_fleet
 from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import SimulatedDevices, simulated_drives
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
@@ -59,14 +59,14 @@ def lossy(
             yield master
 
     @asynccontextmanager
-    async def fleet(devices: Any) -> AsyncIterator[Fleet]:
-        async with simulated_fleet(devices, Shape.STANDARD, make=make) as there:
+    async def fleet(devices: Any) -> AsyncIterator[SimulatedDevices]:
+        async with simulated_drives(devices, Shape.STANDARD, make=make) as there:
             prepare(there.drives[3])
             made.append(there.drives[3])
             yield there
 
     monkeypatch.setattr(session, "open_master", opened)
-    monkeypatch.setattr(session, "simulated_fleet", fleet)
+    monkeypatch.setattr(session, "simulated_drives", fleet)
     return made
 
 

@@ -16,7 +16,7 @@ import pytest
 import trio
 
 from canopen_cli.live import source as live_source
-from canopen_master.simulation.fleet import DEMO_LOCATOR, Fleet, simulated_fleet
+from canopen_master.simulation.serving import DEMO_LOCATOR, SimulatedDevices, simulated_drives
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.nmt import NmtCommand
@@ -68,7 +68,7 @@ def test_what_would_load_the_bus_is_asked_slower(run: Run) -> None:
     assert len(times) < 10 * 125_000 * 0.05 / 200, "5 % of the slowest bus in use, if the bit rate is not known"
 
 
-def sends_pdos(fleet: Fleet) -> None:
+def sends_pdos(fleet: SimulatedDevices) -> None:
     """Have TPDO 1 of drive 3 sent each 50 ms, not at SYNC, and start the drive."""
 
     def set_up(node: DriveNode, now: Time) -> None:
@@ -82,7 +82,7 @@ def sends_pdos(fleet: Fleet) -> None:
 def test_a_pdo_takes_the_place_of_requests(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def events(fleet: Fleet) -> None:
+    async def events(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         sends_pdos(fleet)
         await trio.sleep(4)
@@ -115,7 +115,7 @@ def test_a_pdo_takes_the_place_of_requests(run: Run, monkeypatch: pytest.MonkeyP
 def test_the_mappings_are_read_again_after_a_boot_up(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def events(fleet: Fleet) -> None:
+    async def events(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         fleet.change(3, lambda node, now: node.execute(NmtCommand.RESET_NODE, now))
 
@@ -133,7 +133,7 @@ THEIRS = bytes.fromhex("4064600000000001")
 def test_the_node_is_left_to_another_program_that_asks_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def ask(fleet: Fleet) -> None:
+    async def ask(fleet: SimulatedDevices) -> None:
         await trio.sleep(2)
         async with await open_transport(DEMO_LOCATOR) as other:
             for _ in range(8):
@@ -159,23 +159,23 @@ def test_the_node_is_left_to_another_program_that_asks_it(run: Run, monkeypatch:
 def test_passive_sends_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def events(fleet: Fleet) -> None:
+    async def events(fleet: SimulatedDevices) -> None:
         sends_pdos(fleet)
 
     alarm.task = events
-    monkeypatch.setattr(live_source, "simulated_fleet", watched_by(alarm))
+    monkeypatch.setattr(live_source, "simulated_drives", watched_by(alarm))
     outcome = run("watch", "3", "6064", "--passive", "--seconds", "2", *DEMO, "--trace", "t.log")
     assert outcome.status == 0
     assert outcome.out.endswith("6064:00 position_actual_value = -14000  [schunk_default_tPDO?]\n")
     assert not [record for record in LogReader(Path("t.log")) if record.sent]
 
 
-def watched_by(alarm: Alarm) -> Callable[..., AbstractAsyncContextManager[Fleet]]:
+def watched_by(alarm: Alarm) -> Callable[..., AbstractAsyncContextManager[SimulatedDevices]]:
     """Return what makes a fleet with the alarm in it."""
 
     @asynccontextmanager
-    async def made(*arguments: Any) -> AsyncIterator[Fleet]:
-        async with simulated_fleet(*arguments) as fleet:
+    async def made(*arguments: Any) -> AsyncIterator[SimulatedDevices]:
+        async with simulated_drives(*arguments) as fleet:
             trio.lowlevel.spawn_system_task(alarm.ring, fleet)
             yield fleet
 

@@ -184,7 +184,7 @@ def test_curves() -> None:
     for number in range(300):
         watch.take(value(POSITION, number * number), number * 100 * MILLISECOND)
     (row, _) = watch.view(30 * SECOND).rows
-    assert len(row.course) <= SLOTS
+    assert len(row.curve) <= SLOTS
     shown = at_80(watch, 30 * SECOND, span=30)
     assert shown[4] == "position_actual_value, the last 30 s"
     assert shown[5].split()[0] == str(299 * 299)

@@ -41,7 +41,7 @@ SETTINGS = AxisSettings(
 DRIVE = DriveSettings()
 CYCLES = 12
 RADIANS_PER_CYCLE = 0.002
-GRIP = 0.5
+WATCHDOG = 0.5
 """Seconds until a drive misses the heartbeat of its master."""
 
 

@@ -22,7 +22,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import BusState, BusStateChanged, Received, Report
 from tests.drives.drive_dictionaries import changed, empty_pdos, supports
-from tests.master.cell import GRIP, assert_moves, assert_moves_back, chain_of, fails, homed_arm, joints, move
+from tests.master.cell import WATCHDOG, assert_moves, assert_moves_back, chain_of, fails, homed_arm, joints, move
 from tests.master.world import Link, position_of, value, virtual_time
 
 # ---- emergency stop ----
@@ -143,7 +143,7 @@ async def test_the_cable_of_a_joint_is_pulled_and_plugged() -> None:
     async with homed_arm(3, 4) as ((one, two), arm):
         fault = await fails(arm, two.pull_cable)
         assert (fault.joint, "is silent" in fault.reason) == ("joint2", True)
-        await trio.sleep(GRIP + 0.2)
+        await trio.sleep(WATCHDOG + 0.2)
         assert two.state is State.SWITCH_ON_DISABLED  # a quick stop, by its watchdog
         assert await two.stands()
         assert one.state is State.OPERATION_ENABLED
@@ -165,7 +165,7 @@ async def test_the_cable_of_the_master_is_pulled_and_plugged() -> None:
             cable.copies = lambda frame, is_sent: 0
 
         await fails(arm, pull)
-        await trio.sleep(GRIP + 0.2)
+        await trio.sleep(WATCHDOG + 0.2)
         for joint in (one, two):
             assert joint.state is State.SWITCH_ON_DISABLED
             assert await joint.stands()
@@ -240,7 +240,7 @@ async def test_bus_off_and_back() -> None:
         with pytest.raises(ChainError, match="is bus-off") as away:
             await arm.recover()
         assert "bus-off: by the test" in str(away.value)
-        await trio.sleep(GRIP + 0.2)
+        await trio.sleep(WATCHDOG + 0.2)
         for joint in (one, two):
             assert joint.state is State.SWITCH_ON_DISABLED
             assert await joint.stands()
@@ -276,7 +276,7 @@ async def test_a_master_that_is_killed_and_started_again(moves: bool, pause: flo
         await trio.sleep(3)
         cable.copies = lambda frame, is_sent: 0  # kill -9
         await trio.sleep(pause)
-        expected = State.SWITCH_ON_DISABLED if pause > GRIP else State.OPERATION_ENABLED
+        expected = State.SWITCH_ON_DISABLED if pause > WATCHDOG else State.OPERATION_ENABLED
         assert [joint.state for joint in made] == [expected] * 2
         async with open_master(Link()) as master:
             arm = chain_of(master, 3, 4)

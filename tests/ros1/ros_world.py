@@ -30,7 +30,7 @@ import canopen_master
 import canopen_proto
 import canopen_ros
 import canopen_transports
-from canopen_master.simulation.fleet import DEMO_NODES, Fleet, drive_maker, simulated_devices
+from canopen_master.simulation.serving import DEMO_NODES, SimulatedDevices, drive_maker, simulated_devices
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.simulation.drive.settings import Shape
@@ -69,7 +69,7 @@ class Drives:
         self.locator = ""
         self._thread = threading.Thread(target=trio.run, args=(self._serve,), name="drives")
         self._ready = threading.Event()
-        self._fleet: Fleet
+        self._fleet: SimulatedDevices
         self._token: trio.lowlevel.TrioToken
         self._end: trio.Event
 
@@ -92,7 +92,7 @@ class Drives:
         trio.from_thread.run_sync(self._end.set, trio_token=self._token)
         self._thread.join(PATIENCE)
 
-    def _ask(self, question: Callable[[Fleet], T]) -> T:
+    def _ask(self, question: Callable[[SimulatedDevices], T]) -> T:
         return trio.from_thread.run_sync(question, self._fleet, trio_token=self._token)
 
     @property

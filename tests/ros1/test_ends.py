@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from canopen_master.simulation.fleet import DEMO_NODES
+from canopen_master.simulation.serving import DEMO_NODES
 from canopen_proto.drives.cia402.states import POWERED, State
 from tests.ros1.ros_world import Client, Drives, Process, Ros, needs_ros, until
 

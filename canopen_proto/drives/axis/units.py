@@ -57,6 +57,10 @@ FACTOR_GROUP: Final = (
 """The objects that `read_units` reads."""
 
 
+COUNTS: Final = "counts"
+"""What positions are in without a unit."""
+
+
 class Unit(StrEnum):
     """A user's unit of position."""
 

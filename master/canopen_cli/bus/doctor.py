@@ -15,7 +15,7 @@ from canopen_cli.shared.options import DEMO, Duration, Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
-from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
+from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES, simulated_drives
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.doctor import Finding, Health, examine
 from canopen_transports.locator import bitrate_text, parse_locator
@@ -106,7 +106,7 @@ async def hear(bus: str, seconds: float, each: Each = lambda frame, stamp: None)
     """Listen on a bus, or on that of the simulated drives. See `listen` of canopen_transports.receive_test."""
     if bus != DEMO:
         return await listen(bus, seconds, each)
-    async with simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES):
+    async with simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES):
         return replace(await listen(DEMO_LOCATOR, seconds, each), locator=DEMO)
 
 

@@ -9,13 +9,12 @@ import trio
 
 from canopen_cli.shared.options import NodeId, Settings, common
 from canopen_cli.shared.problem import ExitCode, Problem, usage
-from canopen_cli.shared.questions import require_somebody
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import open_session
 from canopen_master.errors import SdoError
 from canopen_master.node import Node
-from canopen_master.plain_text import clean
 from canopen_master.silence import missing_frame
 from canopen_proto import indices
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
@@ -72,15 +71,6 @@ def _question(command: NmtCommand, word: str, node_id: int | None) -> str:
     target = "ALL nodes" if node_id is None else node_text(node_id)
     effect = "drives that move stop, or coast" if command is not NmtCommand.START else "PDOs go live"
     return f"{word} {target}: {effect}"
-
-
-def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
-    """Ask the user to confirm a dangerous command, unless --yes did. Raises a Problem if it is not confirmed."""
-    if yes or not needed:
-        return
-    require_somebody(screen, question, yes)
-    if not click.confirm(f"{clean(question)}. Go on?", err=True):
-        raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 
 
 async def _has_no_heartbeat(node: Node) -> bool:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import click
 import trio
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import escape
 from canopen_proto.frame import Frame

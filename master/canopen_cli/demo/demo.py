@@ -1,4 +1,4 @@
-"""`canopen demo`: a six-joint arm boots, homes itself and follows a smooth path. demonstration.py does it."""
+"""`canopen demo`: a six-joint arm boots, homes itself and follows a smooth path. run.py shows it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,20 @@ from pathlib import Path
 
 import click
 
-from canopen_cli.demo.plan import CHAINS, Plan
-from canopen_cli.demo.run import Demonstration
+from canopen_cli.demo.run import ShownDemonstration
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.plot.cycles import check_plot, write_plot
+from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import Duration, Fault, FiniteRange, Settings, common, enabling
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
-from canopen_cli.simulation.drive_files import drive_files, drives_of
+from canopen_data import load_dictionary
+from canopen_master.demonstration.task import CHAINS, DemonstrationTask
 from canopen_master.participant.patient_clock import PatientClock
+from canopen_master.simulated_machine import drives_of_machine
+from canopen_master.simulation.drive_files import drive_of
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
 from canopen_proto.machine import MILLISECOND, Time
 
@@ -116,23 +119,25 @@ def demo(
     if defaults and not settings.eds and machine is None:
         raise usage("CO123", "--defaults is for drives made of a file", tries=("canopen demo --eds drive.dcf --defaults",))
     screen = settings.screen()
-    files = drive_files(settings.eds, defaults, screen, settings.encoding)
-    drives = {} if machine is None else drives_of(machine, defaults)
+    described = read_device_files(settings.eds, load_dictionary()[0], screen, settings.encoding) if settings.eds else {}
+    files = {node_id: drive_of(each, defaults=defaults) for node_id, each in described.items()}
+    drives = {} if machine is None else drives_of_machine(machine, defaults=defaults)
     scale = None if counts_per_degree is None else math.degrees(counts_per_degree)  # per radian
     is_default = machine is None and settings.master_id is None  # not that of CANOPEN_MACHINE
     watchdog = DEFAULT_WATCHDOG if is_default else settings.watchdog
     timeout = settings.timeout if settings.timeout is not None or machine is None else machine.master.timeout
     arm = chains or CHAINS
-    plan = Plan(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, watchdog, machine, drives)
+    task = DemonstrationTask(bus, arm, chain, seconds, cycle, swing, fault, timeout, files, scale, watchdog, machine, drives)
     if bus is None and settings.clock is None:
         settings.clock = PatientClock()
-    demonstration = Demonstration(screen, plan, partial(recorded, settings, screen, path=record))
+    shown = ShownDemonstration(screen, task, partial(recorded, settings, screen, path=record))
+    demonstration = shown.demonstration
     try:
-        run(settings, screen, demonstration.run, story=lambda _: demonstration.story())
-        return demonstration.show_result()
+        run(settings, screen, shown.run, story=lambda _: demonstration.story())
+        return shown.show_result()
     finally:  # also after a breakdown
         if plot is not None and demonstration.recording.times:
-            write_plot(plot, demonstration.recording, *demonstration.titles())
+            write_plot(plot, demonstration.recording, *shown.titles())
             screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")
 
 

@@ -13,7 +13,7 @@ import trio
 
 from canopen_cli.motion.jog import is_terminal
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.terminal_keys import END, Keys, key_by_key, read_terminal
+from canopen_cli.shared.terminal_keys import END, TerminalKeys, key_by_key, read_terminal
 
 T = TypeVar("T")
 
@@ -27,7 +27,7 @@ class HeldKeys:
     """Keys that are held. Any thread may ask, one at a time."""
 
     def __init__(self) -> None:
-        self._keys = Keys(lambda: read_terminal())
+        self._keys = TerminalKeys(lambda: read_terminal())
 
     def next(self) -> str:
         """Wait for the next key, and return it."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from canopen_cli.drive.commissioning import Commissioning, Result
+from canopen_cli.drive.commissioning import CommissioningDialogue
 from canopen_cli.drive.session import axis_of_command, node_of_command
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file, write_file
@@ -18,11 +17,9 @@ from canopen_cli.shared.questions import Questions, is_asked
 from canopen_cli.shared.running import all_stand, run
 from canopen_cli.shared.screen import escape
 from canopen_cli.shared.session import open_session
-from canopen_master.machine_file import JointEntry, MachineFile, NodeEntry, machine_of_chains, machine_text
-from canopen_master.motion.chain_file import ChainDescription, JointDescription
-from canopen_master.simulation.fleet import DEMO_LOCATOR
-from canopen_master.simulation.plant import DeviceEntry
-from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
+from canopen_master.commissioning import commissioned_machine
+from canopen_master.machine_file import machine_text
+from canopen_master.simulation.serving import DEMO_LOCATOR
 
 
 @click.command()
@@ -67,52 +64,35 @@ def commission(settings: Settings, output: str | None, dcf: str | None, name: st
     done: list[str] = []
     questions = Questions(screen, agrees=yes)
 
-    async def command() -> tuple[Result, str]:
+    async def command() -> tuple[CommissioningDialogue, str]:
         async with open_session(settings, screen) as session:
-            work = Commissioning(settings, screen, questions, session, node_id, done)
+            dialogue = CommissioningDialogue(settings, screen, questions, session, node_id, done)
+            await dialogue.run(dcf)
             description = session.description_of(node_id)
-            return await work.run(dcf), "" if description is None else description.source
+            return dialogue, "" if description is None else description.source
 
     def story(confirmed: bool) -> list[str]:
         return [f"the drive was {'halted' if confirmed else 'told to halt'}", *done] if done else ["nothing was done"]
 
     try:
-        result, file = run(settings, screen, command, story=story)
+        dialogue, file = run(settings, screen, command, story=story)
     except Exception as error:  # noqa: BLE001 - raised again, with what was done
         problem = problem_of(error)
         problem.also += [each for each in story(all_stand(error)) if each not in problem.also]
         raise problem from problem.__cause__
-    if result.is_confirmed:
-        machine = _machine(settings, DEMO_LOCATOR if bus == DEMO else bus, node_id, name, result, file, output)
-        write_file(output, machine_text(machine).encode())
+    work, is_confirmed = dialogue.work, dialogue.is_confirmed
+    if is_confirmed:
+        machine, locator = settings.machine_on_bus()
+        if machine is None:
+            locator = DEMO_LOCATOR if bus == DEMO else bus
+        file = os.path.relpath(file, Path(output).parent) if file and Path(file).is_file() else file
+        made = commissioned_machine(machine, locator, node_id, name, work.settings, file=file, master_id=settings.master_id)
+        write_file(output, machine_text(made).encode())
     if settings.json:
-        files = {"dcf": dcf, "machine": output if result.is_confirmed else None}
-        screen.json({"node": node_id, "moved": result.has_moved, "homed": result.is_homed, **files})
-    elif result.is_confirmed:
+        files = {"dcf": dcf, "machine": output if is_confirmed else None}
+        screen.json({"node": node_id, "moved": work.has_moved, "homed": work.is_homed, **files})
+    elif is_confirmed:
         screen.say(f"\n{escape(output)}: {escape(name)} with its unit and limits. Next: canopen machine check {escape(output)}")
     else:
         screen.say(f"\nNo machine file was written: its scale is not proven. {escape(dcf)} has its values as they were")
-    return ExitCode.OK if result.is_confirmed else ExitCode.PARTIAL
-
-
-def _machine(settings: Settings, locator: str, node_id: int, name: str, result: Result, file: str, output: str) -> MachineFile:
-    """Return the machine with the joint as it was commissioned: that of -m, else a new one with a chain of this joint."""
-    machine, bus = settings.machine_on_bus()
-    if machine is None:
-        alone = JointDescription(name, locator, node_id)
-        machine = machine_of_chains([ChainDescription(name, (alone,))])
-        bus = next(iter(machine.buses))
-    node = machine.node_at(bus, node_id) or NodeEntry(name, bus, DeviceEntry("", (node_id,)))
-    if file and not node.device.file:
-        beside = os.path.relpath(file, Path(output).parent) if Path(file).is_file() else file
-        node = replace(node, device=replace(node.device, file=beside))
-    owner = machine.joint_on(node) or JointEntry(name, node.name)
-    watchdog = machine.master.watchdog
-    if settings.master_id is not None:
-        watchdog = replace(watchdog or DEFAULT_WATCHDOG, node_id=settings.master_id)
-    return replace(
-        machine,
-        nodes={**machine.nodes, node.name: node},
-        joints={**machine.joints, owner.name: replace(owner, settings=result.settings)},
-        master=replace(machine.master, watchdog=watchdog),
-    )
+    return ExitCode.OK if is_confirmed else ExitCode.PARTIAL

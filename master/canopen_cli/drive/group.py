@@ -18,12 +18,12 @@ COMMANDS: Final = {
     "units": ("drive.state", "Show what the numbers of a drive mean, and which of its objects say so (the factor group)."),
     "fault-reset": ("drive.state", "Reset a fault: a rising edge of bit 7."),
     "plan": (
-        "drive.plan",
+        "drive.motion_plan:plan",
         "Show how a drive would follow set-points: its mode and why, its PDOs, and what would be written to it.",
     ),
     "mode": ("drive.state", "Show the modes of operation that a drive has; with MODE (pp, ip, csp ... or a number) select one."),
     "enable": ("drive.power", "Give a drive power, in a mode in which that moves nothing, until Ctrl-C."),
-    "home": ("drive.home", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
+    "home": ("drive.home:home_one", "Home a drive (CiA 402), by METHOD (written to 0x6098) or by its own."),
     "move": ("drive.power", "Move a drive to POSITION by its own profile (profile position)."),
     "velocity": ("drive.velocity", "Run a drive at a velocity (profile velocity, else velocity), until Ctrl-C."),
     "torque": ("drive.torque", "Let a drive push with a torque (profile torque) for a time."),
@@ -44,7 +44,7 @@ _FIRST_AXIS: Final = ("commission",)
 _AXIS: Final = "axis_number"
 
 
-class _Node(DriveId):
+class _NodeBeforeCommand(DriveId):
     """A node-ID or a name before a command: an exchange of the two is noticed."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -77,7 +77,7 @@ class _Drives(LazyGroup):
 
 
 @click.group(cls=_Drives, table=COMMANDS)
-@click.argument("node_id", metavar="NODE", type=_Node())
+@click.argument("node_id", metavar="NODE", type=_NodeBeforeCommand())
 @click.pass_context
 def drive(ctx: click.Context, node_id: int | str) -> None:
     """One drive (CiA 402): what it shows, why it does not move, what its numbers mean.

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import click
 
-from canopen_cli.drive.session import (
-    COUNTS,
-    command_drive,
-    ends_unpowered,
-    look_at_drive,
-    show_drive,
-    unit_of_command,
-)
+from canopen_cli.drive.session import command_drive, show_drive, unit_of_command
 from canopen_cli.shared.options import Duration, FiniteRange, Settings, commanding, common, enabling
 from canopen_cli.shared.problem import usage
+from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.identity import identify
-from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.units import COUNTS, Unit
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.drives.axis.watching import DriveWait
 from canopen_proto.drives.cia402.modes import mode_name

@@ -12,22 +12,19 @@ import click
 from canopen_cli.shared.options import DriveId, Settings
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.running import Story, run
-from canopen_cli.shared.screen import Screen, node_text
-from canopen_cli.shared.session import Session, open_session
-from canopen_master.motion.joint_procedures import awake
+from canopen_cli.shared.screen import Screen
+from canopen_cli.shared.session import BusSession, open_session
+from canopen_master.motion.joint_procedures import ensure_answers
+from canopen_master.motion.single_drive import look_at_drive
 from canopen_master.node import Node
-from canopen_proto.drives.axis import shut_down
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode, node_of_axis
-from canopen_proto.drives.axis.reasons import look_at, reasons
+from canopen_proto.drives.axis.reasons import reasons
 from canopen_proto.drives.axis.settings import AxisSettings
-from canopen_proto.drives.axis.units import Unit, read_units
+from canopen_proto.drives.axis.units import COUNTS, Unit, read_units
 from canopen_proto.drives.axis.view import DriveView
-from canopen_proto.drives.cia402.axes import axis_of
 from canopen_proto.drives.cia402.modes import describe_status, mode_name
-from canopen_proto.drives.cia402.objects import STATUSWORD
-from canopen_proto.multiplexer import index_of
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError
+from canopen_proto.procedures.steps import Procedure
 
 T = TypeVar("T")
 
@@ -35,14 +32,12 @@ NODE: Final = "canopen.drive.node"
 """The key of the node-ID, or of a name in the machine file, in `click.Context.meta`."""
 AXIS: Final = "canopen.drive.axis"
 """The key of --axis there; None: not given."""
-COUNTS: Final = "counts"
-_NO_SETTINGS: Final = AxisSettings()
 Scale: TypeAlias = Callable[[AxisNode], Procedure[float]]
 """Reads how many counts one unit of position has."""
 
 
 def run_on_node(
-    settings: Settings, screen: Screen, procedure: Callable[[Session, Node], Procedure[T]], story: Story = lambda confirmed: []
+    settings: Settings, screen: Screen, procedure: Callable[[BusSession, Node], Procedure[T]], story: Story = lambda confirmed: []
 ) -> T:
     """Run a procedure on the node that the command line names."""
     node_id, axis = node_of_command(), axis_of_command(settings)  # a name also says which bus the session opens
@@ -90,19 +85,19 @@ def command_drive(
 ) -> T:
     """Run a procedure that commands the drive, or rehearse it (--dry-run).
 
-    scale: reads the counts in one unit; None: see `Session.axis_settings`. ends: it ends without a Ctrl-C.
+    scale: reads the counts in one unit; None: see `BusSession.axis_settings`. ends: it ends without a Ctrl-C.
     """
 
     number = axis_of_command(settings)
 
-    def whole(session: Session, node: Node) -> Procedure[T]:
-        yield from awake(node)
+    def whole(session: BusSession, node: Node) -> Procedure[T]:
+        yield from ensure_answers(node)
         chosen = session.axis_settings(node.node_id, number)
         if scale is not None:
             chosen = replace(chosen, counts_per_unit=(yield from scale(node_of_axis(node.remote, number))))
         return (yield from procedure(session.master.device(node, settings=chosen, axis=number).axis))
 
-    async def work(session: Session) -> None:
+    async def work(session: BusSession) -> None:
         await session.master.run(whole(session, session.node(node_of_command(), number)))
 
     if not ends:
@@ -117,41 +112,10 @@ def command_drive(
     return run_on_node(settings, screen, whole, story)
 
 
-def ends_unpowered(axis: Axis, procedure: Procedure[T]) -> Procedure[T]:
-    """Run a procedure that gives the drive power, and take the power away at its end, also if it fails or is cancelled."""
-    try:
-        result = yield from procedure
-    except (Cancelled, Exception) as cause:
-        try:
-            yield from shut_down(axis)
-        except ProcedureError as error:
-            if isinstance(cause, Cancelled):
-                raise
-            cause.add_note(f"and it may still have power: {error}")
-        raise
-    yield from shut_down(axis)
-    return result
-
-
 def joint_settings(settings: Settings) -> AxisSettings:
     """Return the settings of the drive that the command is about, by the machine file; the defaults if it has none."""
     joint = settings.joint(node_of_command(), axis_of_command(settings))
     return AxisSettings() if joint is None else joint.settings
-
-
-def look_at_drive(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
-    view = yield from look_at(node, settings)
-    if view is None:
-        index = index_of(node.on_device(STATUSWORD))
-        axis = axis_of(node.on_device(STATUSWORD))
-        what = f"{node_text(node.node_id)} has no axis {axis}" if axis else f"{node_text(node.node_id)} is no drive by CiA 402"
-        raise Problem(
-            ExitCode.SDO_ABORT,
-            "CO408",
-            f"{what}: it has no statusword (0x{index:04X})",
-            tries=(f"canopen info {node.node_id}    what it is",),
-        )
-    return view
 
 
 def take_step(settings: Settings, step: Callable[[Axis], Procedure[None]]) -> None:
@@ -200,7 +164,7 @@ def show_drive(settings: Settings, screen: Screen, view: DriveView, position: tu
 
 
 def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale | None]:
-    """Return the unit of positions, and how the counts in it are found; None: as `Session.axis_settings` says.
+    """Return the unit of positions, and how the counts in it are found; None: as `BusSession.axis_settings` says.
 
     given: that of --in, None without it: then the unit is that of the joint in the machine file, or else the count. Raises a
     Problem for an --in that is not the joint's unit: its limits are in that.

@@ -9,22 +9,14 @@ from typing import Any
 
 import click
 
-from canopen_cli.drive.session import (
-    COUNTS,
-    command_drive,
-    joint_settings,
-    look_at_drive,
-    read_drive,
-    show_drive,
-    take_step,
-    unit_of_command,
-)
+from canopen_cli.drive.session import command_drive, joint_settings, read_drive, show_drive, take_step, unit_of_command
 from canopen_cli.shared.options import Settings, commanding, common
 from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_master.motion.single_drive import look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
-from canopen_proto.drives.axis.units import DriveUnits, Unit, read_units
+from canopen_proto.drives.axis.units import COUNTS, DriveUnits, Unit, read_units
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.drives.cia402.modes import Mode, mode_name, supported_modes
 from canopen_proto.drives.cia402.states import POWERED

@@ -15,18 +15,12 @@ from typing import Final, NamedTuple
 
 import click
 
-from canopen_cli.drive.session import (
-    AXIS,
-    axis_of_command,
-    command_drive,
-    look_at_drive,
-    run_on_node,
-    show_drive,
-)
+from canopen_cli.drive.session import AXIS, axis_of_command, command_drive, run_on_node, show_drive
 from canopen_cli.shared.options import Settings, commanding, common
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.session import Session
+from canopen_cli.shared.session import BusSession
+from canopen_master.motion.single_drive import look_at_drive
 from canopen_master.node import Node
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
@@ -110,7 +104,7 @@ def _carry_out(settings: Settings, way: Stop) -> None:
     meta = click.get_current_context().meta
     is_chosen = meta.get(AXIS) is not None or (machine is not None and number > 0)
 
-    def whole(session: Session, node: Node) -> Procedure[list[DriveView]]:
+    def whole(session: BusSession, node: Node) -> Procedure[list[DriveView]]:
         numbers = (number,) if is_chosen else axes_of(node.dictionary) or (number,)
         axes = [
             session.master.device(node, settings=session.axis_settings(node.node_id, each), axis=each).axis for each in numbers

@@ -7,9 +7,10 @@ from typing import Final
 
 import click
 
-from canopen_cli.drive.session import command_drive, ends_unpowered, look_at_drive
+from canopen_cli.drive.session import command_drive
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
 from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.view import DriveView

@@ -7,12 +7,13 @@ from typing import Final
 
 import click
 
-from canopen_cli.drive.session import COUNTS, command_drive, ends_unpowered, look_at_drive, unit_of_command
+from canopen_cli.drive.session import command_drive, unit_of_command
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
 from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.units import Unit
+from canopen_proto.drives.axis.units import COUNTS, Unit
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.drives.cia402.modes import Mode, mode_name
 from canopen_proto.machine import SECOND

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
-from canopen_cli.shared.eds_files import DescriptionFile, open_description, tell_faults
+from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import NodeId, Settings, common
 from canopen_cli.shared.problem import usage
@@ -17,6 +17,7 @@ from canopen_cli.shared.values import as_json, object_json, parse_value, place_t
 from canopen_data.configured import with_configured
 from canopen_data.description import BIT_RATES, Commissioning, DeviceDescription, FileKind
 from canopen_data.eds.writer import encode_eds, write_eds
+from canopen_data.named_files import DescriptionFile, open_description
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.concise import pack_concise
 from canopen_proto.dictionary.download_order import download_order, settings_of

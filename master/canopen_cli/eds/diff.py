@@ -7,12 +7,13 @@ from typing import Any, Final
 
 import click
 
-from canopen_cli.shared.eds_files import open_description, tell_faults
+from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.screen import counted, escape
 from canopen_cli.shared.values import plain_json
 from canopen_data.difference import Change, Difference, Relative, compare
+from canopen_data.named_files import open_description
 
 _MARKS: Final = {Change.ADDED: "[green]+[/]", Change.REMOVED: "[red]-[/]", Change.CHANGED: "[yellow]~[/]"}
 

@@ -9,10 +9,11 @@ import click
 from canopen_cli.eds.html import html_of
 from canopen_cli.eds.markdown import markdown_of
 from canopen_cli.eds.page import page_of
-from canopen_cli.shared.eds_files import open_description, tell_faults
+from canopen_cli.shared.eds_files import tell_faults
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.screen import escape
+from canopen_data.named_files import open_description
 
 FORMS = {".html": "html", ".htm": "html", ".md": "md", ".markdown": "md"}
 

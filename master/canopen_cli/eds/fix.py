@@ -6,7 +6,7 @@ import difflib
 
 import click
 
-from canopen_cli.shared.eds_files import finding_as_json, lines_of, open_description
+from canopen_cli.shared.eds_files import finding_as_json
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
@@ -14,6 +14,7 @@ from canopen_cli.shared.screen import counted, escape
 from canopen_data.checks import check
 from canopen_data.description import FileKind
 from canopen_data.findings import Severity
+from canopen_data.named_files import lines_of, open_description
 from canopen_data.repair import repair
 
 _STYLES = {"+": "green", "-": "red", "@": "cyan"}

@@ -9,7 +9,7 @@ import html
 from collections.abc import Iterator
 from typing import Final
 
-from canopen_cli.eds.page import Group, Page, Row
+from canopen_cli.eds.page import ObjectGroup, ObjectRow, Page
 from canopen_cli.eds.text import PdoText
 from canopen_master.plain_text import clean
 
@@ -97,7 +97,7 @@ def _pdo(pdo: PdoText) -> Iterator[str]:
     yield "</div>"
 
 
-def _group(group: Group, number: int, has_configured: bool) -> Iterator[str]:
+def _group(group: ObjectGroup, number: int, has_configured: bool) -> Iterator[str]:
     columns = (*_COLUMNS, "configured") if has_configured else _COLUMNS
     yield f'<h2 id="g{number}">{_e(group.title)}</h2>'
     yield f"<table>\n<thead><tr>{''.join(f'<th>{each}</th>' for each in columns)}</tr></thead>\n<tbody>"
@@ -106,7 +106,7 @@ def _group(group: Group, number: int, has_configured: bool) -> Iterator[str]:
     yield "</tbody>\n</table>"
 
 
-def _row(row: Row, has_configured: bool) -> str:
+def _row(row: ObjectRow, has_configured: bool) -> str:
     about = f'<div class="about">{_e(row.description)}</div>' if row.description else ""
     cells = [
         f'<td class="n">{_e(row.place)}</td>',

@@ -8,20 +8,15 @@ from typing import Any, Final
 
 import click
 
-from canopen_cli.shared.eds_files import (
-    DescriptionFile,
-    counts_of,
-    counts_text,
-    finding_as_json,
-    finding_lines,
-    open_description,
-)
+from canopen_cli.shared.eds_files import counts_of, counts_text, finding_as_json, finding_lines
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_data import DataError
 from canopen_data.checks import RULES, check
 from canopen_data.description import FileKind
 from canopen_data.findings import Finding, Severity
+from canopen_data.named_files import DescriptionFile, open_description
 from canopen_data.repair import repair
 
 MAX_REPAIRED: Final = 5000
@@ -103,8 +98,10 @@ def _list_rules(screen: Screen) -> int:
 def _report(path: str, encoding: str) -> _Report:
     try:
         file = open_description(path, encoding)
-    except Problem as problem:
-        return _Report(path, None, [], problem)
+    except DataError as error:
+        from canopen_cli.shared.failures import problem_of  # it imports the layers of the bus
+
+        return _Report(path, None, [], problem_of(error))
     found = [*file.description.findings, *check(file.description)]
     found.sort(key=lambda each: (each.line, each.column))
     return _Report(path, file, found)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
-from canopen_cli.eds.page import Group, Page, Row
+from canopen_cli.eds.page import ObjectGroup, ObjectRow, Page
 from canopen_cli.eds.text import PdoEntry
 from canopen_master.plain_text import clean
 
@@ -58,14 +58,14 @@ def _entry(entry: PdoEntry) -> str:
     return f"{_e(entry.name)} {entry.place} ({entry.bits})".strip()
 
 
-def _group(group: Group, has_configured: bool) -> Iterator[str]:
+def _group(group: ObjectGroup, has_configured: bool) -> Iterator[str]:
     yield f"\n## {_e(group.title)}\n"
     yield from _table(
         (*_COLUMNS, "configured") if has_configured else _COLUMNS, [_row(each, has_configured) for each in group.rows]
     )
 
 
-def _row(row: Row, has_configured: bool) -> tuple[str, ...]:
+def _row(row: ObjectRow, has_configured: bool) -> tuple[str, ...]:
     name = _e(row.name) + (f"<br>{_e(row.description)}" if row.description else "")
     cells = (row.place, name if row.is_part else f"**{name}**" if name else "", *map(_e, (row.type, row.access, row.pdo)))
     more = (row.default, row.limits, row.configured) if has_configured else (row.default, row.limits)

@@ -17,7 +17,7 @@ from canopen_proto.dictionary.model import Object, Variable
 
 
 @dataclass(frozen=True)
-class Row:
+class ObjectRow:
     """One line of a table of objects. anchor: of links to it. is_part: a sub-object. A cell without content is ""."""
 
     anchor: str
@@ -34,11 +34,11 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Group:
+class ObjectGroup:
     """The objects of one area of the dictionary."""
 
     title: str
-    rows: list[Row]
+    rows: list[ObjectRow]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Page:
     facts: list[tuple[str, str]]
     comments: tuple[str, ...]
     pdos: list[PdoText]
-    groups: list[Group]
+    groups: list[ObjectGroup]
     names: list[tuple[str, str, str]]
     has_configured: bool
 
@@ -60,7 +60,7 @@ def page_of(description: DeviceDescription) -> Page:
     for title, area in eds_text.AREAS:
         rows = [row for each in description.dictionary.objects.values() if each.index in area for row in _rows(each)]
         if rows:
-            groups.append(Group(title, rows))
+            groups.append(ObjectGroup(title, rows))
     info = description.device_info
     title = " ".join(each for each in (info.vendor_name, info.product_name) if each) or description.source or "CANopen device"
     return Page(
@@ -74,11 +74,11 @@ def page_of(description: DeviceDescription) -> Page:
     )
 
 
-def _rows(each: Object) -> Iterator[Row]:
+def _rows(each: Object) -> Iterator[ObjectRow]:
     if eds_text.is_one(each):
         yield _row(each.variables[0], f"o{each.index:04X}", f"{each.index:04X}", each.name)
         return
-    yield Row(f"o{each.index:04X}", f"{each.index:04X}", each.name, eds_text.kind_text(each), "", "", "", "", "", "")
+    yield ObjectRow(f"o{each.index:04X}", f"{each.index:04X}", each.name, eds_text.kind_text(each), "", "", "", "", "", "")
     for variable in each.variables.values():
         yield _row(variable, anchor_of(variable), f":{variable.subindex:02X}", field_name(each, variable.name), is_part=True)
 
@@ -88,9 +88,9 @@ def anchor_of(variable: Variable) -> str:
     return f"o{variable.index:04X}s{variable.subindex:02X}"
 
 
-def _row(variable: Variable, anchor: str, place: str, name: str, is_part: bool = False) -> Row:
+def _row(variable: Variable, anchor: str, place: str, name: str, is_part: bool = False) -> ObjectRow:
     unit = f" {variable.unit}" if variable.unit else ""
-    return Row(
+    return ObjectRow(
         anchor,
         place,
         name,

@@ -8,12 +8,13 @@ from typing import Any
 import click
 
 from canopen_cli.eds import text as eds_text
-from canopen_cli.shared.eds_files import finding_as_json, open_description, tell_faults
+from canopen_cli.shared.eds_files import finding_as_json, tell_faults
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.values import as_json, object_json, place_text
 from canopen_data.checks.structure import field_name
 from canopen_data.description import DeviceDescription
+from canopen_data.named_files import open_description
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Object, ObjectDictionary, ObjectNotFound, Variable
 

@@ -14,7 +14,7 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import read_dictionary
-from canopen_master.simulation.fleet import DEMO_LOCATOR
+from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND
 from canopen_proto.observer.bus_view import BusView

@@ -22,7 +22,7 @@ from rich.live import Live
 
 from canopen_cli.shared.running import first_of
 from canopen_cli.shared.screen import Screen
-from canopen_cli.shared.terminal_keys import END, Keys, key_by_key, read_terminal
+from canopen_cli.shared.terminal_keys import END, TerminalKeys, key_by_key, read_terminal
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -62,7 +62,9 @@ class LiveScreen(Generic[S]):
                 async with trio.open_nursery() as nursery:
                     nursery.start_soon(self._paint, live)
                     if terminal is not None:
-                        nursery.start_soon(self._follow_keys, Keys(partial(read_terminal, terminal)), nursery.cancel_scope)
+                        nursery.start_soon(
+                            self._follow_keys, TerminalKeys(partial(read_terminal, terminal)), nursery.cancel_scope
+                        )
                     results.append(await work())
                     nursery.cancel_scope.cancel()
             except ExceptionGroup as group:
@@ -83,7 +85,7 @@ class LiveScreen(Generic[S]):
         since, shown = self._held
         return self._draw(shown, width, height, trio.current_time() - since)
 
-    async def _follow_keys(self, keys: Keys, scope: trio.CancelScope) -> None:
+    async def _follow_keys(self, keys: TerminalKeys, scope: trio.CancelScope) -> None:
         while True:
             key = await keys.next()
             if key in QUIT:

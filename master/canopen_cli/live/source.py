@@ -32,7 +32,7 @@ from canopen_cli.live.clocks import StampClock, trio_now
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.screen import Screen, escape
-from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES, simulated_fleet
+from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES, simulated_drives
 from canopen_proto.machine import Time
 from canopen_transports import open_transport
 from canopen_transports.errors import BusState, BusStateChanged, ReceiveOverrun, Report
@@ -123,7 +123,7 @@ async def open_live_source(settings: Settings, source: Path | None) -> AsyncIter
         transport = await open_transport(silently(parse_locator(locator)))
         await stack.enter_async_context(transport)
         if bus == DEMO:
-            await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
+            await stack.enter_async_context(simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
         yield _BusSource(bus, locator, transport)
 
 

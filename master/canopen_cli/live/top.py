@@ -66,7 +66,7 @@ def top(settings: Settings, source: Path | None, once: bool, sort: str, bitrate:
     run_until_interrupted(settings, screen, partial(command.show, source, seconds, is_drawn))
 
 
-class _TopBus:
+class _ObservedBus:
     """One bus: each in a file has its own observer. last: the time of its last frame."""
 
     def __init__(self, name: str, observer: Observer, view: BusView) -> None:
@@ -83,7 +83,7 @@ class _Top:
         self._settings, self._screen = settings, screen
         self._files = NodeFiles(settings, screen, read_dictionary(screen))
         self._bitrate = bitrate
-        self._buses: dict[str, _TopBus] = {}
+        self._buses: dict[str, _ObservedBus] = {}
         self._sorts = list(SORTS)
         self._sort = self._sorts.index(sort)
         self._chosen = 0
@@ -118,7 +118,7 @@ class _Top:
         now = self._clock.set(record.time)
         if bus is None:
             observer = Observer(self._files.dictionary_of, bitrate=self._bitrate)
-            bus = self._buses[record.channel] = _TopBus(record.channel, observer, BusView(bitrate=self._bitrate))
+            bus = self._buses[record.channel] = _ObservedBus(record.channel, observer, BusView(bitrate=self._bitrate))
         bus.view.add(record.frame, bus.observer.observe(record.frame, now), now)
         bus.last = now
 

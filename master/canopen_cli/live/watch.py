@@ -20,8 +20,7 @@ from canopen_cli.live.screen import LiveScreen
 from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source
 from canopen_cli.live.watch_polling import Load, Polling, load_text
 from canopen_cli.live.watch_view import Around, picture, plain
-from canopen_cli.live.watched import ValueSample, View, Watched
-from canopen_cli.node.objects import find
+from canopen_cli.live.watched import View, Watched, WatchedSample
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Duration, FiniteRange, NodeId, Settings, common
@@ -29,7 +28,7 @@ from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import open_session, read_dictionary
-from canopen_cli.shared.values import TYPES, as_json, object_json, physical, place_text
+from canopen_cli.shared.values import TYPES, as_json, find_object, object_json, physical, place_text
 from canopen_master.participant.bus import BusChanged, FramesLost
 from canopen_master.plain_text import clean, json_text
 from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
@@ -134,7 +133,7 @@ def _objects(
     dictionary: ObjectDictionary, keys: Sequence[str], drive: bool, type_name: str | None
 ) -> tuple[ObjectDictionary, list[Variable]]:
     """Return the named objects, and the dictionary with those that it lacks. Raises ObjectNotFound, Problem."""
-    variables = {each.mux: each for key in keys for each in [find(dictionary, key, type_name)]}
+    variables = {each.mux: each for key in keys for each in [find_object(dictionary, key, type_name)]}
     for key in DRIVE_OBJECTS if drive else ():
         try:
             variable = dictionary.variable(key)
@@ -174,7 +173,7 @@ class _Watching:
         self._has_value = False
         self._notes: dict[str, str] = {}
         self.is_drawn = screen.out.is_terminal and not screen.out.is_dumb_terminal and not settings.json
-        self.sinks: list[Callable[[ValueSample], None]] = []
+        self.sinks: list[Callable[[WatchedSample], None]] = []
 
     def now(self) -> Time:
         """Return the time of the frames, now."""
@@ -287,7 +286,7 @@ class _Watching:
         makes_way = self._polling is not None and self._polling.makes_way
         return {**self._notes, "others": OTHERS} if makes_way else self._notes
 
-    def tell(self, sample: ValueSample) -> None:
+    def tell(self, sample: WatchedSample) -> None:
         """Print a value that has changed."""
         if sample.is_change:
             row = self._watched.row(sample.variable, sample.time)
@@ -345,11 +344,11 @@ class _Watching:
         )
 
 
-def _tell_json(screen: Screen, node_id: int, sample: ValueSample) -> None:
+def _tell_json(screen: Screen, node_id: int, sample: WatchedSample) -> None:
     screen.out.out(json_text(_document(node_id, sample)), highlight=False)
 
 
-def _document(node_id: int, sample: ValueSample) -> dict[str, Any]:
+def _document(node_id: int, sample: WatchedSample) -> dict[str, Any]:
     variable, value = sample.variable, sample.value
     return {
         "time": sample.time,
@@ -363,14 +362,14 @@ def _document(node_id: int, sample: ValueSample) -> dict[str, Any]:
 
 
 @contextmanager
-def _csv_sink(path: str, node_id: int) -> Iterator[Callable[[ValueSample], None]]:
+def _csv_sink(path: str, node_id: int) -> Iterator[Callable[[WatchedSample], None]]:
     """Open a CSV file with a line for each value. Values that came until a second ago are in it, however the program ends."""
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(("time", "node", "object", "name", "value", "physical", "unit", "source"))
         flushed = -math.inf
 
-        def write(sample: ValueSample) -> None:
+        def write(sample: WatchedSample) -> None:
             nonlocal flushed
             variable, value = sample.variable, sample.value
             amount = physical(variable, value)

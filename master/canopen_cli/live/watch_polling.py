@@ -18,8 +18,8 @@ from typing import Final, NoReturn
 import trio
 
 from canopen_cli.live.watched import FRESH, Watched
-from canopen_cli.node.objects import block_of
-from canopen_cli.shared.session import Session
+from canopen_cli.shared.session import BusSession
+from canopen_cli.shared.values import block_of
 from canopen_master.errors import NO_ANSWER, SdoError, SdoRefused
 from canopen_master.node import Node
 from canopen_proto.abort import AbortOrigin, text_of
@@ -90,7 +90,7 @@ class Polling:
     """
 
     def __init__(
-        self, session: Session, node: Node, watched: Watched, now: Callable[[], Time], every: Time, bitrate: int | None
+        self, session: BusSession, node: Node, watched: Watched, now: Callable[[], Time], every: Time, bitrate: int | None
     ) -> None:
         self._session, self._node, self._watched = session, node, watched
         self._now = now

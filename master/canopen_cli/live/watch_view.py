@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from canopen_cli.live.braille import curve
-from canopen_cli.live.watched import View, WatchRow, state_style
+from canopen_cli.live.watched import View, WatchedRow, state_style
 from canopen_cli.shared.screen import counted, node_text
 from canopen_master.plain_text import clean
 from canopen_proto.machine import SECOND, Time
@@ -113,13 +113,13 @@ def _head(view: View, around: Around, width: int) -> Text:
     return text
 
 
-def _cells(row: WatchRow) -> tuple[str, ...]:
+def _cells(row: WatchedRow) -> tuple[str, ...]:
     age = "" if row.age is None else age_text(row.age)
     value = row.value or "-"
     return row.place, row.name, value, row.unit, row.least, row.most, age, row.source
 
 
-def _table(rows: Sequence[WatchRow], blocks: Sequence[Sequence[Text]], shown: int, width: int) -> RenderableType:
+def _table(rows: Sequence[WatchedRow], blocks: Sequence[Sequence[Text]], shown: int, width: int) -> RenderableType:
     cells = [tuple(map(clean, _cells(row))) for row in rows[:shown]]
     used = [name in COLUMNS[:3] or any(each[place] for each in cells) for place, name in enumerate(COLUMNS)]
     sizes = [max(map(cell_len, (name, *(each[place] for each in cells)))) for place, name in enumerate(COLUMNS)]
@@ -149,13 +149,13 @@ def _same_columns(table: Table) -> Table:
     return fresh
 
 
-def _styles(row: WatchRow) -> tuple[str, ...]:
+def _styles(row: WatchedRow) -> tuple[str, ...]:
     value = "dim" if row.is_stale else "bold"
     age = "bold yellow" if row.is_stale else "dim"
     return ("dim" if row.is_stale else "", "dim" if row.is_stale else "", value, value, "dim", "dim", age, "dim")
 
 
-def _below(row: WatchRow, width: int) -> list[Text]:
+def _below(row: WatchedRow, width: int) -> list[Text]:
     """Return the lines below the row of an object: words and bits, and what is the matter with it."""
     lines = []
     if row.is_stale:
@@ -174,9 +174,9 @@ def _below(row: WatchRow, width: int) -> list[Text]:
     return lines
 
 
-def _curves(rows: Sequence[WatchRow], width: int, room: int, span: float) -> tuple[list[RenderableType], int]:
+def _curves(rows: Sequence[WatchedRow], width: int, room: int, span: float) -> tuple[list[RenderableType], int]:
     """Return the curves that fit, and how many lines they have."""
-    numbers = [row for row in rows if row.course or row.number is not None]
+    numbers = [row for row in rows if row.curve or row.number is not None]
     if not numbers:
         return [], 0
     size = min(MOST_CURVE, room // len(numbers) - 1)
@@ -186,7 +186,7 @@ def _curves(rows: Sequence[WatchRow], width: int, room: int, span: float) -> tup
     pieces: list[RenderableType] = []
     for row in numbers:
         pieces.append(line(f"{row.name}{f' in {row.unit}' if row.unit else ''}, the last {span:g} s", width, "bold"))
-        points = ((1 - slot.age / SECOND / span, slot.least, slot.most) for slot in row.course)
+        points = ((1 - slot.age / SECOND / span, slot.least, slot.most) for slot in row.curve)
         lines, least, most = curve(points, max(1, width - SCALE - 1), size, JOINED / span)
         labels = [""] * size
         labels[-1], labels[0] = f"{least:.6g}", f"{most:.6g}" if most > least else ""

@@ -31,7 +31,7 @@ FRESH: Final = SECOND
 within it."""
 BOOTED: Final = "from before its boot-up"
 SLOTS: Final = 400
-"""Slots of time that a course has: twice as many points as a wide terminal has in a line."""
+"""Slots of time that a curve has: twice as many points as a wide terminal has in a line."""
 CODES: Final = (STATUSWORD, CONTROLWORD, ERROR_CODE)
 """Objects whose numbers are read in hexadecimal."""
 _STATES: Final = ("heartbeat", "guarding")
@@ -40,7 +40,7 @@ _MAKERS_BITS: Final = 0xC100
 """Bits 8, 14 and 15 of the statusword."""
 
 
-class ValueSample(NamedTuple):
+class WatchedSample(NamedTuple):
     """A value as it came. source: "SDO", "TPDO 1"."""
 
     time: Time
@@ -50,20 +50,20 @@ class ValueSample(NamedTuple):
     is_change: bool
 
 
-class CourseSlot(NamedTuple):
-    """A part of the course of a value. age: ns, of its end. least, most: of the values in it."""
+class CurveSlot(NamedTuple):
+    """A part of the curve of a value. age: ns, of its end. least, most: of the values in it."""
 
     age: Time
     least: float
     most: float
 
 
-class WatchRow(NamedTuple):
+class WatchedRow(NamedTuple):
     """An object as it is shown.
 
     value: "" if there is none yet. age: ns; None without a value. words: the state and bits of a word, or the names of a value.
     bits: of a word, by fours. trouble: why there is no newer value. is_stale: the value must not be taken for the present one.
-    is_fault: the drive shows a fault. number, course: for a plot; None and nothing for bits and texts.
+    is_fault: the drive shows a fault. number, curve: for a plot; None and nothing for bits and texts.
     """
 
     place: str
@@ -80,14 +80,14 @@ class WatchRow(NamedTuple):
     is_stale: bool = False
     is_fault: bool = False
     number: float | None = None
-    course: tuple[CourseSlot, ...] = ()
+    curve: tuple[CurveSlot, ...] = ()
 
 
 class View(NamedTuple):
     """All that is shown of a node at one time. state: its NMT state in words; "" if it is not known, or not any more."""
 
     node_id: int
-    rows: tuple[WatchRow, ...]
+    rows: tuple[WatchedRow, ...]
     state: str
     emergency: str
     emergency_age: Time | None
@@ -96,7 +96,7 @@ class View(NamedTuple):
 
 
 @dataclass
-class _WatchedEntry:
+class _WatchedObject:
     variable: Variable
     value: Value | None = None
     time: Time = -NEVER
@@ -108,14 +108,14 @@ class _WatchedEntry:
     is_old: bool = False
     is_plain: bool = True
     """Its number is an amount: no bits, no names."""
-    course: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=SLOTS))
+    curve: deque[tuple[int, float, float]] = field(default_factory=lambda: deque(maxlen=SLOTS))
     """By the numbers of slots of time, the oldest first: the least and the greatest value in each."""
 
 
 class Watched:
     """See this module's text.
 
-    node_id, dictionary: of the node. variables: its objects to show. fresh_for: ns. span: ns that the course of a value goes
+    node_id, dictionary: of the node. variables: its objects to show. fresh_for: ns. span: ns that the curve of a value goes
     back; 0: none is kept.
     """
 
@@ -131,7 +131,7 @@ class Watched:
         self.fresh_for = max(FRESH, fresh_for)
         self._slot = span // SLOTS
         self._dictionary = dictionary
-        self._entries = {each.mux: _WatchedEntry(each, is_plain=not self._has_names(each)) for each in variables}
+        self._entries = {each.mux: _WatchedObject(each, is_plain=not self._has_names(each)) for each in variables}
         self._modes: dict[int, tuple[Time, int]] = {}  # by axis
         self._state: tuple[Time, str] = (-NEVER, "")
         self._emergency: tuple[Time, str] | None = None
@@ -146,7 +146,7 @@ class Watched:
 
     # ---- what comes ----
 
-    def take(self, meaning: Meaning, now: Time) -> list[ValueSample]:
+    def take(self, meaning: Meaning, now: Time) -> list[WatchedSample]:
         """Take in what a frame means; return the values that it brings. now: ns."""
         if meaning.node_id != self.node_id:
             return []  # and its words are never made
@@ -171,7 +171,7 @@ class Watched:
             return  # perhaps a frame for the node, not of it
         self._heard = now
 
-    def _shown(self, shown: ShownObject, service: str, now: Time) -> ValueSample | None:
+    def _shown(self, shown: ShownObject, service: str, now: Time) -> WatchedSample | None:
         if shown.node_id != self.node_id or shown.value is None:
             return None
         by_pdo = service != "SDO"
@@ -194,16 +194,16 @@ class Watched:
             entry.most = number if entry.most is None else max(entry.most, number)
             if self._slot:
                 self._draw(entry, number, now // self._slot)
-        return ValueSample(now, entry.variable, shown.value, service, is_change)
+        return WatchedSample(now, entry.variable, shown.value, service, is_change)
 
     @staticmethod
-    def _draw(entry: _WatchedEntry, number: float, slot: int) -> None:
-        """Add a value to the course."""
+    def _draw(entry: _WatchedObject, number: float, slot: int) -> None:
+        """Add a value to the curve."""
         least = most = number
-        if entry.course and entry.course[-1][0] == slot:
-            _, low, high = entry.course.pop()
+        if entry.curve and entry.curve[-1][0] == slot:
+            _, low, high = entry.curve.pop()
             least, most = min(low, number), max(high, number)
-        entry.course.append((slot, least, most))
+        entry.curve.append((slot, least, most))
 
     def refused(self, variable: Variable, why: str) -> None:
         """Take note why an object could not be read. It stands until a value comes."""
@@ -238,15 +238,15 @@ class Watched:
             None if self._heard is None else now - self._heard,
         )
 
-    def row(self, variable: Variable, now: Time) -> WatchRow:
+    def row(self, variable: Variable, now: Time) -> WatchedRow:
         """Return an object as it is shown."""
         return self._row(self._entries[variable.mux], now)
 
-    def _row(self, entry: _WatchedEntry, now: Time) -> WatchRow:
+    def _row(self, entry: _WatchedObject, now: Time) -> WatchedRow:
         variable, value = entry.variable, entry.value
         place, name = place_text(variable), variable.name
         if value is None:
-            return WatchRow(place, name, "", "", "", "", None, "", trouble=entry.trouble)
+            return WatchedRow(place, name, "", "", "", "", None, "", trouble=entry.trouble)
         age = max(0, now - entry.time)
         is_stale = entry.is_old or age > self.fresh_for
         words, bits, is_fault = self._words(variable, value, now)
@@ -254,7 +254,7 @@ class Watched:
         text = value_text(variable, value) if number is None else f"{number:.10g}"
         if _home(variable.mux) in CODES:
             text = hex_text(variable, value) or text
-        return WatchRow(
+        return WatchedRow(
             place,
             name,
             text,
@@ -269,10 +269,10 @@ class Watched:
             is_stale,
             is_fault,
             number,
-            tuple(CourseSlot(max(0, now - (slot + 1) * self._slot), low, high) for slot, low, high in entry.course),
+            tuple(CurveSlot(max(0, now - (slot + 1) * self._slot), low, high) for slot, low, high in entry.curve),
         )
 
-    def _number(self, entry: _WatchedEntry) -> float | None:
+    def _number(self, entry: _WatchedObject) -> float | None:
         """Return the value as an amount, in its unit if it has one; None if it is none."""
         value = entry.value
         if not entry.is_plain or isinstance(value, bool) or not isinstance(value, int | float):
@@ -319,7 +319,7 @@ def _home(key: Mux) -> Mux:
     return swapped(key, axis) if axis else key
 
 
-def state_style(row: WatchRow) -> str:
+def state_style(row: WatchedRow) -> str:
     """Return the colour of the first word of a statusword: what a drive may do."""
     if row.is_stale:
         return "dim"

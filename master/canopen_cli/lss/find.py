@@ -7,10 +7,10 @@ from typing import Any
 import click
 
 from canopen_cli.lss.support import (
-    Bounds,
-    Number,
-    Target,
+    LssTarget,
+    NumberBounds,
     TargetKind,
+    Unsigned32,
     address_text,
     estimate,
     knowing,
@@ -77,10 +77,12 @@ def _matching(chosen: bool) -> str:
 
 
 @click.command()
-@click.option("--vendor", type=Number(), required=True, help="The vendor-ID.")
-@click.option("--product", type=Number(), required=True, help="The product code.")
-@click.option("--revision", type=Bounds(), default=(0, ALL_ONES), help="Revisions, inclusive: 0x10000-0x1FFFF.  [default: all]")
-@click.option("--serial", type=Bounds(), default=(0, ALL_ONES), help="Serial numbers, inclusive: 1-100.  [default: all]")
+@click.option("--vendor", type=Unsigned32(), required=True, help="The vendor-ID.")
+@click.option("--product", type=Unsigned32(), required=True, help="The product code.")
+@click.option(
+    "--revision", type=NumberBounds(), default=(0, ALL_ONES), help="Revisions, inclusive: 0x10000-0x1FFFF.  [default: all]"
+)
+@click.option("--serial", type=NumberBounds(), default=(0, ALL_ONES), help="Serial numbers, inclusive: 1-100.  [default: all]")
 @windowed
 @common
 @click.pass_obj
@@ -119,7 +121,7 @@ def identify(
 @windowed
 @common
 @click.pass_obj
-def inquire(settings: Settings, device: Target, window: Time) -> None:
+def inquire(settings: Settings, device: LssTarget, window: Time) -> None:
     """Show the LSS address and the node-ID of one device. Nothing is written.
 
     DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus.

@@ -14,14 +14,13 @@ from typing import Any, Final
 import click
 import trio
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.lss.support import Lss, address_text, open_lss, windowed
 from canopen_cli.shared.options import DEMO, Duration, Settings, common
 from canopen_cli.shared.problem import ExitCode, Problem, usage
-from canopen_cli.shared.questions import require_somebody
+from canopen_cli.shared.questions import confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_master.simulation.fleet import DEMO_LOCATOR
+from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all
 from canopen_proto.lss.messages import BIT_RATES, LssAddress
 from canopen_proto.lss.scan import survey
@@ -53,7 +52,7 @@ class Rate(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 
 @dataclass
-class Change:
+class RateChange:
     """The order. rates: kbit/s. locators: of our bus before and after. command: switches our interface, "" for none."""
 
     old: int
@@ -64,9 +63,9 @@ class Change:
     store: bool
 
     @property
-    def back(self) -> Change:
+    def back(self) -> RateChange:
         """The way back."""
-        return Change(self.new, self.old, self.locators[::-1], self.command, self.delay, False)
+        return RateChange(self.new, self.old, self.locators[::-1], self.command, self.delay, False)
 
 
 @click.command("set-bitrate")
@@ -128,7 +127,7 @@ def set_bitrate(
     screen.say(f"{counted(len(addresses), 'device')} at {rate} kbit/s. Open the bus as {escape(change.locators[1])} from now on")
 
 
-def _change(settings: Settings, rate: int, present: int | None, delay: Time, command: str, store: bool) -> Change:
+def _change(settings: Settings, rate: int, present: int | None, delay: Time, command: str, store: bool) -> RateChange:
     bus = settings.required_bus()
     locator = parse_locator(DEMO_LOCATOR if bus == DEMO else bus)
     old = present or (locator.bitrate or 0) // 1000
@@ -144,7 +143,7 @@ def _change(settings: Settings, rate: int, present: int | None, delay: Time, com
     if has_rate:
         address, mark, options = bus.partition("?")
         after = re.sub("@.*", "", address) + f"@{bitrate_text(rate * 1000)}" + mark + options
-    return Change(old, rate, (bus, after), command, delay, store)
+    return RateChange(old, rate, (bus, after), command, delay, store)
 
 
 async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
@@ -167,7 +166,7 @@ async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
     return addresses
 
 
-def _show(screen: Screen, change: Change, addresses: Sequence[LssAddress]) -> None:
+def _show(screen: Screen, change: RateChange, addresses: Sequence[LssAddress]) -> None:
     for address in addresses:
         screen.say(f"  {escape(address_text(address))}: {change.new} kbit/s in place of {change.old}")
     delay = change.delay / SECOND
@@ -175,7 +174,7 @@ def _show(screen: Screen, change: Change, addresses: Sequence[LssAddress]) -> No
     screen.say(f"  {'then all store it' if change.store else 'nothing is stored'}; our bus: {escape(change.locators[1])}")
 
 
-async def _switch(settings: Settings, screen: Screen, change: Change, addresses: Sequence[LssAddress], window: Time) -> None:
+async def _switch(settings: Settings, screen: Screen, change: RateChange, addresses: Sequence[LssAddress], window: Time) -> None:
     """Prepare the devices, let them switch, and switch our interface. Raises a Problem if one refuses: nothing is switched."""
     settings.bus = change.locators[0]
     async with open_lss(settings, screen, window) as lss:
@@ -193,7 +192,7 @@ async def _switch(settings: Settings, screen: Screen, change: Change, addresses:
     await trio.sleep(max(0.0, change.delay / SECOND - (trio.current_time() - started)))
 
 
-async def _run_command(change: Change) -> None:
+async def _run_command(change: RateChange) -> None:
     text = change.command.replace("{bitrate}", str(change.new * 1000))
     with trio.move_on_after(COMMAND_TIME):
         ended = await trio.run_process(["/bin/sh", "-c", text], check=False, capture_stderr=True)
@@ -211,7 +210,7 @@ async def _run_command(change: Change) -> None:
 
 
 async def _check(
-    settings: Settings, screen: Screen, change: Change, addresses: Sequence[LssAddress], window: Time
+    settings: Settings, screen: Screen, change: RateChange, addresses: Sequence[LssAddress], window: Time
 ) -> list[Refusal]:
     """Look for all devices at the new bit rate, and let them store it; return those that did not. If one is missing, bring the
     others back, and raise a Problem."""

@@ -10,10 +10,9 @@ from typing import Any, Final
 import click
 import trio
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.lss.support import (
     Lss,
-    Target,
+    LssTarget,
     TargetKind,
     address_text,
     estimate,
@@ -27,11 +26,11 @@ from canopen_cli.lss.support import (
     windowed,
 )
 from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, node_id_of
-from canopen_cli.shared.overlays import read_text
 from canopen_cli.shared.problem import ExitCode, Problem, usage
-from canopen_cli.shared.questions import Questions, require_somebody
+from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_data.named_files import read_text
 from canopen_proto.lss.assign import (
     NOBODY_AGREED,
     Assignment,
@@ -59,7 +58,7 @@ TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 @windowed
 @common
 @click.pass_obj
-def set_id(settings: Settings, device: Target, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
+def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
     """Give one device a node-ID, or another one.
 
     DEVICE: its LSS address, its node-ID, or `only` if it is the only one on the bus. A device that has a node-ID resets its
@@ -95,7 +94,7 @@ def set_id(settings: Settings, device: Target, node_id: int, no_store: bool, yes
 @windowed
 @common
 @click.pass_obj
-def store(settings: Settings, device: Target, window: Time) -> None:
+def store(settings: Settings, device: LssTarget, window: Time) -> None:
     """Let one device store its node-ID and bit rate. DEVICE: see set-id."""
     screen = settings.screen()
 

@@ -15,7 +15,7 @@ from canopen_cli.shared.chosen_machine import NUMBER
 from canopen_cli.shared.options import Duration, Kind, Settings, node_id_of
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.screen import Screen, escape
-from canopen_cli.shared.session import Session, open_session
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_proto import indices
 from canopen_proto.lss.assign import LssNotSelected, own_node_id, select_only
 from canopen_proto.lss.master import WINDOW
@@ -46,7 +46,7 @@ MAX_TEXT: Final = 0xFFFF_FFFF
 class Lss:
     """An open session with a tool for LSS."""
 
-    session: Session
+    session: BusSession
     tool: LssTool
     pace: Pace
 
@@ -73,7 +73,7 @@ async def open_lss(settings: Settings, screen: Screen, window: Time, limit: Time
             session.network.detach(tool)
 
 
-class Number(Kind):
+class Unsigned32(Kind):
     """An UNSIGNED32: decimal, or hexadecimal with 0x."""
 
     name = "number"
@@ -82,7 +82,7 @@ class Number(Kind):
         return value if isinstance(value, int) else number_of(str(value))
 
 
-class Bounds(Kind):
+class NumberBounds(Kind):
     """Two UNSIGNED32, inclusive: "1-100"; or one."""
 
     name = "a-b"
@@ -107,7 +107,7 @@ def number_of(text: str) -> int:
 
 
 @dataclass(frozen=True)
-class Target:
+class LssTarget:
     """One device: by its LSS address, by its node-ID, or the only one on the bus (both None)."""
 
     address: LssAddress | None = None
@@ -119,15 +119,15 @@ class TargetKind(Kind):
 
     name = "device"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Target:
-        if isinstance(value, Target):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> LssTarget:
+        if isinstance(value, LssTarget):
             return value
         text = str(value).strip()
         if text == ONLY:
-            return Target()
+            return LssTarget()
         parts = text.split(":")
         if len(parts) == NUMBERS:
-            return Target(LssAddress(*map(number_of, parts)))
+            return LssTarget(LssAddress(*map(number_of, parts)))
         if len(parts) > 1:
             raise usage("CO120", f"{text!r} is not an LSS address, which has {NUMBERS} numbers", tries=("0x360:0x2:0x10000:7",))
         settings = None if ctx is None else ctx.find_object(Settings)
@@ -136,7 +136,7 @@ class TargetKind(Kind):
                 "CO120", f"{text!r} is no device: neither an LSS address, nor a node-ID, nor `{ONLY}`",
                 tries=("0x360:0x2:0x10000:7", "5", f"{ONLY}    (it is the only device on the bus)"),
             )  # fmt: skip
-        return Target(node_id=node_id_of(text) if settings is None else settings.node_id(text))
+        return LssTarget(node_id=node_id_of(text) if settings is None else settings.node_id(text))
 
 
 def windowed(command: T) -> T:
@@ -161,7 +161,9 @@ def knowing(command: T) -> T:
         ("product", "product code"),
         ("vendor", "vendor-ID"),
     ):
-        command = click.option(f"--{name}", type=Number(), help=f"The {text} of the devices, if it is known: quicker.")(command)
+        command = click.option(f"--{name}", type=Unsigned32(), help=f"The {text} of the devices, if it is known: quicker.")(
+            command
+        )
     return command
 
 
@@ -175,12 +177,12 @@ def node_id_text(node_id: int) -> str:
     return "none" if node_id == UNCONFIGURED else str(node_id)
 
 
-async def selected(lss: Lss, target: Target) -> tuple[LssAddress, int]:
+async def selected(lss: Lss, target: LssTarget) -> tuple[LssAddress, int]:
     """Select one device; return its address and node-ID. Nothing else is selected then. Raises a Problem."""
     if target.node_id is not None:
         node = lss.session.node(target.node_id)
         numbers = [int.from_bytes(await node.read_bytes(indices.IDENTITY_OBJECT, each), "little") for each in (1, 2, 3, 4)]
-        target = Target(LssAddress(*numbers))
+        target = LssTarget(LssAddress(*numbers))
     address = target.address
     if address is None:
         address = await lss.run(_only_device(lss.tool, lss.pace))

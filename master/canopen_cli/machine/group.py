@@ -80,7 +80,8 @@ def check(settings: Settings, file: Path | None) -> int:
 
 def show_findings(settings: Settings, screen: Screen, path: Path, findings: tuple[Finding, ...]) -> None:
     """Show the errors in a machine file, and in the files that it names, each with its line."""
-    from canopen_cli.shared.eds_files import finding_as_json, finding_lines, lines_of
+    from canopen_cli.shared.eds_files import finding_as_json, finding_lines
+    from canopen_data.named_files import lines_of
 
     if settings.json:
         screen.json({"file": str(path), "findings": [finding_as_json(each) for each in findings]})

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import usage
-from canopen_cli.simulation.drive_files import DriveFile, drives_of
 from canopen_master.machine_file import MachineFile, NodeEntry, machine_of_chains
 from canopen_master.master import Master
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_file import read_chains
 from canopen_master.motion.moving import Moving, together
 from canopen_master.session import open_master
-from canopen_master.simulation.fleet import drive_maker, simulated_fleet
+from canopen_master.simulated_machine import drives_of_machine
+from canopen_master.simulation.drive_files import DriveFile, joint_maker
 from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import simulated_drives, virtual_buses
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
@@ -53,11 +53,10 @@ class ChosenChains:
 
     def maker(self, number: int, node_id: int) -> DeviceMaker:
         """Return the maker of the simulated drive of a joint, by its place among them."""
-        file = self.files.get(self.joints[number])
-        return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
+        return joint_maker(number, node_id, self.files.get(self.joints[number]))
 
 
-class Group:
+class ChainGroup:
     """The chains of a command, which move as one: what it needs of a `Chain`, for one or several. moving: moves them all."""
 
     def __init__(self, chains: Sequence[Chain]) -> None:
@@ -110,8 +109,7 @@ def choose_chains(settings: Settings, *names: str) -> ChosenChains:
             known = ", ".join(machine.chains)
             raise usage("CO322", f"{machine.source} has no chain {name!r}", seen=f"its chains are: {known}")
     if is_simulated:
-        buses = {bus: f"virtual:demo{number or ''}" for number, bus in enumerate(machine.buses)}
-        return ChosenChains(machine, chosen, buses, True, drives_of(machine, False))
+        return ChosenChains(machine, chosen, virtual_buses(machine.buses), True, drives_of_machine(machine))
     if settings.bus is None or settings.bus in machine.buses:
         return ChosenChains(machine, chosen)
     used = {machine.nodes[machine.joints[joint].node].bus for name in chosen for joint in machine.chains[name].joints}
@@ -130,14 +128,14 @@ def _demo_machine() -> MachineFile:
 
 
 @asynccontextmanager
-async def open_chains(settings: Settings, chosen: ChosenChains) -> AsyncIterator[tuple[Master, Group]]:
+async def open_chains(settings: Settings, chosen: ChosenChains) -> AsyncIterator[tuple[Master, ChainGroup]]:
     """Open the buses of a machine while the block runs; for a simulated one with its drives. Nothing is sent yet."""
     async with AsyncExitStack() as stack:
         if chosen.is_simulated:
             drives = [(chosen.locator_of(joint), chosen.node_of(joint).node_id) for joint in chosen.joints]
-            await stack.enter_async_context(simulated_fleet(drives, make=partial(chosen.maker)))
+            await stack.enter_async_context(simulated_drives(drives, make=chosen.maker))
         watchdog = DEFAULT_WATCHDOG if settings.master_id is None else settings.watchdog
         timeout = None if settings.timeout is None else settings.timeout / SECOND
         opened = open_master(machine=chosen.machine, buses=chosen.buses, sdo_timeout=timeout, watchdog=watchdog)
         master = await stack.enter_async_context(opened)
-        yield master, Group([master.chains[name] for name in chosen.names])
+        yield master, ChainGroup([master.chains[name] for name in chosen.names])

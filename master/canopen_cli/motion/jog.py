@@ -12,12 +12,12 @@ import trio
 
 from canopen_cli.motion.chain_session import ChosenChains, choose_chains, open_chains
 from canopen_cli.motion.record_option import check_record, record_option, recorded
-from canopen_cli.motion.view import DemoView, JointView, Step
+from canopen_cli.motion.view import DemoView, JointView, ViewStep
 from canopen_cli.shared.options import FiniteRange, Settings, common, enabling
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted
-from canopen_cli.shared.terminal_keys import END, LEFT, RIGHT, Keys, key_by_key, read_terminal
+from canopen_cli.shared.terminal_keys import END, LEFT, RIGHT, TerminalKeys, key_by_key, read_terminal
 from canopen_master.motion.chain import Chain
 from canopen_master.trajectories.scaled_joints import load_ruckig
 
@@ -92,10 +92,10 @@ class _Jogging:
                 await arm.follow()
                 self.screen.say(f"1 to {min(9, len(arm.devices))}: choose a joint; hold → or ←: move it; q: end")
                 async with recorded(self.settings, self.screen, arm, record):
-                    await self._follow_keys(arm, Keys(read_terminal), view)
+                    await self._follow_keys(arm, TerminalKeys(read_terminal), view)
                 await arm.shut_down()
 
-    async def _follow_keys(self, arm: Chain, keys: Keys, view: DemoView) -> None:
+    async def _follow_keys(self, arm: Chain, keys: TerminalKeys, view: DemoView) -> None:
         step = view.begin("jog", "")
         while True:
             self._show(arm, view, step, "stands")
@@ -108,7 +108,7 @@ class _Jogging:
             elif key in WAYS and await keys.is_held(key):
                 await self._move(arm, keys, key, view, step)
 
-    async def _move(self, arm: Chain, keys: Keys, key: str, view: DemoView, step: Step) -> None:
+    async def _move(self, arm: Chain, keys: TerminalKeys, key: str, view: DemoView, step: ViewStep) -> None:
         """Move the chosen joint as long as its key is held."""
         velocities = [0.0] * len(arm.devices)
         async with arm.jog() as jogging:
@@ -122,7 +122,7 @@ class _Jogging:
                     shown = trio.current_time()
                 held = await keys.is_still_held(key)
 
-    def _show(self, arm: Chain, view: DemoView, step: Step, doing: str) -> None:
+    def _show(self, arm: Chain, view: DemoView, step: ViewStep, doing: str) -> None:
         device = arm.devices[self._joint]
         step.text = f"{device.name} {doing}"
         for joint, each in zip(view.joints, arm.devices, strict=True):

@@ -10,11 +10,11 @@ from pathlib import Path as FilePath
 import click
 import trio
 
-from canopen_cli.motion.chain_session import ChosenChains, Group, choose_chains, open_chains
-from canopen_cli.motion.move_plan import Legs, check_before_power, legs_of, smoothed_text, targets_of, told_legs
+from canopen_cli.motion.chain_session import ChainGroup, ChosenChains, choose_chains, open_chains
+from canopen_cli.motion.move_legs import Legs, check_before_power, legs_of, show_legs, smoothed_text, targets_of
 from canopen_cli.motion.move_rehearsal import rehearse_move
 from canopen_cli.motion.record_option import check_record, record_option, recorded
-from canopen_cli.motion.view import DemoView, JointView, Step
+from canopen_cli.motion.view import DemoView, JointView, ViewStep
 from canopen_cli.plot.curves import curves_of_record
 from canopen_cli.plot.cycles import check_plot
 from canopen_cli.plot.motion import write_motion_plot
@@ -162,7 +162,7 @@ class _Move:
                 problem.exit_code = ExitCode.DRIVE_FAULT  # not the one for "nothing was sent"
                 raise problem from error
 
-    async def _run_with_power(self, arm: Group, file: FilePath | None) -> None:
+    async def _run_with_power(self, arm: ChainGroup, file: FilePath | None) -> None:
         with DemoView(self.screen, f"{arm.name}: {counted(len(arm.devices), 'joint')}", range=180) as view:
             view.joints = [JointView(device.name, device.node.node_id) for device in arm.devices]
             step = view.begin("enable", "NMT, PDOs, fault reset, enable")
@@ -179,7 +179,7 @@ class _Move:
             except MasterError:
                 await arm.shut_down()  # nothing is going to move
                 raise
-            await told_legs(self.screen, arm, legs)
+            await show_legs(self.screen, arm, legs)
             arm.moving.override = self.override
             async with recorded(self.settings, self.screen, arm.chains[0], file, told=self.told) as self.recorder:
                 await self._move(arm, legs, view)
@@ -190,7 +190,7 @@ class _Move:
             ]
             await arm.shut_down()
 
-    async def _move(self, arm: Group, legs: Legs, view: DemoView) -> None:
+    async def _move(self, arm: ChainGroup, legs: Legs, view: DemoView) -> None:
         for device in arm.devices:
             device.following.largest_error = 0.0
         for name, path in legs:
@@ -213,7 +213,7 @@ class _Move:
                 step, f"{took}. The plan is at its end, which no window of a drive decides: {farthest.name} is farthest, {off}"
             )
 
-    async def _show(self, arm: Group, view: DemoView, step: Step, duration: float) -> None:
+    async def _show(self, arm: ChainGroup, view: DemoView, step: ViewStep, duration: float) -> None:
         between = max(1, round(REFRESH / arm.cycle_time))
         cycle = 0
         async for progress in arm.moving.progress():

@@ -10,13 +10,13 @@ from typing import Any
 import trio.testing
 
 from canopen_cli.motion.chain_session import ChosenChains, open_chains
-from canopen_cli.motion.move_plan import legs_of, told_legs
+from canopen_cli.motion.move_legs import legs_of, show_legs
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.rehearsal import Frames, Likeness, likeness_of, prepare, show_frames
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen
 from canopen_data.path_file import PathFile
-from canopen_master.simulation.fleet import simulated_devices
+from canopen_master.simulation.serving import simulated_devices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import SYNC
 from canopen_proto.machine import NEVER
@@ -56,7 +56,7 @@ def rehearse_move(
             await arm.initialise()
             await arm.moving.follow()
             legs = await legs_of(arm, targets, path)
-            await told_legs(screen, arm, legs)
+            await show_legs(screen, arm, legs)
             arm.moving.override = override
             frames.records.clear()
             for _, leg in legs:

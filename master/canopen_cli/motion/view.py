@@ -33,7 +33,7 @@ class Mark(enum.Enum):
 
 
 @dataclass
-class Step:
+class ViewStep:
     """One step: boot, home, move. progress: 0 to 1, None if it is not known."""
 
     name: str
@@ -61,7 +61,7 @@ class DemoView:
     title: str
     range: float
     joints: list[JointView] = field(default_factory=list)
-    steps: list[Step] = field(default_factory=list)
+    steps: list[ViewStep] = field(default_factory=list)
     _live: Live | None = None
     _spinner: Spinner = field(default_factory=lambda: Spinner("dots", style="cyan"))
 
@@ -82,19 +82,19 @@ class DemoView:
             self._live.stop()
             self._live = None
 
-    def begin(self, name: str, text: str, progress: float | None = None) -> Step:
+    def begin(self, name: str, text: str, progress: float | None = None) -> ViewStep:
         """Begin a step."""
-        step = Step(name, text, progress=progress)
+        step = ViewStep(name, text, progress=progress)
         self.steps.append(step)
         self.refresh()
         return step
 
-    def done(self, step: Step, text: str) -> None:
+    def done(self, step: ViewStep, text: str) -> None:
         """End a step that succeeded."""
         step.text = text
         self._end(step, Mark.DONE)
 
-    def _end(self, step: Step, mark: Mark) -> None:
+    def _end(self, step: ViewStep, mark: Mark) -> None:
         step.mark = mark
         line = f"{mark.value} {step.name:<6} {escape(step.text)}"
         if self._live is not None:

@@ -11,11 +11,11 @@ from typing import Any, Final
 import click
 import trio
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.net.boot_summary import NodeRow, by_state, problem_of, rows_of, success, tally
 from canopen_cli.net.support import ChosenNetwork, OpenNetwork, choose_network, machine_argument, open_network
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_of, run, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_master.machine_file.boot_entries import BusNetwork

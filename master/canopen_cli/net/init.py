@@ -33,8 +33,8 @@ from canopen_data.descriptions import SUFFIXES, load_description
 from canopen_data.findings import DictionaryError
 from canopen_master.machine_file import BootSettings, BusEntry, MachineFile, NodeEntry, machine_text
 from canopen_master.machine_file.from_chains import bus_name
-from canopen_master.simulation.fleet import DEMO_LOCATOR
 from canopen_master.simulation.plant import DeviceEntry
+from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto import indices
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.manager.scan import ALL_NODE_IDS, LISTEN, NodeFound

@@ -13,15 +13,16 @@ import click
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_cli.simulation.devices import devices_on
+from canopen_cli.simulation.devices import teller
 from canopen_master.machine_file import MachineFile
 from canopen_master.machine_file.boot_entries import BusNetwork, network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
 from canopen_master.session import open_master
-from canopen_master.simulation.fleet import simulated_devices
+from canopen_master.simulated_machine import devices_of_machine
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
+from canopen_master.simulation.serving import simulated_devices, virtual_buses
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.remote_node import RemoteNode
 
@@ -101,7 +102,7 @@ def choose_network(settings: Settings, screen: Screen, path: Path | None) -> Cho
 
 def _locators(settings: Settings, machine: MachineFile, listed: Sequence[str]) -> dict[str, str]:
     if settings.bus == DEMO:
-        return {bus: f"virtual:demo{number or ''}" for number, bus in enumerate(listed)}
+        return virtual_buses(listed)
     if settings.bus is None:
         return {bus: machine.buses[bus].locator for bus in listed}
     if settings.bus in listed:
@@ -118,7 +119,7 @@ async def open_network(settings: Settings, screen: Screen, chosen: ChosenNetwork
     """Open the buses while the block runs; for `-b demo` with the simulated devices of the machine. Nothing is sent."""
     async with AsyncExitStack() as stack:
         if chosen.is_simulated:
-            made = devices_on(chosen.locators, chosen.machine, settings, screen)
+            made = devices_of_machine(chosen.machine, chosen.locators, settings.overlays, teller(screen))
             state = chosen.machine.beside(chosen.machine.state)
             keeper = ParameterKeeper(Path(state) if state else None)
             await stack.enter_async_context(simulated_devices(dict(made.values()), keeper=keeper))

@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from canopen_cli.shared.options import Kind
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
-from canopen_cli.shared.session import Session
+from canopen_cli.shared.session import BusSession
 from canopen_cli.shared.values import as_json, hex_text, object_json, place_text, value_text
 from canopen_master.participant.subscription import Subscription
 from canopen_proto.abort import text_of
@@ -69,7 +69,7 @@ def reading_options(command: F) -> F:
     return command
 
 
-async def read_all(session: Session, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool) -> Backup:
+async def read_all(session: BusSession, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool) -> Backup:
     """Read what a node holds: by its own file; without one by a walk and the data files; or by a walk over `indices`. Raises
     SdoFailed if the node is gone."""
     node = session.node(node_id).remote
@@ -83,7 +83,7 @@ async def read_all(session: Session, screen: Screen, node_id: int, indices: tupl
 
 
 async def shown(
-    session: Session,
+    session: BusSession,
     screen: Screen,
     label: str,
     procedure: Procedure[T],

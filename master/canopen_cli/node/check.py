@@ -13,18 +13,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from canopen_check.bench import Bench
 from canopen_check.case import Case
 from canopen_check.catalogue import BY_NUMBER, CASES
-from canopen_cli.bus.nmt import confirm
-from canopen_cli.node.check_report import CaseRun, Report, list_cases, write_junit
-from canopen_cli.shared.eds_files import open_description
+from canopen_cli.node.check_report import CaseRun, CheckReport, list_cases, write_junit
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
-from canopen_cli.shared.session import Session, open_session, read_dictionary
+from canopen_cli.shared.session import BusSession, open_session, read_dictionary
+from canopen_data.named_files import open_description
 from canopen_master.errors import MasterError, SdoRefused
-from canopen_master.simulation.fleet import drive_maker
+from canopen_master.simulation.serving import drive_maker
 from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.machine import Outbox
@@ -90,7 +90,7 @@ def check(
     if not settings.is_node(target):
         report = _check_file(settings, target, cases)
     else:
-        report = Report(settings.node_id(target), len(cases), tuple(left_out))
+        report = CheckReport(settings.node_id(target), len(cases), tuple(left_out))
         try:
             _check_node(settings, screen, report, cases, strict, yes)
         except Exception as error:  # noqa: BLE001 - raised below, after the report so far
@@ -123,19 +123,19 @@ def _chosen(numbers: Sequence[str], storing: bool) -> tuple[list[Case], list[Cas
 # ---- without the device ----
 
 
-def _check_file(settings: Settings, path: str, cases: Sequence[Case]) -> Report:
+def _check_file(settings: Settings, path: str, cases: Sequence[Case]) -> CheckReport:
     """Run the cases that need a file and no device."""
     if settings.eds:
         raise usage("CO001", "there are two files: the argument, and that of -e", tries=(f"canopen check {path}",))
     alone = [case for case in cases if not case.uses_device]
     if not alone:
         raise usage("CO133", "these cases are for a node", tries=(f"canopen check NODE -e {path}", f"canopen check {path}"))
-    report = Report(None, len(alone), file=path)
+    report = CheckReport(None, len(alone), file=path)
     _run_alone(report, alone, open_description(path, settings.encoding).description, ANY_NODE)
     return report
 
 
-def _run_alone(report: Report, cases: Sequence[Case], description: DeviceDescription, node_id: int) -> None:
+def _run_alone(report: CheckReport, cases: Sequence[Case], description: DeviceDescription, node_id: int) -> None:
     """Run cases that ask nothing of a device, on a network without a bus."""
     network = Network()
     bench = Bench(network, node_id, description.dictionary, description=description)
@@ -149,7 +149,7 @@ def _run_alone(report: Report, cases: Sequence[Case], description: DeviceDescrip
 # ---- a node ----
 
 
-def _check_node(settings: Settings, screen: Screen, report: Report, cases: Sequence[Case], strict: bool, yes: bool) -> None:
+def _check_node(settings: Settings, screen: Screen, report: CheckReport, cases: Sequence[Case], strict: bool, yes: bool) -> None:
     """Run the cases and add each result to the report. If an error is raised, the report keeps the results so far."""
     node_id = report.node_id
     assert node_id is not None
@@ -178,12 +178,12 @@ def _without_file(node_id: int) -> Exception:
     )
 
 
-def _story(report: Report) -> str:
+def _story(report: CheckReport) -> str:
     stored = "; what it stores may not be what it was" if any(each.stores for each in report.begun) else ""
     return f"{len(report.runs)} of {report.total} cases were run; the node was reset{stored}"
 
 
-async def _run_cases(settings: Settings, screen: Screen, report: Report, cases: Sequence[Case], strict: bool) -> None:
+async def _run_cases(settings: Settings, screen: Screen, report: CheckReport, cases: Sequence[Case], strict: bool) -> None:
     node_id = report.node_id
     assert node_id is not None
     async with open_session(settings, screen) as session:
@@ -216,7 +216,7 @@ def _demo_dictionary(node_id: int) -> ObjectDictionary:
     return drive_maker(0, node_id)(Outbox()).dictionary
 
 
-async def _find(session: Session, bench: Bench) -> None:
+async def _find(session: BusSession, bench: Bench) -> None:
     """Reset the device. Raises SdoTimeout if it shows no sign of life."""
     try:
         await session.master.run(bench.reset())
@@ -226,7 +226,7 @@ async def _find(session: Session, bench: Bench) -> None:
 
 
 @contextmanager
-def _progress(screen: Screen, report: Report) -> Iterator[Callable[[Case], None]]:
+def _progress(screen: Screen, report: CheckReport) -> Iterator[Callable[[Case], None]]:
     """Return the function to call when a case begins. It shows the case on a terminal, and does nothing elsewhere."""
     if not screen.draws:
         yield lambda case: None

@@ -37,7 +37,7 @@ class CaseRun:
 
 
 @dataclass
-class Report:
+class CheckReport:
     """The results of the cases. node_id: None for a file alone. total: number of cases to run; left_out: cases not run, because
     they store. file: the device's file, "" for none; begun: cases begun."""
 
@@ -141,7 +141,7 @@ def list_cases(screen: Screen, cases: Sequence[Case]) -> None:
 # ---- JUnit ----
 
 
-def write_junit(path: str, report: Report) -> None:
+def write_junit(path: str, report: CheckReport) -> None:
     """Write the report as a JUnit file. Raises a Problem if it cannot be written."""
     entries = [(each.case, each) for each in report.runs] + [(case, None) for case in report.left_out]
     entries.sort(key=lambda entry: _order(entry[0]))

@@ -32,7 +32,7 @@ HIDDEN: Final = (Role.PROCESS, Role.COMMAND)
 """Roles of objects that change by themselves, or say nothing about how a device is set up."""
 
 
-class Change(StrEnum):
+class DifferenceKind(StrEnum):
     """In what way an object differs."""
 
     CHANGED = "changed"
@@ -41,11 +41,11 @@ class Change(StrEnum):
 
 
 @dataclass(frozen=True)
-class Row:
+class ComparedObject:
     """One difference. left, right: the values, None if that side does not have the object."""
 
     variable: Variable
-    change: Change
+    change: DifferenceKind
     role: Role
     left: Value | None
     right: Value | None
@@ -62,7 +62,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class ValueTolerance:
     """How far apart two numbers may be and still count as equal: `absolute`, or `relative` to the larger one."""
 
     absolute: float = 0.0
@@ -79,7 +79,7 @@ class ToleranceKind(Kind):
 
     name = "tolerance"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Tolerance:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> ValueTolerance:
         number, percent, rest = str(value).partition("%")
         try:
             size = float(number)
@@ -87,7 +87,7 @@ class ToleranceKind(Kind):
             size = -1.0
         if rest or not 0 <= size < 1e30:
             self.fail(f"{value!r} is not a number such as 5, or a percentage such as 1%", param, ctx)
-        return Tolerance(relative=size / 100) if percent else Tolerance(absolute=size)
+        return ValueTolerance(relative=size / 100) if percent else ValueTolerance(absolute=size)
 
 
 @click.command()
@@ -107,7 +107,7 @@ def compare(
     left: str,
     right: str,
     only: str | None,
-    tolerance: Tolerance,
+    tolerance: ValueTolerance,
     process_data: bool,
     defaults: bool,
     node_id: int | None,
@@ -121,7 +121,7 @@ def compare(
     canopen compare 5 before.dcf
     canopen compare before.dcf after.dcf --only changed --tolerance 1%
     """
-    from canopen_cli.shared.eds_files import open_description
+    from canopen_data.named_files import open_description
 
     screen = settings.screen()
     live = settings.node_id(left) if settings.is_node(left) else None
@@ -138,7 +138,7 @@ def compare(
         first = _side(left, descriptions[0], whose, defaults)
     rows = [row for row in differences(first, second, tolerance) if process_data or row.role not in HIDDEN]
     if only is not None:
-        rows = [row for row in rows if (row.change is Change.CHANGED) == (only == "changed")]
+        rows = [row for row in rows if (row.change is DifferenceKind.CHANGED) == (only == "changed")]
     if settings.json:
         screen.json([_as_json(row) for row in rows])
     else:
@@ -153,17 +153,17 @@ def compare(
     return ExitCode.PARTIAL if first.missing else ExitCode.OK
 
 
-def differences(left: Side, right: Side, tolerance: Tolerance) -> list[Row]:
+def differences(left: Side, right: Side, tolerance: ValueTolerance) -> list[ComparedObject]:
     """Return the differences by index and subindex. An object that could not be read is no difference."""
     roles = roles_in(left.dictionary, left.values) | roles_in(right.dictionary, right.values)
-    rows: list[Row] = []
+    rows: list[ComparedObject] = []
     for key in sorted(left.values.keys() | right.values.keys()):
         one, other = left.values.get(key), right.values.get(key)
         variable = (left if other is None else right).dictionary.variable(split_mux(key))
         if key in left.missing or same_value(variable, one, other) or tolerance.allows(one, other):
             continue
-        change = Change.RIGHT if one is None else Change.LEFT if other is None else Change.CHANGED
-        rows.append(Row(variable, change, roles[key], one, other))
+        change = DifferenceKind.RIGHT if one is None else DifferenceKind.LEFT if other is None else DifferenceKind.CHANGED
+        rows.append(ComparedObject(variable, change, roles[key], one, other))
     return rows
 
 
@@ -192,12 +192,12 @@ def _side(path: str, description: DeviceDescription, whose: int | None, defaults
     return Side(path, dictionary, values)
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _cells(row: ComparedObject) -> tuple[str, ...]:
     shown_values = ("-" if each is None else both_notations(row.variable, each) for each in (row.left, row.right))
     return place_text(row.variable), *(escape(text) for text in (row.variable.name, *shown_values))
 
 
-def _as_json(row: Row) -> dict[str, Any]:
+def _as_json(row: ComparedObject) -> dict[str, Any]:
     return object_json(row.variable) | {
         "change": str(row.change),
         "role": str(row.role),

@@ -20,7 +20,7 @@ from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.questions import Questions, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
-from canopen_cli.shared.session import Session, open_session
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_master.errors import BusError
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import SECOND, Time
@@ -79,7 +79,7 @@ class Identification(Kind):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class ProgramToFlash:
     """The program to write. expected: its identification, or None. confirm, limits: as of `download_program`."""
 
     node_id: int
@@ -142,7 +142,7 @@ def flash(
     limits = Limits() if limit is None else replace(Limits(), busy=limit, start=limit)
     expected = crc32(image) if expect == CRC32 else expect
     assert not isinstance(expected, str)
-    wanted = Wanted(node_id, program, path, image, expected, confirm, limits)
+    wanted = ProgramToFlash(node_id, program, path, image, expected, confirm, limits)
     require_somebody(screen, f"write a program into {node_text(node_id)}: its old one is erased", yes or dry_run)
     so_far = ProgramDownload(len(image))
     questions = Questions(screen, agrees=yes)
@@ -184,7 +184,7 @@ def story(so_far: ProgramDownload) -> list[str]:
 
 
 async def _flash(
-    settings: Settings, screen: Screen, questions: Questions, wanted: Wanted, so_far: ProgramDownload, dry_run: bool
+    settings: Settings, screen: Screen, questions: Questions, wanted: ProgramToFlash, so_far: ProgramDownload, dry_run: bool
 ) -> None:
     async with open_session(settings, screen) as session, session.claim_to_write(wanted.node_id):
         node, nmt = session.node(wanted.node_id).remote, session.master.nmt_master(session.master.bus())
@@ -224,14 +224,14 @@ async def _flash(
         _show_result(settings, screen, wanted, found, so_far, trio.current_time() - begun)
 
 
-def _heard_nodes(session: Session) -> set[int]:
+def _heard_nodes(session: BusSession) -> set[int]:
     return {each for each in range(1, MAX_NODE_ID + 1) if session.network.heard(each).time is not None}
 
 
 # ---- what it shows ----
 
 
-def _show_plan(settings: Settings, screen: Screen, wanted: Wanted, found: ProgramFound) -> None:
+def _show_plan(settings: Settings, screen: Screen, wanted: ProgramToFlash, found: ProgramFound) -> None:
     """Show what the device has, and what it is to get."""
     control = found.control or 0
     state = STATES.get(control, f"0x{control:02X}")
@@ -264,7 +264,7 @@ def _rate_text(bit_rate: int) -> str:
 
 
 def _show_result(
-    settings: Settings, screen: Screen, wanted: Wanted, found: ProgramFound, so_far: ProgramDownload, seconds: float
+    settings: Settings, screen: Screen, wanted: ProgramToFlash, found: ProgramFound, so_far: ProgramDownload, seconds: float
 ) -> None:
     if settings.json:
         screen.json(_as_json(wanted, found, so_far) | {"seconds": round(seconds, 3)})
@@ -292,7 +292,7 @@ def _id_text(identification: int | None) -> str:
     return "none" if not identification else f"0x{identification:08X}"
 
 
-def _as_json(wanted: Wanted, found: ProgramFound, so_far: ProgramDownload | None) -> dict[str, Any]:
+def _as_json(wanted: ProgramToFlash, found: ProgramFound, so_far: ProgramDownload | None) -> dict[str, Any]:
     return {
         "node": wanted.node_id,
         "program": wanted.program,

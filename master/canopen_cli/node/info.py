@@ -12,7 +12,7 @@ from canopen_cli.shared.file_identity import IDENTITY, differences, identity_in
 from canopen_cli.shared.options import NodeId, Settings, common
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
-from canopen_cli.shared.session import Session, open_session
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.description import DeviceDescription
 from canopen_master.errors import NodeSilent, SdoRefused
 from canopen_master.node import Node
@@ -69,7 +69,7 @@ async def _info(settings: Settings, screen: Screen, node_id: int) -> Facts:
         return facts
 
 
-async def identity_facts(session: Session, node: Node) -> Facts:
+async def identity_facts(session: BusSession, node: Node) -> Facts:
     """Return what a node says it is, and whether its file (if it has one) is that of such a device."""
     # Every device has this object: if the node does not answer, it is not there, and the error says so.
     device_type = int.from_bytes(await node.read_bytes(indices.DEVICE_TYPE), "little")
@@ -133,7 +133,7 @@ async def _add_health(node: Node, facts: Facts) -> None:
         facts["last errors"] = (history, ", ".join(f"0x{code:04X} {error_text(code)}" for code in history))
 
 
-async def _add_pdos(session: Session, node: Node, facts: Facts) -> None:
+async def _add_pdos(session: BusSession, node: Node, facts: Facts) -> None:
     """Read the PDOs that the device has set up. Those that are not valid are left out."""
     for direction in Direction:
         for number in range(1, MAX_PDOS_SHOWN + 1):

@@ -18,6 +18,8 @@ from canopen_cli.shared.values import (
     BYTES,
     TYPES,
     as_json,
+    block_of,
+    find_object,
     hex_text,
     object_json,
     parse_value,
@@ -28,10 +30,7 @@ from canopen_cli.shared.values import (
 )
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
-from canopen_proto.dictionary.standard import find_standard
-from canopen_proto.indices import COMMUNICATION_AREA
-from canopen_proto.sdo.client import AUTO_BLOCK, Block
+from canopen_proto.dictionary import Variable
 
 _TYPE = click.option(
     "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
@@ -43,7 +42,7 @@ _BLOCK = click.option(
 
 
 @dataclass(frozen=True)
-class Request:
+class AccessRequest:
     """The choices of the command line. type_name, block: see --type and --block; None if not given."""
 
     node_id: int
@@ -53,7 +52,7 @@ class Request:
 
 
 @dataclass
-class Reading:
+class ObjectReading:
     """The value of an object as it was read."""
 
     node_id: int
@@ -86,42 +85,14 @@ class Reading:
 COLUMNS = ("object", "name", "value", "hex", "constants")
 
 
-async def read_object(node: Node, variable: Variable, block: bool | None = None) -> Reading:
+async def read_object(node: Node, variable: Variable, block: bool | None = None) -> ObjectReading:
     """Read an object, also one that the node's dictionary lacks. block: see --block; None decides by the object."""
     how = block_of(variable, block)
     if node.dictionary.get(variable.index, variable.subindex) is not None:
         message = await node.read_message(variable, block=how)
-        return Reading(node.node_id, variable, message.value, message.constants)
+        return ObjectReading(node.node_id, variable, message.value, message.constants)
     value = variable.decode(await node.read_bytes(variable.index, variable.subindex, block=how))
-    return Reading(node.node_id, variable, value, ())
-
-
-def block_of(variable: Variable, block: bool | None) -> Block:
-    """Return what --block means for an object. Without it a number is never read in blocks: the device might not know them."""
-    if block is not None:
-        return block
-    return "auto" if variable.size is None or variable.size > AUTO_BLOCK else False
-
-
-def find(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
-    """Return the object that a key names, or that --type describes. A communication object that the dictionary lacks is that
-    of the standard. Raises ObjectNotFound, Problem."""
-    try:
-        return dictionary.variable(key)
-    except ObjectNotFound as unknown:
-        index, _, subindex = key.lower().removeprefix("0x").replace(".", ":").partition(":")
-        try:
-            place = int(index, 16), int(subindex or "0", 16)
-        except ValueError:
-            raise unknown from None
-        if not (0 < place[0] <= 0xFFFF and place[1] <= 0xFF and len(index) == 4):
-            raise unknown from None
-        standard = find_standard(*place) if place[0] in COMMUNICATION_AREA else None
-        if type_name is None and standard is not None:
-            return standard
-        if type_name is None:
-            raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
-        return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]
+    return ObjectReading(node.node_id, variable, value, ())
 
 
 @click.command()
@@ -144,7 +115,7 @@ def read(
     canopen read 3 6041 6064 --json -b demo
     canopen read 3 1008 -o name.bin -b demo
     """
-    screen, request = settings.screen(), Request(node_id, type_name, block)
+    screen, request = settings.screen(), AccessRequest(node_id, type_name, block)
     if output is not None:
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
@@ -162,21 +133,21 @@ def read(
         screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
 
 
-async def _read(settings: Settings, screen: Screen, request: Request, keys: tuple[str, ...]) -> list[Reading]:
+async def _read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...]) -> list[ObjectReading]:
     async with open_session(settings, screen) as session, session.turn(request.node_id):
         node = session.node(request.node_id)
-        variables = [find(node.dictionary, key, request.type_name) for key in keys]
+        variables = [find_object(node.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
             _check_readable(variable)
         return [await read_object(node, variable, request.block) for variable in variables]
 
 
 async def _read_file(
-    settings: Settings, screen: Screen, request: Request, key: str, output: str, file: IO[bytes]
+    settings: Settings, screen: Screen, request: AccessRequest, key: str, output: str, file: IO[bytes]
 ) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim(request.node_id):
         node = session.node(request.node_id)
-        variable = find(node.dictionary, key, request.type_name or BYTES)
+        variable = find_object(node.dictionary, key, request.type_name or BYTES)
         _check_readable(variable)
         return await read_into_file(screen, node, variable, output, file, block_of(variable, request.block))
 
@@ -230,7 +201,7 @@ def write(
     canopen write 3 6081 20000 -b demo
     canopen write 5 1F50:01 --file firmware.bin
     """
-    screen, request = settings.screen(), Request(node_id, type_name, block, verify)
+    screen, request = settings.screen(), AccessRequest(node_id, type_name, block, verify)
     if path is not None and text is None:
         written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
@@ -246,28 +217,30 @@ def write(
     screen.data(f"{node_text(node_id)} {escape(after.variable.label)}: {escape(old)} [bold]→ {escape(_shown(after))}[/]")
 
 
-def _shown(reading: Reading) -> str:
+def _shown(reading: ObjectReading) -> str:
     numbers = (hex_text(reading.variable, reading.value), physical_text(reading.variable, reading.value))
     number = ", ".join(text for text in numbers if text)
     words = f" [{', '.join(reading.constants)}]" if reading.constants else ""
     return f"{value_text(reading.variable, reading.value)}{f' ({number})' if number else ''}{words}"
 
 
-async def _write_file(settings: Settings, screen: Screen, request: Request, key: str, path: str) -> FileTransfer:
+async def _write_file(settings: Settings, screen: Screen, request: AccessRequest, key: str, path: str) -> FileTransfer:
     async with open_session(settings, screen) as session, session.claim_to_write(request.node_id):
         node = session.node(request.node_id)
-        variable = find(node.dictionary, key, request.type_name or BYTES)
+        variable = find_object(node.dictionary, key, request.type_name or BYTES)
         _check_writable(variable)
         verify = request.verify and variable.access.readable
         return await write_from_file(screen, node, variable, path, block_of(variable, request.block), verify)
 
 
-async def _write(settings: Settings, screen: Screen, request: Request, key: str, text: str) -> tuple[Reading | None, Reading]:
+async def _write(
+    settings: Settings, screen: Screen, request: AccessRequest, key: str, text: str
+) -> tuple[ObjectReading | None, ObjectReading]:
     async with open_session(settings, screen) as session:
         node_id, block = request.node_id, request.block
         node = session.node(node_id)
         dictionary = node.dictionary
-        variable = find(dictionary, key, request.type_name)
+        variable = find_object(dictionary, key, request.type_name)
         value = parse_value(dictionary, variable, text)
         _check_writable(variable)
         variable.check_limits(value)
@@ -278,7 +251,7 @@ async def _write(settings: Settings, screen: Screen, request: Request, key: str,
             await node.write(variable, value, block=how)
         else:
             await node.write_bytes(variable.index, variable.subindex, data, block=how)
-        after = Reading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
+        after = ObjectReading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
         if request.verify and variable.access.readable:
             shown = await read_object(node, variable, block)
             if shown.value != value:

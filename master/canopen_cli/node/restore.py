@@ -9,14 +9,14 @@ from typing import Any, Final
 
 import click
 
-from canopen_cli.bus.nmt import confirm
 from canopen_cli.node.backup_reading import shown
-from canopen_cli.node.restore_telling import show, story, tell_unread, told
+from canopen_cli.node.restore_output import show, story, tell_unread, told
 from canopen_cli.shared.options import NodeId, Settings, common
 from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
-from canopen_cli.shared.session import Session, open_session
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.configured import moved_to
 from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
@@ -34,7 +34,7 @@ IDENTITY: Final = ((1, "vendor-ID"), (2, "product code"))
 
 
 @dataclass(frozen=True)
-class Wanted:
+class SettingsToRestore:
     """The settings to restore. values: of `dictionary`, by mux; skip: muxes; options: of `plan_restore`."""
 
     node_id: int
@@ -95,7 +95,7 @@ def restore(
         dictionary, node_id = moved_to(dictionary, node_id, to), to
     values = settings_of(dictionary, node_id)
     options = {"everything": everything, "process_data": process_data, "skip": {dictionary.variable(key).mux for key in skip}}
-    wanted = Wanted(node_id, path, dictionary, values, options, any_device, verify, store, dry_run)
+    wanted = SettingsToRestore(node_id, path, dictionary, values, options, any_device, verify, store, dry_run)
     question = f"restore {node_text(node_id)} from {path}: it becomes Pre-operational (a drive stops, or coasts), and is written"
     confirm(screen, question, yes, needed=not dry_run)
     so_far: list[Restoration] = []
@@ -116,8 +116,8 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
 
     disturbed: also of a backup that another SDO client has disturbed; else that is a Problem too.
     """
-    from canopen_cli.shared.eds_files import open_description
     from canopen_data.backup_file import disturbance_of
+    from canopen_data.named_files import open_description
 
     description = open_description(path, encoding).description
     named = description.node_id
@@ -156,7 +156,7 @@ def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, distu
     return description.dictionary
 
 
-async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: list[Restoration]) -> None:
+async def _restore(settings: Settings, screen: Screen, wanted: SettingsToRestore, so_far: list[Restoration]) -> None:
     async with open_session(settings, screen) as session, _claim(session, wanted):
         if not wanted.any_device:
             await _check_identity(session, wanted)
@@ -171,14 +171,14 @@ async def _restore(settings: Settings, screen: Screen, wanted: Wanted, so_far: l
         await shown(session, screen, f"writing {node_text(wanted.node_id)}", writing, ObjectRestored)
 
 
-def _claim(session: Session, wanted: Wanted) -> AbstractAsyncContextManager[None]:
+def _claim(session: BusSession, wanted: SettingsToRestore) -> AbstractAsyncContextManager[None]:
     """Have the node, to write it; or a channel of it for a dry run, which only reads."""
     if wanted.dry_run:
         return session.claim(wanted.node_id, wanted.dictionary)
     return session.claim_to_write(wanted.node_id)
 
 
-async def _check_identity(session: Session, wanted: Wanted) -> None:
+async def _check_identity(session: BusSession, wanted: SettingsToRestore) -> None:
     """Return a Problem if the device is not of the type that the file describes. A number that either lacks is no difference."""
     node = session.node(wanted.node_id)
     for subindex, name in IDENTITY:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from canopen_cli.plot.recording import JointTrack, Recording
 from canopen_cli.shared.new_files import check_writable
 from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_master.demonstration.recording import JointTrack, Recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

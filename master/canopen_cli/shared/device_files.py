@@ -61,7 +61,8 @@ def split_file(text: str) -> tuple[int | None, str]:
 
 
 def _read(path: str, screen: Screen, encoding: str) -> DeviceDescription:
-    from canopen_cli.shared.eds_files import open_description, tell_faults
+    from canopen_cli.shared.eds_files import tell_faults
+    from canopen_data.named_files import open_description
 
     file = open_description(path, encoding)
     tell_faults(screen, file)

@@ -1,69 +1,19 @@
-"""Read device descriptions from files, and show findings with the lines that they are about."""
+"""Show the findings of device descriptions, with the lines that they are about."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
-from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.screen import Screen, counted, escape
-from canopen_data import DataError
-from canopen_data.description import DeviceDescription
-from canopen_data.descriptions import read_file
 from canopen_data.findings import Finding, Severity
-from canopen_data.reading import read_description
+from canopen_data.named_files import DescriptionFile
 from canopen_master.plain_text import clean
 
 MAX_SHOWN: Final = 120
 """Characters of a line shown around a finding: an XML file may be one single line."""
 
 _STYLES: Final = {Severity.ERROR: "bold red", Severity.WARNING: "bold yellow", Severity.NOTICE: "bold cyan"}
-
-
-@dataclass(frozen=True)
-class DescriptionFile:
-    """A file and its description. description.findings: the faults of the file."""
-
-    path: str
-    data: bytes
-    description: DeviceDescription
-
-    @property
-    def lines(self) -> list[str]:
-        """The file's text, in lines as the findings count them."""
-        return lines_of(self.data.decode(self.description.encoding, errors="replace"))
-
-
-def lines_of(text: str) -> list[str]:
-    """Return the lines of a text as findings count them; str.splitlines knows more line ends."""
-    return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
-
-
-def open_description(path: str, encoding: str = "", connected: tuple[int, ...] = ()) -> DescriptionFile:
-    """Read a file, however many faults it has. encoding: of its text, "" for a guess. connected: see `read_description`.
-
-    Raises Problem (exit status 6) if nothing can be read.
-    """
-    try:
-        data = read_file(path)
-    except DataError as error:
-        raise Problem(ExitCode.BAD_FILE, error.code, error.failed, tries=error.tries) from error
-    description = read_description(data, path, encoding=encoding, connected=connected)
-    if not description.dictionary.objects:
-        first = next((each for each in description.findings if each.severity is Severity.ERROR), None)
-        seen = f"{len(data)} bytes"
-        if first is not None:
-            seen = f"line {first.line}: {first.message}" if first.line else first.message
-        raise Problem(
-            ExitCode.BAD_FILE,
-            "CO301",
-            f"{path} describes no object",
-            seen=seen,
-            cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
-            tries=("check the path", "ask the device's maker for its file"),
-        )
-    return DescriptionFile(path, data, description)
 
 
 def tell_faults(screen: Screen, file: DescriptionFile) -> None:

@@ -72,9 +72,16 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
             return _spoken(error, ExitCode.SDO_ABORT)
-        case errors.ChainFileError():
+        case errors.ChainFileError() | errors.NotADrive():
             return _spoken(error, ExitCode.BAD_FILE)
-        case errors.UnknownChain() | errors.SetPointRefused() | errors.PlanRefused() | errors.PackageMissing():
+        case (
+            errors.UnknownChain()
+            | errors.SetPointRefused()
+            | errors.PlanRefused()
+            | errors.PackageMissing()
+            | errors.DeviceRefused()
+            | errors.DemonstrationRefused()
+        ):
             return _spoken(error, ExitCode.USAGE)
         case errors.RealtimeRefused():
             return _spoken(error, ExitCode.PERMISSION)
@@ -144,6 +151,9 @@ _OF_PYTHON = {
     "; `set_max_speed` of `direct`": "",
     "180_000 / math.pi for millidegrees on the wire": "or its unit",
     "math.inf": "inf",
+    'profile = "none"': "--profile none",
+    "DemonstrationTask.scale = math.degrees(1000)": "--counts-per-degree 1000",
+    "DemonstrationTask.chain = ": "--chain ",
 }
 
 

@@ -17,7 +17,10 @@ from canopen_cli.shared.importing import importing
 
 
 class LazyGroup(click.Group):
-    """A group with a table: by the name of a command, its module in canopen_cli and its line. The table gives the order, too."""
+    """A group with a table: by the name of a command, its module in canopen_cli and its line. The table gives the order, too.
+
+    "drive.home:home_one" is a command that has another name in its module.
+    """
 
     def __init__(self, *arguments: Any, table: Mapping[str, tuple[str, str]], **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -29,9 +32,10 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in self.table:
             return None
+        name, _, function = self.table[cmd_name][0].partition(":")
         with importing():
-            module = importlib.import_module(f"canopen_cli.{self.table[cmd_name][0]}")
-        command = getattr(module, cmd_name.replace("-", "_"))
+            module = importlib.import_module(f"canopen_cli.{name}")
+        command = getattr(module, function or cmd_name.replace("-", "_"))
         assert isinstance(command, click.Command)
         return command
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 from canopen_cli.shared.device_files import DeviceFiles, description_of, read_device_files
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.overlays import overlaid
 from canopen_cli.shared.screen import Screen
 from canopen_data.description import DeviceDescription
+from canopen_data.named_files import read_text
+from canopen_data.overlay import lay_over
 from canopen_proto.dictionary import ObjectDictionary
 
 
@@ -57,3 +60,17 @@ class NodeFiles:
 
     def _laid_over(self, description: DeviceDescription) -> DeviceDescription:
         return replace(description, dictionary=overlaid(description.dictionary, self.settings.overlays, self._screen))
+
+
+def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen) -> ObjectDictionary:
+    """Return the dictionary with these side files laid over it, the later over the earlier.
+
+    With -v, names without an object are told.
+
+    Raises UnusableFile if a file cannot be read, DictionaryError for its faults.
+    """
+    for path in paths:
+        dictionary, findings = lay_over(dictionary, read_text(Path(path)), path)
+        for finding in findings:
+            screen.detail(str(finding))
+    return dictionary

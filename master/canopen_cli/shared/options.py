@@ -45,10 +45,10 @@ DEMO: Final = "demo"
 @dataclass
 class Settings:
     """The values of the common options. eds: files of devices as they were typed, see device_files.py. overlays: side files, see
-    overlays.py. trace: the file that records the traffic of the bus. encoding: of device files, "" for a guess. force: overwrite
-    files; `flash` also writes a program that the device has already. clock: a test's virtual one. late: a problem to be shown
-    after the results of the command. notes: what a Screen is to say at the end, with --json. master_id: the node-ID of our
-    heartbeat, which the drives that we enable watch. dry_run: show the frames, and send nothing but reads."""
+    canopen_data/overlay.py. trace: the file that records the traffic of the bus. encoding: of device files, "" for a guess.
+    force: overwrite files; `flash` also writes a program that the device has already. clock: a test's virtual one. late: a
+    problem to be shown after the results of the command. notes: what a Screen is to say at the end, with --json. master_id: the
+    node-ID of our heartbeat, which the drives that we enable watch. dry_run: show the frames, and send nothing but reads."""
 
     bus: str | None = None
     machine: Path | None = None

@@ -11,10 +11,12 @@ import os
 import sys
 from collections.abc import Sequence
 
+import click
 import trio
 
 from canopen_cli.shared.problem import ExitCode, Problem, usage
 from canopen_cli.shared.screen import Screen, escape
+from canopen_master.plain_text import clean
 
 
 class Questions:
@@ -88,6 +90,15 @@ def require_somebody(screen: Screen, question: str, yes: bool) -> None:
     """Raise a Problem if a question has to be answered, now or after minutes of looking, and there is nobody to ask."""
     if not (yes or is_asked(screen)):
         raise usage("CO122", f"{question}. This must be confirmed", seen="nothing was sent", tries=("the same with --yes",))
+
+
+def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
+    """Ask the user to confirm a dangerous command, unless --yes did. Raises a Problem if it is not confirmed."""
+    if yes or not needed:
+        return
+    require_somebody(screen, question, yes)
+    if not click.confirm(f"{clean(question)}. Go on?", err=True):
+        raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 
 
 async def read_input() -> bytes:

@@ -22,13 +22,13 @@ from canopen_cli.shared.options import Settings
 from canopen_cli.shared.problem import ExitCode, Problem
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
-from canopen_cli.shared.session import Session, open_session
+from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.configured import configure
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
-from canopen_master.motion.joint_procedures import awake
+from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_master.node import Node
-from canopen_master.simulation.fleet import Fleet, simulated_devices
 from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import SimulatedDevices, simulated_devices
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axes_of, swapped
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
@@ -55,7 +55,7 @@ _WORDS: Final = {State.READY_TO_SWITCH_ON: (0x06,), State.SWITCHED_ON: (0x06, 0x
 """A state -> the controlwords that lead there from Switch on disabled."""
 
 
-class Shown(NamedTuple):
+class ShownState(NamedTuple):
     """The state of the drive on an axis, as it was read."""
 
     axis: int
@@ -70,7 +70,7 @@ class Likeness:
 
     node_id: int
     make: DeviceMaker
-    axes: tuple[Shown, ...]
+    axes: tuple[ShownState, ...]
     is_operational: bool
 
     def prepare(self, node: DriveNode, now: Time) -> None:
@@ -103,7 +103,7 @@ def rehearse(
     settings: Settings,
     screen: Screen,
     node_ids: Sequence[int],
-    work: Callable[[Session], Awaitable[object]],
+    work: Callable[[BusSession], Awaitable[object]],
     *,
     ends: bool = True,
     axis: int = 0,
@@ -115,7 +115,7 @@ def rehearse(
     """
     likenesses: list[Likeness] = []
 
-    async def look() -> Session:
+    async def look() -> BusSession:
         async with open_session(settings, screen) as session:
             likenesses.extend([await session.master.run(likeness_of(session.node(node_id, axis))) for node_id in node_ids])
             return session
@@ -126,8 +126,8 @@ def rehearse(
     apart = replace(settings, bus=LOCATOR, trace=None, clock=clock)
 
     async def perform() -> None:
-        async with simulated_devices({LOCATOR: [each.make for each in likenesses]}) as fleet:
-            prepare(fleet, likenesses)
+        async with simulated_devices({LOCATOR: [each.make for each in likenesses]}) as served:
+            prepare(served, likenesses)
             async with open_session(apart, screen) as rehearsal:
                 frames.records.clear()
                 with trio.move_on_after(float("inf") if ends else INTERRUPTED_AFTER):
@@ -141,15 +141,15 @@ def rehearse(
     screen.say("nothing of this was sent: a simulated drive with the values of yours has answered. Yours may answer otherwise")
 
 
-def prepare(fleet: Fleet, likenesses: Sequence[Likeness]) -> None:
-    """Lead the simulated drives of a fleet, which have just booted, to the states that were read."""
+def prepare(served: SimulatedDevices, likenesses: Sequence[Likeness]) -> None:
+    """Lead the simulated drives which have just booted, to the states that were read."""
     for each in likenesses:
-        fleet.change(each.node_id, each.prepare)
+        served.change(each.node_id, each.prepare)
 
 
 def likeness_of(node: Node) -> Procedure[Likeness]:
     """Read the drives of a node. Raises a Problem if no simulated drive can stand for it."""
-    yield from awake(node)
+    yield from ensure_answers(node)
     axes = axes_of(node.dictionary) or (0,)
     ranges = [sorted({index_of(swapped(mux(index), axis)) for axis in axes for index in drive_dictionary().objects})]
     read = yield from walk(node.remote, ranges, names=node.remote.dictionary)
@@ -176,7 +176,7 @@ def likeness_of(node: Node) -> Procedure[Likeness]:
         track = Track().moved(position)  # its own is not known: there are switches to home by, wherever it stands
         drives.append(DriveSettings(shape=shape, position=position, track=track, stops_at_switches=False))
         mode, error_code = (value_of(key, axis) for key in (objects.MODES_OF_OPERATION_DISPLAY, objects.ERROR_CODE))
-        shown.append(Shown(axis, state_of(value_of(objects.STATUSWORD, axis)), mode, error_code))
+        shown.append(ShownState(axis, state_of(value_of(objects.STATUSWORD, axis)), mode, error_code))
     settings = replace(drives[0], further_axes=tuple(drives[1:]))
     made = partial(DriveNode, node_id=node.node_id, settings=settings, dictionary=dictionary)
     return Likeness(node.node_id, made, tuple(shown), node.nmt_state is NmtState.OPERATIONAL)

@@ -40,7 +40,7 @@ from canopen_transports.record import Record
 from canopen_transports.tracing import tapped
 
 if TYPE_CHECKING:
-    from canopen_master.simulation.fleet import Fleet
+    from canopen_master.simulation.serving import SimulatedDevices
 
 LISTEN_ON: Final = 1.5
 """Seconds after a request without an answer: longer than the usual heartbeat time of 1 s, and the answer may just be late."""
@@ -48,7 +48,7 @@ LOOK_AGAIN: Final = 0.05
 """Seconds between two checks of what was heard."""
 
 
-class Session:
+class BusSession:
     """An open master of one bus, and the files of the devices on it. bus: its locator."""
 
     def __init__(self, master: Master, files: NodeFiles, bus: str, screen: Screen) -> None:
@@ -119,17 +119,17 @@ def read_dictionary(screen: Screen) -> ObjectDictionary:
     return dictionary
 
 
-def simulated_fleet(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextManager[Fleet]:
-    """See fleet.py, which is imported only for the demonstration: a command on a real bus sends its first frame sooner."""
-    from canopen_master.simulation import fleet
+def simulated_drives(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContextManager[SimulatedDevices]:
+    """See serving.py, which is imported only for the demonstration: a command on a real bus sends its first frame sooner."""
+    from canopen_master.simulation import serving
 
-    return fleet.simulated_fleet(devices)
+    return serving.simulated_drives(devices)
 
 
 @asynccontextmanager
 async def open_session(
     settings: Settings, screen: Screen, *, heard: Callable[[Record], None] | None = None
-) -> AsyncIterator[Session]:
+) -> AsyncIterator[BusSession]:
     """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError.
 
     heard: is called with each frame on the bus, those that we send too. Raises also TransportError then.
@@ -138,15 +138,15 @@ async def open_session(
     files = NodeFiles(settings, screen, read_dictionary(screen))
     async with AsyncExitStack() as stack:
         if bus == DEMO:
-            from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES
+            from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES
 
-            await stack.enter_async_context(simulated_fleet((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
+            await stack.enter_async_context(simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
         opened = bus if heard is None else tapped(await open_transport(bus), heard)
         master = await stack.enter_async_context(
             open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, watchdog=settings.watchdog)
         )
-        session = Session(master, files, bus, screen)
+        session = BusSession(master, files, bus, screen)
         try:
             yield session
         except Exception as error:
@@ -167,7 +167,7 @@ def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
     return None
 
 
-async def _explained(node: Node, session: Session, error: SdoTimeout | SdoFailed) -> Problem:
+async def _explained(node: Node, session: BusSession, error: SdoTimeout | SdoFailed) -> Problem:
     """Return the Problem for a missing answer, with what was heard until now and a little longer."""
     if not node.was_enabled:  # else a drive may move and must be halted first
         with trio.move_on_after(LISTEN_ON):

@@ -27,7 +27,7 @@ _SEQUENCE: Final = 3
 """Characters of a cursor key: Escape, [ and a letter; O in place of [ from some terminals."""
 
 
-class Keys:
+class TerminalKeys:
     """The keys that come. read: waits for input and returns it; nothing at its end."""
 
     def __init__(self, read: Callable[[], Awaitable[bytes]]) -> None:

@@ -1,4 +1,4 @@
-"""Convert values of objects from what a user types, and to what is shown."""
+"""Objects and their values: from what a user types, and to what is shown."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Any, Final
 from canopen_cli.shared.problem import usage
 from canopen_data.eds.writer_values import bytes_text
 from canopen_proto.datatypes import DataType, Value, is_number, text_for_people
-from canopen_proto.dictionary import ObjectDictionary, Variable
+from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary.standard import find_standard
+from canopen_proto.indices import COMMUNICATION_AREA
+from canopen_proto.sdo.client import AUTO_BLOCK, Block
 
 _TRUTH: Final = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
@@ -76,6 +79,34 @@ def plain_json(value: Value) -> Any:
     if isinstance(value, bytes):
         return value.hex()
     return value if isinstance(value, int | float | str) else str(value)
+
+
+def block_of(variable: Variable, block: bool | None) -> Block:
+    """Return what --block means for an object. Without it a number is never read in blocks: the device might not know them."""
+    if block is not None:
+        return block
+    return "auto" if variable.size is None or variable.size > AUTO_BLOCK else False
+
+
+def find_object(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
+    """Return the object that a key names, or that --type describes. A communication object that the dictionary lacks is that
+    of the standard. Raises ObjectNotFound, Problem."""
+    try:
+        return dictionary.variable(key)
+    except ObjectNotFound as unknown:
+        index, _, subindex = key.lower().removeprefix("0x").replace(".", ":").partition(":")
+        try:
+            place = int(index, 16), int(subindex or "0", 16)
+        except ValueError:
+            raise unknown from None
+        if not (0 < place[0] <= 0xFFFF and place[1] <= 0xFF and len(index) == 4):
+            raise unknown from None
+        standard = find_standard(*place) if place[0] in COMMUNICATION_AREA else None
+        if type_name is None and standard is not None:
+            return standard
+        if type_name is None:
+            raise usage("CO302", str(unknown), tries=(f"--type u16 (or another type) to reach {key} all the same",)) from None
+        return Object.of(key, [Variable(*place, key, TYPES[type_name])]).variables[place[1]]
 
 
 def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> Value:

@@ -17,11 +17,20 @@ from canopen_cli.shared.options import DEMO, Duration, FiniteRange, Settings, co
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
-from canopen_cli.simulation.devices import SHAPES, SimulatedIds, devices_of, machine_of, models, wanted
+from canopen_cli.simulation.devices import SimulatedIds, buses_of, machine_of, named_devices, teller
 from canopen_master.machine_file import MachineFile
-from canopen_master.simulation.fleet import DEMO_LOCATOR, DEMO_NODES, Fleet, drive_maker, simulated_devices, simulated_fleet
+from canopen_master.simulated_machine import devices_of_machine
+from canopen_master.simulation.device_files import models_of
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_master.simulation.plant import PROFILES, DeviceEntry
+from canopen_master.simulation.serving import (
+    DEMO_LOCATOR,
+    DEMO_NODES,
+    SimulatedDevices,
+    drive_maker,
+    simulated_devices,
+    simulated_drives,
+)
 from canopen_proto.error_codes import error_text
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.lss.slave import LssNodeIdSet
@@ -30,7 +39,7 @@ from canopen_proto.manager.programs.identity import FlashStatus
 from canopen_proto.nmt import NmtStateChanged
 from canopen_proto.simulation.boot_loader import BootLoader, BootLoaderSettings, ProgramErased, ProgramStarted, ProgramWritten
 from canopen_proto.simulation.drive.events import DriveFault, DriveStateChanged
-from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE
+from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE, Shape
 
 DEFAULT_IDS: Final = DEMO_NODES
 
@@ -52,7 +61,11 @@ DEFAULT_IDS: Final = DEMO_NODES
     show_default=True,
     help="What is behind a file: 402, our simulated drive; none, plain memory; auto, what its device type says.",
 )
-@click.option("--shape", type=click.Choice(list(SHAPES)), help="Of drives: Powerball joints (without a file), or CiA 402.")
+@click.option(
+    "--shape",
+    type=click.Choice(("schunk", "standard")),
+    help="Of drives: Powerball joints (without a file), or CiA 402.",
+)
 @click.option("--script", metavar="FILE.py", default="", help="A Python file that animates the devices.")
 @click.option("--state", metavar="FILE.json", help="Where what they store (1010) is kept; by default in memory.")
 @click.option("--defaults", is_flag=True, help="Of a DCF: the defaults, not what it has configured.")
@@ -110,14 +123,14 @@ def sim(
         _serve_machine(settings, screen, machine, state, seconds)
         return
     common_entry = DeviceEntry("", (), profile, shape or "", script, settings.overlays, defaults, encoding=settings.encoding)
-    plant = wanted(files, node_ids, common_entry) if files else None
+    plant = named_devices(files, node_ids, common_entry) if files else None
     if plant is not None and plant.bus and settings.named_bus() is None:
         settings.bus = plant.bus
     bus = settings.required_bus("-b udp_multicast               another terminal of this computer can join")
     locator = DEMO_LOCATOR if bus == DEMO else bus
-    tell = _teller(screen)
+    tell = _event_teller(screen)
 
-    def devices() -> tuple[str, AbstractAsyncContextManager[Fleet]]:
+    def devices() -> tuple[str, AbstractAsyncContextManager[SimulatedDevices]]:
         if plant is None:
             ids = node_ids or DEFAULT_IDS
             if boot_loader:
@@ -126,20 +139,20 @@ def sim(
                 loaders = [partial(BootLoader, node_id=node_id, settings=how) for node_id in ids]
                 return counted(len(ids), "boot loader"), simulated_devices({locator: loaders}, tell)
             drives = [(locator, node_id) for node_id in ids]
-            make = partial(drive_maker, shape=SHAPES[shape or "schunk"], sync_tolerance=SYNC_TOLERANCE)  # the master is elsewhere
-            fleet = simulated_fleet(drives, on_event=tell, make=make, keeper=_keeper(state or ""))
-            return counted(len(ids), "simulated drive"), fleet
-        made = models(plant.devices, screen)
+            make = partial(drive_maker, shape=Shape(shape or "schunk"), sync_tolerance=SYNC_TOLERANCE)  # the master is elsewhere
+            block = simulated_drives(drives, on_event=tell, make=make, keeper=_keeper(state or ""))
+            return counted(len(ids), "simulated drive"), block
+        made = models_of(plant.devices, teller(screen))
         keeper = _keeper(state or plant.state)
         what = counted(len(made), "simulated device")
         return what, simulated_devices({locator: made}, tell, keeper=keeper, say=partial(_report, screen))
 
     async def serve() -> None:
-        what, fleet = devices()
+        what, block = devices()
         screen.say(f"[bold]{what} on {escape(bus)}[/], {'until Ctrl-C' if seconds is None else f'for {seconds:g} s'}")
         if locator.startswith("virtual:"):
             screen.say("That bus ends with this process: with -b udp_multicast another terminal can join.")
-        async with fleet as served:
+        async with block as served:
             if settings.json:
                 screen.json({"bus": locator, "nodes": served.node_ids})
             await trio.sleep(math.inf if seconds is None else seconds)
@@ -149,13 +162,13 @@ def sim(
 
 def _serve_machine(settings: Settings, screen: Screen, machine: MachineFile, state: str | None, seconds: float | None) -> None:
     """Serve the devices of a machine until Ctrl-C, or for some seconds."""
-    by_bus = devices_of(machine, settings, screen)
+    by_bus = devices_of_machine(machine, buses_of(machine, settings), settings.overlays, teller(screen))
     keeper = _keeper(state or machine.beside(machine.state))
 
     async def serve() -> None:
         for name, (locator, made) in by_bus.items():
             screen.say(f"[bold]{counted(len(made), 'simulated device')} on {escape(name)}[/], {escape(locator)}")
-        async with simulated_devices(dict(by_bus.values()), _teller(screen), keeper=keeper, say=partial(_report, screen)):
+        async with simulated_devices(dict(by_bus.values()), _event_teller(screen), keeper=keeper, say=partial(_report, screen)):
             if settings.json:
                 screen.json({name: locator for name, (locator, _) in by_bus.items()})
             await trio.sleep(math.inf if seconds is None else seconds)
@@ -167,7 +180,7 @@ def _report(screen: Screen, text: str) -> None:
     screen.warn(f"[yellow]{escape(text)}[/]")
 
 
-def _teller(screen: Screen) -> Callable[[Event], None]:
+def _event_teller(screen: Screen) -> Callable[[Event], None]:
     """Tell what happens to the devices."""
 
     def tell(event: Event) -> None:

@@ -30,7 +30,7 @@ from canopen_master.direct.hand_sync import HandSync
 from canopen_master.errors import NOT_HEARD, NodeSilent
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import awake, follow, quietly, stop
+from canopen_master.motion.joint_procedures import ensure_answers, failure_of, follow, stop
 from canopen_master.motion.late_sync import WithinReach
 from canopen_master.motion.set_point_check import check_limits
 from canopen_master.motion.supervision import late_sync_reason
@@ -119,7 +119,7 @@ class DirectDrive:
     async def reset_fault(self) -> None:
         """Reset a fault, as canopen_proto.drives.axis.reset_fault does. Start the node first if a program has left it stopped."""
         if STATUSWORD in self.node.dictionary:
-            await self._run(awake(self.node, STATUSWORD))
+            await self._run(ensure_answers(self.node, STATUSWORD))
         await self._run(drive.reset_fault(self.axis))
 
     async def change_state(self, state: State) -> None:
@@ -373,7 +373,7 @@ class DirectDrive:
         if self.axis.is_told_by(report) and self._is_following and not self.master.is_closed:
             self._end_following()
             self._lost = report
-            self.master.launch(quietly(self._device, stop(self._device)))
+            self.master.launch(failure_of(self._device, stop(self._device)))
 
     async def _why(self, lost: FollowingLost) -> Exception:
         """Return the error to raise."""

@@ -57,6 +57,7 @@ from canopen_master.motion.device import Device
 from canopen_master.motion.gap_guard import GapGuard
 from canopen_master.motion.joint_procedures import (
     JointFailed,
+    failure_of,
     find,
     follow,
     meet,
@@ -64,7 +65,6 @@ from canopen_master.motion.joint_procedures import (
     of_joint,
     power_down,
     prepare,
-    quietly,
     reset_and_enable,
     stop,
 )
@@ -161,7 +161,7 @@ class Chain(ChainView, Moving):
 
         `device.position` has it. A joint that does not answer, or refuses, keeps what was heard last.
         """
-        await self._participant.run(quietly(device, find(device)))
+        await self._participant.run(failure_of(device, find(device)))
 
     async def home(self, *, if_needed: bool = False) -> None:
         """Home all joints, side by side, from where they stand. If one fails, or the task is cancelled, all are halted.
@@ -256,7 +256,7 @@ class Chain(ChainView, Moving):
             self._stop("by shut_down()")
         await self._joints_stopped()
         self._end_following(ChainState.OFF)
-        failures = await self._for_all("shut down", lambda device: quietly(device, power_down(device)))
+        failures = await self._for_all("shut down", lambda device: failure_of(device, power_down(device)))
         mine = [device.axis for device in self.devices]
         for node in self._nodes:
             others = [axis for axis in node.axes.values() if axis not in mine]
@@ -458,7 +458,7 @@ class Chain(ChainView, Moving):
         self._end_following(ChainState.OFF if self.state is ChainState.OFF else state)
         running, self._running = self._running, None
         motion, self.motion = self.motion, None
-        self._stopping.begin(all_of(*(quietly(device, stop(device)) for device in joints)))
+        self._stopping.begin(all_of(*(failure_of(device, stop(device)) for device in joints)))
         if running is not None:
             running.procedure.take_back()
         if motion is not None:  # other chains move with this one

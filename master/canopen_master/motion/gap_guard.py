@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import quietly
+from canopen_master.motion.joint_procedures import failure_of
 from canopen_proto.drives.axis.synchronous import align_position
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of, sleep
@@ -106,7 +106,7 @@ class GapGuard:
         set_points = self._set_points
         set_points.rest()
         joints = set_points.limited
-        asked = yield from all_of(*(quietly(device, _in_time(align_position(device.axis))) for device in joints))
+        asked = yield from all_of(*(failure_of(device, _in_time(align_position(device.axis))) for device in joints))
         failed = next((each for each in asked if each is not None), None)
         self._problem = "" if failed is None else f"{failed.device.name} did not tell where it is: {failed}"
         before, self._seen = self._seen, [device.desired_position for device in joints]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import awake, stop
+from canopen_master.motion.joint_procedures import ensure_answers, stop
 from canopen_master.node import Node
 from canopen_master.watchdog import Watchdogs
 from canopen_proto.drives.axis.halting import halt_first
@@ -45,7 +45,7 @@ class Halt:
             with suppress(SdoFailed):  # it is told again below
                 yield from halt_first(device.axis)
         # The drive is asked again: a command that was cancelled half-way may have been executed since its last PDO.
-        yield from awake(device.node, "0x6041")
+        yield from ensure_answers(device.node, "0x6041")
         self.problem = "it still moves" if device.state in POWERED else ""
         yield from stop(device)
         self.problem = ""

@@ -69,7 +69,7 @@ def of_joint(device: Device, procedure: Procedure[T]) -> Procedure[T]:
         raise JointFailed(device, error) from error
 
 
-def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFailed | None]:
+def failure_of(device: Device, procedure: Procedure[object]) -> Procedure[JointFailed | None]:
     """Run a procedure; its failure is its result, so that the procedures beside it go on."""
     try:
         yield from procedure
@@ -78,7 +78,7 @@ def quietly(device: Device, procedure: Procedure[object]) -> Procedure[JointFail
     return None
 
 
-def awake(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
+def ensure_answers(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
     """Read an object to see whether the node answers. A node in state Stopped cannot answer, and is made pre-operational first.
 
     The last program that used the drive has left it stopped: a chain, and the manual's shutdownDevice, end so.
@@ -168,7 +168,7 @@ def meet(device: Device, settings: ChainSettings) -> Procedure[None]:
 
 def _meet(device: Device, settings: ChainSettings, is_planned: bool) -> Procedure[None]:
     device.last_look = None
-    yield from awake(device.node)
+    yield from ensure_answers(device.node)
     yield from find(device)  # PDOs keep the position up to date from the first one on
     if is_planned:
         device.modes = yield from read_modes(device.axis.node)

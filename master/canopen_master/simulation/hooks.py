@@ -19,9 +19,9 @@
         await trio.sleep(2)
         device.raise_error(0x4210)
 
-Each of these may be left out. Without OBJECTS, on_read and on_write serve all objects from 0x2000 on. `device` is a `Device`:
-`device[name]` reads and writes an object by name, index or (index, subindex). A value that is set is sent by the event-driven
-TPDOs that carry it.
+Each of these may be left out. Without OBJECTS, on_read and on_write serve all objects from 0x2000 on. `device` is a
+`ScriptDevice`: `device[name]` reads and writes an object by name, index or (index, subindex). A value that is set is sent by the
+event-driven TPDOs that carry it.
 
 Objects that a script serves are `LocalNode.deferred`: the core reports ObjectAccessPending, and the script's answer is given by
 `complete`. on_read and on_write may be `async`; the client waits, up to 5 s. PDOs do not ask the script: a TPDO carries the
@@ -74,14 +74,14 @@ class ScriptError(Explained, Exception):
 
 
 class HookAbort(Exception):
-    """Raised by `Device.abort`."""
+    """Raised by `ScriptDevice.abort`."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"0x{code:08X}")
         self.code = code
 
 
-class Owner(Protocol):
+class DeviceHost(Protocol):
     """Drives the device: `simulation.Host`."""
 
     def now(self) -> Time:
@@ -135,10 +135,10 @@ def _takes(function: object, count: int) -> bool:
     return True
 
 
-class Device:
+class ScriptDevice:
     """A device as its script sees it. node: the `LocalNode`, for everything that is not here."""
 
-    def __init__(self, node: LocalNode, owner: Owner, say: Callable[[str], object]) -> None:
+    def __init__(self, node: LocalNode, owner: DeviceHost, say: Callable[[str], object]) -> None:
         self.node = node
         self._owner = owner
         self._say = say
@@ -195,14 +195,14 @@ class Device:
 class Hooks:
     """One device's run of a script."""
 
-    def __init__(self, script: Script, node: LocalNode, owner: Owner, say: Callable[[str], object]) -> None:
+    def __init__(self, script: Script, node: LocalNode, owner: DeviceHost, say: Callable[[str], object]) -> None:
         """say: called with each message. Raises ScriptError if the script fails, or names unknown objects."""
         self._script = script
         self._node = node
         self._owner = owner
         self._say = say
         self._names = script.load()
-        self._device = Device(node, owner, self._tell)
+        self._device = ScriptDevice(node, owner, self._tell)
         self._served = self._find_served()
         self._nursery: trio.Nursery | None = None
         if "on_read" in self._names or "on_write" in self._names:

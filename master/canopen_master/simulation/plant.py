@@ -34,7 +34,8 @@ MAX_DEVICES: Final = MAX_NODE_ID
 """A plant with more devices than node-IDs is wrong."""
 
 AUTOMATIC: Final = "auto"
-PROFILES: Final = (AUTOMATIC, "402", "none")
+DRIVE: Final = "402"
+PROFILES: Final = (AUTOMATIC, DRIVE, "none")
 SHAPES: Final = ("standard", "schunk")
 
 

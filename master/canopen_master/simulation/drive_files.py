@@ -1,21 +1,17 @@
-"""The drives of `canopen demo --eds`: read their files, and check that a simulated drive can stand behind each."""
+"""A drive's own file for both ends of a bus: the simulated drive behind it, and the master's settings for such a drive."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from canopen_cli.shared.device_files import read_device_files
-from canopen_cli.shared.problem import ExitCode, Problem
-from canopen_cli.shared.screen import Screen
-from canopen_cli.simulation.devices import SHAPES, shape_of
-from canopen_data import load_dictionary
 from canopen_data.configured import without_configured_values
 from canopen_data.description import DeviceDescription
 from canopen_data.drive_from_file import drive_obstacle
-from canopen_master.machine_file import MachineFile
-from canopen_master.machine_file.dictionaries import Dictionaries
+from canopen_master.errors import NotADrive
+from canopen_master.simulation.device_files import shape_of
+from canopen_master.simulation.host import DeviceMaker
+from canopen_master.simulation.serving import drive_maker
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL, AxisSettings
 from canopen_proto.drives.cia402.modes import Mode, supported
@@ -66,41 +62,16 @@ class DriveFile:
         return replace(self.axis, velocity_unit=1.0, homing_method=HERE if high is None or high >= HERE else None)
 
 
-def drive_files(texts: Sequence[str], defaults: bool, screen: Screen, encoding: str = "") -> dict[int | None, DriveFile]:
-    """Return the files of `-e`, by node-ID (None: all others). defaults: drop the values that a DCF configures. encoding: of the
-    files, "" = guess it.
-
-    Raises DataError, and Problem for a file that does not describe a drive.
-    """
-    if not texts:
-        return {}
-    made = {}
-    for node_id, description in read_device_files(texts, load_dictionary()[0], screen, encoding).items():
-        made[node_id] = _drive_file(description, defaults)
-    return made
+def joint_maker(number: int, node_id: int, file: DriveFile | None) -> DeviceMaker:
+    """Return the maker of the simulated drive of a joint: of its file, else a Powerball joint. number: as of `drive_maker`."""
+    return drive_maker(number, node_id) if file is None else drive_maker(number, node_id, file.shape, file.dictionary)
 
 
-def drives_of(machine: MachineFile, defaults: bool) -> dict[str, DriveFile]:
-    """Return the files of a machine's joints, by their names; joints without a file are left out. Raises as `drive_files`."""
-    dictionaries = Dictionaries(machine)
-    made = {}
-    for joint in machine.joints.values():
-        node = machine.nodes[joint.node]
-        description = dictionaries.description_of(node)
-        if description is not None:
-            file = _drive_file(description, defaults or node.device.defaults)
-            made[joint.name] = replace(file, shape=SHAPES[node.device.shape]) if node.device.shape else file
-    return made
-
-
-def _drive_file(description: DeviceDescription, defaults: bool) -> DriveFile:
+def drive_of(description: DeviceDescription, *, defaults: bool = False) -> DriveFile:
+    """Return the drive that a file describes. defaults: drop the values that a DCF configures. Raises NotADrive."""
     dictionary = without_configured_values(description.dictionary) if defaults else description.dictionary
     obstacle = drive_obstacle(dictionary)
     if obstacle:
-        raise Problem(
-            ExitCode.BAD_FILE,
-            "CO332",
-            f"{description.source} describes no drive that can be moved: {obstacle}",
-            tries=(f"canopen eds show {description.source}", "the file of a CiA 402 drive"),
-        )
+        failed = f"{description.source} describes no drive that can be moved: {obstacle}"
+        raise NotADrive(failed, f"canopen eds show {description.source}", "the file of a CiA 402 drive")
     return DriveFile(description.source, dictionary, shape_of(description))

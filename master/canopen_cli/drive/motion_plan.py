@@ -10,7 +10,7 @@ from canopen_cli.demo.demo import CYCLE
 from canopen_cli.drive.session import axis_of_command, node_of_command, run_on_node
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.session import Session
+from canopen_cli.shared.session import BusSession
 from canopen_master.node import Node
 from canopen_proto.dictionary.download_order import Write
 from canopen_proto.drives.axis.axis_node import node_of_axis
@@ -52,7 +52,7 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward:
 
     axis = axis_of_command(settings)
 
-    def procedure(session: Session, node: Node) -> Procedure[tuple[MotionPlan, list[Write]]]:
+    def procedure(session: BusSession, node: Node) -> Procedure[tuple[MotionPlan, list[Write]]]:
         modes = yield from read_modes(node_of_axis(node.remote, axis))
         mode = None if wish is None else _SHORT[wish]
         made = plan_motion(node.dictionary, node.node_id, period, modes=modes, wish=mode, axis=axis, feed_forward=feed_forward)

@@ -28,7 +28,7 @@ _SLOPE: Final = 1.875  # the steepest slope of _smooth
 _CURVATURE: Final = 5.774  # the strongest curvature of _smooth
 
 
-class Path:
+class SwingPath:
     """Positions over time, in radians. start: the joints' present positions; swing: how far they go; duration: seconds.
 
     speeds: the speed limit of each joint, if that is less than MAX_SPEED. accelerations: likewise; None: it has none.

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_cli.demo.path import MAX_ACCELERATION, MAX_SPEED, Path
+from canopen_master.demonstration.swing import MAX_ACCELERATION, MAX_SPEED, SwingPath
 
 STEP = 0.002
 
@@ -17,7 +17,7 @@ STEP = 0.002
 def test_speed_and_acceleration_are_limited(
     duration: float, swing: float, joints: int, share: float, slower: float | None
 ) -> None:
-    path = Path([0.0] * joints, swing, duration, [] if slower is None else [slower] * joints)
+    path = SwingPath([0.0] * joints, swing, duration, [] if slower is None else [slower] * joints)
     fastest = MAX_SPEED if slower is None else min(MAX_SPEED, slower)
     before, here, after = (path.at(share * duration + offset) for offset in (-STEP, 0, STEP))
     for a, b, c in zip(before, here, after, strict=True):
@@ -28,10 +28,10 @@ def test_speed_and_acceleration_are_limited(
 
 @pytest.mark.parametrize("time", [-1.0, 0.0, 5.0, 9.0])
 def test_it_begins_and_ends_where_the_joints_stand(time: float) -> None:
-    assert Path([0.1, -0.2], 0.3, 5.0).at(time) == pytest.approx([0.1, -0.2])
+    assert SwingPath([0.1, -0.2], 0.3, 5.0).at(time) == pytest.approx([0.1, -0.2])
 
 
 def test_five_seconds_are_enough_for_the_whole_swing() -> None:
-    path = Path([0.0] * 6, math.radians(15), 5.0)
+    path = SwingPath([0.0] * 6, math.radians(15), 5.0)
     for joint in range(6):
         assert max(abs(path.at(n * 0.01)[joint]) for n in range(500)) > math.radians(13)

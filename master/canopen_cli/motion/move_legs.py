@@ -8,14 +8,14 @@ from typing import TypeAlias
 
 import trio
 
-from canopen_cli.motion.chain_session import Group
+from canopen_cli.motion.chain_session import ChainGroup
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.path_file import PathFile, Rounding
 from canopen_master.errors import PathRefused, PlanRefused
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import awake
+from canopen_master.motion.joint_procedures import ensure_answers
 from canopen_master.motion.path_check import check_path
 from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis.identity import identify
@@ -56,7 +56,7 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
     return found
 
 
-async def check_before_power(master: Master, arm: Group, targets: dict[str, float] | None, path: PathFile | None) -> None:
+async def check_before_power(master: Master, arm: ChainGroup, targets: dict[str, float] | None, path: PathFile | None) -> None:
     """Check a path, or the targets, by the limits that the drives tell, before any joint has power. The drives are only read.
 
     Raises PathRefused, PlanRefused, PackageMissing; what keeps the drives from being read.
@@ -76,12 +76,12 @@ async def check_before_power(master: Master, arm: Group, targets: dict[str, floa
 
 
 def _learn_limits(device: Device) -> Procedure[None]:
-    yield from awake(device.node)
+    yield from ensure_answers(device.node)
     yield from identify(device.axis)
     device.limits = yield from read_limits(device.axis)
 
 
-async def _check(arm: Group, path: PathFile, limits: Sequence[JointLimits]) -> None:
+async def _check(arm: ChainGroup, path: PathFile, limits: Sequence[JointLimits]) -> None:
     """Check a path; an error tells what the rounding of the file has to do with it."""
     try:
         await check_path(arm.devices, path.path, path.path.start, limits, arm.cycle_time)
@@ -114,7 +114,7 @@ def _rounding_text(rounding: Rounding, limit: float) -> str:
     )
 
 
-async def legs_of(arm: Group, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
+async def legs_of(arm: ChainGroup, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
     """Return the way of a chain that stands and follows set-points: to the targets, or to the start of a path and along it.
 
     Raises PathRefused for a path beyond a limit, PlanRefused, PackageMissing.
@@ -132,7 +132,7 @@ async def legs_of(arm: Group, targets: dict[str, float] | None, path: PathFile |
     return [("to the start of the path", planned(arm, here, begin)), along]
 
 
-def planned(arm: Group, here: Sequence[float], there: Sequence[float]) -> Path:
+def planned(arm: ChainGroup, here: Sequence[float], there: Sequence[float]) -> Path:
     """Return the fastest way from rest to rest."""
     from canopen_master.trajectories.point_to_point import point_to_point
 
@@ -144,7 +144,7 @@ def planned(arm: Group, here: Sequence[float], there: Sequence[float]) -> Path:
         raise
 
 
-async def told_legs(screen: Screen, arm: Group, legs: Legs) -> None:
+async def show_legs(screen: Screen, arm: ChainGroup, legs: Legs) -> None:
     """Show each part of the motion, with what it asks of each joint, and the limits."""
     if screen.json_output:
         return

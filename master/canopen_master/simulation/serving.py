@@ -1,6 +1,6 @@
 """Serve simulated drives for `canopen demo`, `-b demo` and `canopen sim`.
 
-A fleet runs shielded until its block is left: on a Ctrl-C the master still has to halt the drives, and simulated ones must stay
+They run shielded until its block is left: on a Ctrl-C the master still has to halt the drives, and simulated ones must stay
 alive meanwhile, as real ones would.
 """
 
@@ -57,7 +57,7 @@ def drive_maker(
 ) -> DeviceMaker:
     """Return a function that makes a simulated drive.
 
-    number: its place in the fleet, from 0. dictionary: that of a device's own file, for which `drive_obstacle` finds no obstacle;
+    number: its place among them, from 0. dictionary: that of a device's own file, for which `drive_obstacle` finds no obstacle;
     by default that of the shape. sync_tolerance: see DriveSettings. The time of a drive in the process of its master waits for
     SYNC: else it would run beyond its path while this computer is busy.
     """
@@ -79,6 +79,11 @@ def drive_maker(
     return partial(DriveNode, node_id=node_id, settings=settings, dictionary=dictionary)
 
 
+def virtual_buses(names: Iterable[str]) -> dict[str, str]:
+    """Return a virtual bus in the place of each of these buses: its locator by the name. The first one is DEMO_LOCATOR."""
+    return {name: f"{DEMO_LOCATOR}{number or ''}" for number, name in enumerate(names)}
+
+
 def with_serial(dictionary: ObjectDictionary, serial: int, node_id: int) -> ObjectDictionary:
     """Return the dictionary with a serial number (0x1018:04), if it has that object: LSS tells devices apart by it."""
     if dictionary.get(indices.IDENTITY_OBJECT, SERIAL) is None:
@@ -86,7 +91,7 @@ def with_serial(dictionary: ObjectDictionary, serial: int, node_id: int) -> Obje
     return configure(dictionary, {mux(indices.IDENTITY_OBJECT, SERIAL): serial}, node_id)
 
 
-class Fleet:
+class SimulatedDevices:
     """A set of simulated drives. hosts: one for each bus."""
 
     def __init__(self, hosts: Sequence[Host]) -> None:
@@ -128,14 +133,14 @@ class Fleet:
 
 
 @asynccontextmanager
-async def simulated_fleet(
+async def simulated_drives(
     drives: Iterable[tuple[str, int]],
     shape: Shape = Shape.SCHUNK_POWERBALL,
     on_event: Callable[[Event], object] | None = None,
     *,
     make: Callable[[int, int], DeviceMaker] | None = None,
     keeper: ParameterKeeper | None = None,
-) -> AsyncIterator[Fleet]:
+) -> AsyncIterator[SimulatedDevices]:
     """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError.
 
     keeper: as of `Host`. make: returns the maker of the drive for a place and a node-ID; by default drives of that shape.
@@ -147,8 +152,8 @@ async def simulated_fleet(
         if (locator, node_id) not in places or node_id == UNCONFIGURED:  # further axes are in the node of the first one
             places.add((locator, node_id))
             makers.setdefault(locator, []).append(make(number, node_id))
-    async with simulated_devices(makers, on_event, keeper=keeper) as fleet:
-        yield fleet
+    async with simulated_devices(makers, on_event, keeper=keeper) as served:
+        yield served
 
 
 @asynccontextmanager
@@ -158,7 +163,7 @@ async def simulated_devices(
     *,
     keeper: ParameterKeeper | None = None,
     say: Callable[[str], object] = lambda text: None,
-) -> AsyncIterator[Fleet]:
+) -> AsyncIterator[SimulatedDevices]:
     """Serve devices, by locator, while the block runs. keeper, say: as of `Host`.
 
     Raises BusError, TransportError, ScriptError.
@@ -174,7 +179,7 @@ async def simulated_devices(
         serving.shield = True  # only from now on: a start that is cancelled waits for its tasks, which must end then
         try:
             await trio.sleep(BOOT_TIME)
-            yield Fleet(hosts)
+            yield SimulatedDevices(hosts)
         except Exception as error:  # noqa: BLE001 - raised again below: the nursery would wrap it in a group
             failure = error
         finally:

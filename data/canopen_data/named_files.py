@@ -1,0 +1,75 @@
+"""Files that a user names: a text, a device's own file. Each fault that makes one unusable is an error that says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from canopen_data import MAX_FILE_SIZE, DataError
+from canopen_data.description import DeviceDescription
+from canopen_data.descriptions import read_file
+from canopen_data.findings import Severity
+from canopen_data.reading import read_description
+
+
+class UnusableFile(DataError):
+    """A file that a user named cannot be used. For the fields see Explained."""
+
+    def __init__(self, failed: str, code: str = "CO330", *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(failed, *tries)
+        self.code, self.seen, self.cause = code, seen, cause
+
+
+@dataclass(frozen=True)
+class DescriptionFile:
+    """A file and its description. description.findings: the faults of the file."""
+
+    path: str
+    data: bytes
+    description: DeviceDescription
+
+    @property
+    def lines(self) -> list[str]:
+        """The file's text, in lines as the findings count them."""
+        return lines_of(self.data.decode(self.description.encoding, errors="replace"))
+
+
+def lines_of(text: str) -> list[str]:
+    """Return the lines of a text as findings count them; str.splitlines knows more line ends."""
+    return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def open_description(path: str, encoding: str = "", connected: tuple[int, ...] = ()) -> DescriptionFile:
+    """Read a device's own file, however many faults it has. encoding: of its text, "" for a guess. connected: see
+    `read_description`.
+
+    Raises DataError if it cannot be read, UnusableFile if it describes no object.
+    """
+    data = read_file(path)
+    description = read_description(data, path, encoding=encoding, connected=connected)
+    if not description.dictionary.objects:
+        first = next((each for each in description.findings if each.severity is Severity.ERROR), None)
+        seen = f"{len(data)} bytes"
+        if first is not None:
+            seen = f"line {first.line}: {first.message}" if first.line else first.message
+        raise UnusableFile(
+            f"{path} describes no object",
+            "CO301",
+            seen=seen,
+            cause="it is no EDS, DCF, XDD or XDC, or it was cut off",
+            tries=("check the path", "ask the device's maker for its file"),
+        )
+    return DescriptionFile(path, data, description)
+
+
+def read_text(path: Path) -> str:
+    """Return a text of at most MAX_FILE_SIZE bytes. Raises UnusableFile."""
+    try:
+        if path.stat().st_size > MAX_FILE_SIZE:
+            raise UnusableFile(f"{path} has more than {MAX_FILE_SIZE} bytes", cause="it is another file")
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UnusableFile(f"{path} is not UTF-8 text", seen=str(error)) from None
+    except OSError as error:
+        raise UnusableFile(f"cannot read {path}: {error.strerror or error}", tries=("check the path",)) from None
