@@ -175,9 +175,11 @@ def test_each_step_of_the_ways_on_the_page_is_in_the_file_that_it_names() -> Non
     steps = re.findall(r"^ *(\S.*?) {2,}(\w[\w/]*\.py) {2,}\S", PAGE, re.MULTILINE)
     assert len(steps) > 30
     elsewhere = {"SYNC", "Upload"}  # words, or what the file imports
+    paths = modules()
 
     def absent(step: str, file: str) -> list[str]:
-        source = (ROOT / file).read_text(encoding="utf-8") if (ROOT / file).is_file() else ""
+        path = paths.get(file.removeprefix("master/").removesuffix(".py").replace("/", "."))
+        source = path.read_text(encoding="utf-8") if path is not None else ""
         names = re.findall(r"\b(?:[A-Z]\w+(?:\.\w+)?|\w+(?=\())", step.removeprefix("await node.").removeprefix("device."))
         parts = {part for name in names for part in name.split(".")} - elsewhere
         return [f"{file}: {part}" for part in sorted(parts) if not re.search(rf"\b{part}\b", source)]
