@@ -108,7 +108,7 @@ class LssGiven(Event):
 
 
 @dataclass
-class Assignment:
+class LssAssignment:
     """An assignment under way; see this module's text. choose: the node-IDs. known: numbers that all addresses have. store:
     whether the devices store their node-ID.
 
@@ -207,7 +207,9 @@ class Assignment:
             self.taken.discard(planned.node_id)
 
 
-def assign_all(assignment: Assignment, agree: Callable[[Sequence[Planned]], bool] = lambda plan: True) -> Procedure[Assignment]:
+def assign_all(
+    assignment: LssAssignment, agree: Callable[[Sequence[Planned]], bool] = lambda plan: True
+) -> Procedure[LssAssignment]:
     """Give all devices without a node-ID theirs; return the assignment, with what became of each. agree: asked before a plan is
     written; if it says no, these devices are left alone."""
     while True:

@@ -55,7 +55,7 @@ UNKNOWN_SIZE: Final = -1
 """The other side has not announced how many bytes it sends."""
 
 
-class State(Enum):
+class TransferState(Enum):
     """The states of a transfer; see this module's text."""
 
     INITIATED = "initiated"
@@ -66,12 +66,12 @@ class State(Enum):
     OVER = "over"
 
 
-INITIATED: Final = State.INITIATED
-SEGMENTS: Final = State.SEGMENTS
-SENT: Final = State.SENT
-HELD: Final = State.HELD
-ENDING: Final = State.ENDING
-OVER: Final = State.OVER
+INITIATED: Final = TransferState.INITIATED
+SEGMENTS: Final = TransferState.SEGMENTS
+SENT: Final = TransferState.SENT
+HELD: Final = TransferState.HELD
+ENDING: Final = TransferState.ENDING
+OVER: Final = TransferState.OVER
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

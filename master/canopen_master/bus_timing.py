@@ -31,7 +31,16 @@ from typing import Final
 
 from canopen_proto.frame import EMCY, ERROR_CONTROL, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, SYNC, Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, LocalProtocolError, Time
-from canopen_transports.wire import Message, QueueOrder, ResponseTime, Wire, WireMember, WireSettings, response_times, worst_bits
+from canopen_transports.wire import (
+    PeriodicMessage,
+    QueueOrder,
+    ResponseTime,
+    Wire,
+    WireMember,
+    WireSettings,
+    response_times,
+    worst_bits,
+)
 from canopen_transports.wire.response_time import utilisation
 
 EMCY_INTERVAL: Final = 100 * MILLISECOND
@@ -188,11 +197,11 @@ def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder, errors: T
     return response_times(messages, bitrate, error_interval=errors)
 
 
-def _message(stream: Stream, bitrate: int, order: QueueOrder) -> Message:
+def _message(stream: Stream, bitrate: int, order: QueueOrder) -> PeriodicMessage:
     time = Wire(WireSettings(bitrate=bitrate)).time_of(worst_bits(stream.size))
     sender = MASTER if stream.is_from_master else str(stream.node_id)
     queue = sender if order is QueueOrder.FIFO else None
-    return Message(stream.name, stream.can_id, time, stream.period, deadline=stream.deadline, queue=queue)
+    return PeriodicMessage(stream.name, stream.can_id, time, stream.period, deadline=stream.deadline, queue=queue)
 
 
 def bus_timing(

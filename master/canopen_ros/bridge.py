@@ -46,7 +46,7 @@ SAME_AGAIN: Final = 5.0
 """Seconds until the same report is made again, unless it is news: commands may be refused a hundred times a second."""
 
 
-class Report(NamedTuple):
+class StateReport(NamedTuple):
     """The refusal of a command that has no answer, for the log. chain: its name. text: of the error."""
 
     chain: str
@@ -73,7 +73,7 @@ class Bridge:
         self.failure: Exception | None = None
         self._wall = wall
         self._loads = diagnostics.Loads()
-        self._reports: deque[Report] = deque(maxlen=MOST_SAMPLES)
+        self._reports: deque[StateReport] = deque(maxlen=MOST_SAMPLES)
         self._reported: dict[tuple[str, str], float] = {}
         self._has_report = trio.lowlevel.ParkingLot()
         self._changed = trio.lowlevel.ParkingLot()
@@ -149,7 +149,7 @@ class Bridge:
         with trio.move_on_after(self.parameters.diagnostics_period):
             await self._changed.park()
 
-    async def reports(self) -> AsyncIterator[Report]:
+    async def reports(self) -> AsyncIterator[StateReport]:
         """The refusals of commands that have no answer: velocities, positions, and trajectories of the topic."""
         while True:
             while self._reports:
@@ -184,7 +184,7 @@ class Bridge:
         if what in self._reported and not is_news:
             return
         self._reported[what] = now
-        self._reports.append(Report(chain, text))
+        self._reports.append(StateReport(chain, text))
         self._has_report.unpark_all()
 
 

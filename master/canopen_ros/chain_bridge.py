@@ -34,7 +34,7 @@ from canopen_proto.drives.cia402.modes import short_name
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
 from canopen_ros.goal_motion import GoalMotion, Tell
-from canopen_ros.goals import START, GoalCode, GoalRefused, GoalResult, Outcome, TrajectoryGoal, checked
+from canopen_ros.goals import START, GoalCode, GoalOutcome, GoalRefused, GoalResult, TrajectoryGoal, checked
 from canopen_ros.names import COMMANDS, MODE_SERVICES, OTHER_MODES
 from canopen_ros.reply import COMMAND_ERRORS, Reply, text_of
 from canopen_ros.samples import is_unit_missing, si_per_unit
@@ -383,7 +383,7 @@ class ChainBridge:
         if self._is_refused(Source.TRAJECTORIES, self._not_taken(goal)):
             return
         result = await self._follow(goal, Source.TRAJECTORIES)
-        if result.outcome is not Outcome.SUCCEEDED:
+        if result.outcome is not GoalOutcome.SUCCEEDED:
             self._report(self.name, f"the trajectory was {result.outcome.value}: {result.text}", False)
 
     def _not_taken(self, goal: TrajectoryGoal) -> ChainError | None:
@@ -414,14 +414,14 @@ class ChainBridge:
                 self.chain, goal, self._scales(), self.goal_time, self.start_tolerance, partial(self._require_movable, what)
             )
         except GoalRefused as refused:
-            return GoalResult(refused.code, str(refused), Outcome.REJECTED)
+            return GoalResult(refused.code, str(refused), GoalOutcome.REJECTED)
         except COMMAND_ERRORS as error:
-            return GoalResult(GoalCode.INVALID_GOAL, text_of(error, self.name), Outcome.REJECTED)
+            return GoalResult(GoalCode.INVALID_GOAL, text_of(error, self.name), GoalOutcome.REJECTED)
         if not points:
             if accepted is not None:
                 accepted()
             await self.stop("an empty trajectory")
-            return GoalResult(GoalCode.SUCCESSFUL, "the joints stand", Outcome.SUCCEEDED)
+            return GoalResult(GoalCode.SUCCESSFUL, "the joints stand", GoalOutcome.SUCCEEDED)
 
         def begins() -> None:
             self._take_over.begins(source)

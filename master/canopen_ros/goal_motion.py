@@ -15,10 +15,10 @@ from canopen_proto.drives.trajectory import Path, PathClock, PathError, PathPoin
 from canopen_ros.goals import (
     Feedback,
     GoalCode,
+    GoalOutcome,
     GoalRefused,
     GoalResult,
     JointPoint,
-    Outcome,
     Tolerance,
     TrajectoryGoal,
     TrajectoryPoint,
@@ -63,7 +63,7 @@ class GoalMotion:
 
     def cancel(self, why: str) -> None:
         """Let the joints brake along the path; `run` returns PREEMPTED. why: for the client."""
-        self._end(GoalResult(GoalCode.INVALID_GOAL, f"the trajectory ended before its time: {why}", Outcome.PREEMPTED))
+        self._end(GoalResult(GoalCode.INVALID_GOAL, f"the trajectory ended before its time: {why}", GoalOutcome.PREEMPTED))
 
     def _end(self, result: GoalResult) -> None:
         if self._why is None:
@@ -80,7 +80,7 @@ class GoalMotion:
                 async with trio.open_nursery() as nursery:
                     nursery.start_soon(self._look, tell, begins)
                     result = await self._follow(points)
-                    if result.outcome is Outcome.SUCCEEDED:
+                    if result.outcome is GoalOutcome.SUCCEEDED:
                         result = await self._arrive(points[-1])
                     nursery.cancel_scope.cancel()
                 return result
@@ -100,17 +100,17 @@ class GoalMotion:
             self._check()  # a halt may have come since the goal did
             await chain.follow(make)
         except GoalRefused as refused:
-            return GoalResult(refused.code, str(refused), Outcome.REJECTED)
+            return GoalResult(refused.code, str(refused), GoalOutcome.REJECTED)
         except (SetPointRefused, PlanRefused, PathError) as error:
-            outcome = Outcome.ABORTED if self.has_begun else Outcome.REJECTED
+            outcome = GoalOutcome.ABORTED if self.has_begun else GoalOutcome.REJECTED
             return GoalResult(GoalCode.INVALID_GOAL, text_of(error, chain.name), outcome)
         except MotionReplaced:
-            return GoalResult(GoalCode.INVALID_GOAL, "another motion took over, from where this one was", Outcome.PREEMPTED)
+            return GoalResult(GoalCode.INVALID_GOAL, "another motion took over, from where this one was", GoalOutcome.PREEMPTED)
         except COMMAND_ERRORS as error:
             if not self.has_begun:
-                return GoalResult(GoalCode.INVALID_GOAL, text_of(error, chain.name), Outcome.REJECTED)
-            return GoalResult(GoalCode.PATH_TOLERANCE_VIOLATED, text_of(error, chain.name), Outcome.ABORTED)
-        return GoalResult(GoalCode.SUCCESSFUL, "the joints are there", Outcome.SUCCEEDED)
+                return GoalResult(GoalCode.INVALID_GOAL, text_of(error, chain.name), GoalOutcome.REJECTED)
+            return GoalResult(GoalCode.PATH_TOLERANCE_VIOLATED, text_of(error, chain.name), GoalOutcome.ABORTED)
+        return GoalResult(GoalCode.SUCCESSFUL, "the joints are there", GoalOutcome.SUCCEEDED)
 
     async def _look(self, tell: Tell | None, begins: Callable[[], object]) -> None:
         """Tell each cycle of the motion, and end it when a joint leaves its tolerance."""
@@ -126,7 +126,7 @@ class GoalMotion:
             problem = self._beyond(report, self._path_tolerances)
             if problem:
                 text = f"{problem} at {motion.time:.3f} s: the joints brake"
-                self._end(GoalResult(GoalCode.PATH_TOLERANCE_VIOLATED, text, Outcome.ABORTED))
+                self._end(GoalResult(GoalCode.PATH_TOLERANCE_VIOLATED, text, GoalOutcome.ABORTED))
             await motion.news.park()
 
     async def _own_motion(self) -> Motion:
@@ -174,10 +174,10 @@ class GoalMotion:
         while True:
             problem = self._off_goal(last)
             if not problem:
-                return GoalResult(GoalCode.SUCCESSFUL, "the joints are there", Outcome.SUCCEEDED)
+                return GoalResult(GoalCode.SUCCESSFUL, "the joints are there", GoalOutcome.SUCCEEDED)
             if trio.current_time() >= deadline:
                 text = f"{problem} {self._goal_time:g} s behind the end of the trajectory"
-                return GoalResult(GoalCode.GOAL_TOLERANCE_VIOLATED, text, Outcome.ABORTED)
+                return GoalResult(GoalCode.GOAL_TOLERANCE_VIOLATED, text, GoalOutcome.ABORTED)
             await trio.sleep(chain.settings.cycle_time)
 
     def _off_goal(self, last: JointPoint) -> str:

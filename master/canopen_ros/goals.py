@@ -48,7 +48,7 @@ class GoalCode(IntEnum):
     GOAL_TOLERANCE_VIOLATED = -5
 
 
-class Outcome(Enum):
+class GoalOutcome(Enum):
     """How a goal ended: the status of an action."""
 
     SUCCEEDED = "succeeded"
@@ -102,7 +102,7 @@ class GoalResult(NamedTuple):
 
     code: GoalCode
     text: str
-    outcome: Outcome
+    outcome: GoalOutcome
 
 
 class Feedback(NamedTuple):

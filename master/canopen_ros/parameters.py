@@ -31,7 +31,7 @@ RELIABLE: Final = "reliable"
 BEST_EFFORT: Final = "best_effort"
 
 
-class Parameter(NamedTuple):
+class NodeParameter(NamedTuple):
     """A parameter of the node. text: for people. default: None if there is none, or if it has several kinds of values.
 
     least, most: of a number. choices: of a text; none for any text.
@@ -58,29 +58,31 @@ class Parameter(NamedTuple):
         return ""
 
 
-PARAMETERS: Final[Mapping[str, Parameter]] = {
-    "machine": Parameter("the path of a machine file (docs/machine.md), in place of chains, eds, joints and defaults", ""),
-    "chains": Parameter("the text of a chain file, its rows as a list, or its path: arm joint1 can0 3 joint2 can0 4"),
-    "buses": Parameter("the locators of the buses, as a list: can0=socketcan:can0; or buses.can0: socketcan:can0"),
-    "sync_interval": Parameter("ms between two SYNCs; without it that of the machine file, or 10", least=0.1, most=10_000.0),
-    "eds": Parameter("the file of all nodes, or eds.JOINT for each joint; without it the installed CSV files"),
-    "joints": Parameter("settings of joints, as joints.NAME.KEY, with the keys of [joints.NAME] in a machine file"),
-    "defaults": Parameter("settings for all joints, as defaults.KEY"),
-    "simulate": Parameter("true: simulated devices on virtual buses, in the process of the node", False),
-    "velocity_watchdog": Parameter("seconds within which the next velocity has to come, or the joints brake", 0.1, 0.001, 10.0),
-    "goal_time": Parameter(
+PARAMETERS: Final[Mapping[str, NodeParameter]] = {
+    "machine": NodeParameter("the path of a machine file (docs/machine.md), in place of chains, eds, joints and defaults", ""),
+    "chains": NodeParameter("the text of a chain file, its rows as a list, or its path: arm joint1 can0 3 joint2 can0 4"),
+    "buses": NodeParameter("the locators of the buses, as a list: can0=socketcan:can0; or buses.can0: socketcan:can0"),
+    "sync_interval": NodeParameter("ms between two SYNCs; without it that of the machine file, or 10", least=0.1, most=10_000.0),
+    "eds": NodeParameter("the file of all nodes, or eds.JOINT for each joint; without it the installed CSV files"),
+    "joints": NodeParameter("settings of joints, as joints.NAME.KEY, with the keys of [joints.NAME] in a machine file"),
+    "defaults": NodeParameter("settings for all joints, as defaults.KEY"),
+    "simulate": NodeParameter("true: simulated devices on virtual buses, in the process of the node", False),
+    "velocity_watchdog": NodeParameter(
+        "seconds within which the next velocity has to come, or the joints brake", 0.1, 0.001, 10.0
+    ),
+    "goal_time": NodeParameter(
         "seconds behind a trajectory until the joints have to be within the tolerances of its goal", 1.0, 0.001, 3600.0
     ),
-    "start_tolerance": Parameter("rad or m that a joint may be off where a source of motion begins", START, 1e-6, 1.0),
-    "joint_states": Parameter("the topic of the joint states", "joint_states"),
-    "joint_states_rate": Parameter("Hz of the joint states; 0: one at each SYNC", 0.0, 0.0, 10_000.0),
-    "joint_states_reliability": Parameter(
+    "start_tolerance": NodeParameter("rad or m that a joint may be off where a source of motion begins", START, 1e-6, 1.0),
+    "joint_states": NodeParameter("the topic of the joint states", "joint_states"),
+    "joint_states_rate": NodeParameter("Hz of the joint states; 0: one at each SYNC", 0.0, 0.0, 10_000.0),
+    "joint_states_reliability": NodeParameter(
         "of the joint states. reliable: every subscriber hears them; best_effort: MoveIt, which asks for reliable, hears none",
         RELIABLE,
         choices=(RELIABLE, BEST_EFFORT),
     ),
-    "diagnostics_period": Parameter("seconds between two diagnostics if nothing changes", 1.0, 0.01, 3600.0),
-    "look_period": Parameter("seconds between two questions for the positions of joints without power", 0.2, 0.01, 60.0),
+    "diagnostics_period": NodeParameter("seconds between two diagnostics if nothing changes", 1.0, 0.01, 3600.0),
+    "look_period": NodeParameter("seconds between two questions for the positions of joints without power", 0.2, 0.01, 60.0),
 }
 """All parameters of the node, by name."""
 

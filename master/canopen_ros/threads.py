@@ -4,7 +4,7 @@ async with open_bridge(parameters) as bridge, open_portal() as portal:
     portal.call(chain.call, "init")            # from any other thread: waits for the result
     portal.submit(chain.follow, goal, tell)    # returns a concurrent.futures.Future
     portal.post(chain.command_velocities, [0.1, 0.0])
-    with Outgoing() as outgoing:               # trio's thread never waits for a publisher
+    with OutgoingMessages() as outgoing:               # trio's thread never waits for a publisher
         outgoing.put(publisher.publish, message)
         await until_stopped(rospy.is_shutdown)
 """
@@ -138,7 +138,7 @@ async def open_portal() -> AsyncIterator[Portal]:
         raise failure
 
 
-class Outgoing:
+class OutgoingMessages:
     """A thread that publishes, so that trio's thread never waits for a publisher; see this module's text.
 
     dropped: messages lost because the thread could not keep pace. failures: calls that raised; `last_failure` is the last error.
@@ -163,7 +163,7 @@ class Outgoing:
             self._waiting.append((function, args))
             self._news.notify()
 
-    def __enter__(self) -> Outgoing:
+    def __enter__(self) -> OutgoingMessages:
         self._thread.start()
         return self
 

@@ -8,13 +8,13 @@ import pytest
 import trio
 
 from canopen_cli.bus import doctor as command
-from canopen_transports.doctor import Finding, Health
+from canopen_transports.doctor import DoctorFinding, Health
 from canopen_transports.errors import BusState
 from canopen_transports.receive_test import Heard
 from tests.cli.cli_support import Run, runner
 
-WELL = [Finding("SocketCAN can0", Health.OK, "up, 500kbit/s", (), "socketcan:can0")]
-DOWN = Finding(
+WELL = [DoctorFinding("SocketCAN can0", Health.OK, "up, 500kbit/s", (), "socketcan:can0")]
+DOWN = DoctorFinding(
     "SocketCAN can1", Health.WARNING, "it exists, but is DOWN", ("sudo ip link set can1 up", "another way"), "socketcan:can1"
 )
 

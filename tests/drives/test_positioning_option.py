@@ -8,7 +8,7 @@ import pytest
 
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives import axis as drive
-from canopen_proto.drives.axis import Direction, ProfileTarget, RelativeTo
+from canopen_proto.drives.axis import ProfileTarget, RelativeTo, RotaryDirection
 from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.slow_position import start_slow_position
 from canopen_proto.drives.cia402 import objects
@@ -33,21 +33,21 @@ def turntable(position: int = 10_000) -> Rig:
 
 
 WAYS = [
-    (Direction.LINEAR, 350, 340),
-    (Direction.POSITIVE, 350, 340),
-    (Direction.NEGATIVE, 350, -20),
-    (Direction.SHORTEST, 350, -20),
-    (Direction.SHORTEST, 30, 20),
-    (Direction.POSITIVE, 5, 355),
-    (Direction.NEGATIVE, 5, -5),
-    (Direction.SHORTEST, 190, 180),
-    (Direction.NEGATIVE, 10, 0),
-    (Direction.POSITIVE, 10, 0),
+    (RotaryDirection.LINEAR, 350, 340),
+    (RotaryDirection.POSITIVE, 350, 340),
+    (RotaryDirection.NEGATIVE, 350, -20),
+    (RotaryDirection.SHORTEST, 350, -20),
+    (RotaryDirection.SHORTEST, 30, 20),
+    (RotaryDirection.POSITIVE, 5, 355),
+    (RotaryDirection.NEGATIVE, 5, -5),
+    (RotaryDirection.SHORTEST, 190, 180),
+    (RotaryDirection.NEGATIVE, 10, 0),
+    (RotaryDirection.POSITIVE, 10, 0),
 ]
 
 
 @pytest.mark.parametrize(("direction", "target", "way"), WAYS)
-def test_the_way_to_a_target(direction: Direction, target: float, way: float) -> None:
+def test_the_way_to_a_target(direction: RotaryDirection, target: float, way: float) -> None:
     for along in (False, True):
         rig = turntable()
         moving = (
@@ -63,16 +63,16 @@ def test_the_way_to_a_target(direction: Direction, target: float, way: float) ->
 def test_directions_are_the_users() -> None:
     rig = turntable()
     rig.axis.settings = replace(DEGREES, direction=-1)
-    rig.run(drive.move_to(rig.axis, -350, timeout=LIMIT, direction=Direction.POSITIVE))  # down, for the drive
+    rig.run(drive.move_to(rig.axis, -350, timeout=LIMIT, direction=RotaryDirection.POSITIVE))  # down, for the drive
     assert rig.drive._servo.position == pytest.approx(-10_000, abs=1)
 
 
 def test_none_leaves_the_direction_as_the_drive_has_it() -> None:
     rig = turntable()
-    rig.node.values.store[objects.POSITIONING_OPTION_CODE] = Direction.SHORTEST << 6 | RelativeTo.ACTUAL
+    rig.node.values.store[objects.POSITIONING_OPTION_CODE] = RotaryDirection.SHORTEST << 6 | RelativeTo.ACTUAL
     rig.run(drive.move_to(rig.axis, 350, timeout=LIMIT))
     assert rig.drive._servo.position == pytest.approx(-10_000, abs=1)
-    assert rig.node.values.store[objects.POSITIONING_OPTION_CODE] == Direction.SHORTEST << 6 | RelativeTo.ACTUAL
+    assert rig.node.values.store[objects.POSITIONING_OPTION_CODE] == RotaryDirection.SHORTEST << 6 | RelativeTo.ACTUAL
 
 
 def test_set_points_beyond_the_end_of_the_range_go_on_from_the_present_turn() -> None:
@@ -135,8 +135,8 @@ def test_a_drive_without_60f2_gets_no_direction() -> None:
     rest = [each for index, each in rig.node.dictionary.objects.items() if index != 0x60F2]
     rig = Rig(Shape.STANDARD, pdos=False, dictionary=ObjectDictionary(rest))
     for moving in (
-        drive.move_to(rig.axis, 0.1, timeout=LIMIT, direction=Direction.SHORTEST),
-        drive.move_along(rig.axis, [ProfileTarget(0.1, direction=Direction.SHORTEST)], timeout=LIMIT),
+        drive.move_to(rig.axis, 0.1, timeout=LIMIT, direction=RotaryDirection.SHORTEST),
+        drive.move_along(rig.axis, [ProfileTarget(0.1, direction=RotaryDirection.SHORTEST)], timeout=LIMIT),
     ):
         before = len(rig.bus.sent)
         with pytest.raises(drive.DriveError, match="has no 0x60F2: it goes its own way"):
@@ -146,7 +146,7 @@ def test_a_drive_without_60f2_gets_no_direction() -> None:
 
 def test_a_relative_target_takes_no_direction() -> None:
     with pytest.raises(LocalProtocolError, match="by its sign"):
-        ProfileTarget(1, relative_to=RelativeTo.DEMAND, direction=Direction.POSITIVE)
+        ProfileTarget(1, relative_to=RelativeTo.DEMAND, direction=RotaryDirection.POSITIVE)
     rig = turntable()
     with pytest.raises(LocalProtocolError, match="by its sign"):
-        rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT, relative=True, direction=Direction.POSITIVE))
+        rig.run(drive.move_to(rig.axis, 1, timeout=LIMIT, relative=True, direction=RotaryDirection.POSITIVE))

@@ -10,7 +10,7 @@ from hypothesis import given as given_by
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
-from canopen_proto.lss.assign import Assignment, Given, LssGiven, assign_all, by_table, give, in_order
+from canopen_proto.lss.assign import Given, LssAssignment, LssGiven, assign_all, by_table, give, in_order
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssConfiguration, LssService, LssState
 from canopen_proto.lss.scan import LssError
 from canopen_proto.lss.slave import LssResetNeeded, LssSlave, LssStoreRequested
@@ -27,8 +27,8 @@ def some(count: int, first: int = 0x100) -> list[LssAddress]:
     return [LssAddress(*TYPE, first + 3 * place) for place in range(count)]
 
 
-def assignment(bench: LssBench, *, choose=in_order(range(10, 100)), **more: object) -> Assignment:  # type: ignore[no-untyped-def] # noqa: B008
-    return Assignment(bench.tool, choose, bench.pace, KNOWN, **more)  # type: ignore[arg-type]
+def assignment(bench: LssBench, *, choose=in_order(range(10, 100)), **more: object) -> LssAssignment:  # type: ignore[no-untyped-def] # noqa: B008
+    return LssAssignment(bench.tool, choose, bench.pace, KNOWN, **more)  # type: ignore[arg-type]
 
 
 def test_all_devices_get_their_ids_in_order_store_them_and_boot() -> None:
@@ -275,7 +275,7 @@ class Hostile(LssBench):
                     node.lss.complete_store(answer, self.bus.now)
 
 
-def is_told_as_two(result: Assignment, address: LssAddress) -> bool:
+def is_told_as_two(result: LssAssignment, address: LssAddress) -> bool:
     """Two devices with one LSS address cannot be told apart. So what becomes of them is not promised, but that it is told."""
     remarks = [given.remark for given in result.done if given.address == address]
     return "two devices" in result.remark or any("two devices" in remark for remark in remarks) or bool(result.unfinished)
@@ -321,7 +321,7 @@ def test_each_device_has_its_node_id_for_good_or_is_named(
     if is_twin:
         bench.add(addresses[0])
     bench.pace.device_limit = LIMIT
-    result = Assignment(bench.tool, in_order(range(1, 20)), bench.pace)
+    result = LssAssignment(bench.tool, in_order(range(1, 20)), bench.pace)
     chance, begun = random.Random(seed), bench.bus.now
     try:
         bench.run(assign_all(result, lambda plan: agrees or chance.random() < 0.5))
@@ -354,7 +354,7 @@ def test_each_device_has_its_node_id_for_good_or_is_named(
 def test_eight_devices_on_a_bus_that_loses_frames_get_their_ids_within_minutes(loss: float, seed: int, within: int) -> None:
     """With the window that a real bus has. The first ones have theirs before the last one is found."""
     bench = LssBench(random_addresses(8, seed), window=100 * MILLISECOND, seed=seed, loss=loss)
-    request_id = bench.network.run(assign_all(Assignment(bench.tool, in_order(range(1, 20)), bench.pace)), bench.bus.now)
+    request_id = bench.network.run(assign_all(LssAssignment(bench.tool, in_order(range(1, 20)), bench.pace)), bench.bus.now)
     bench.bus.run_until(lambda: len(bench.running) == 1, 60 * SECOND)
     assert bench.slaves[[node.node_id for node in bench.nodes].index(1)].persistent.node_id == 1
     result = bench.end_of(request_id)
@@ -365,14 +365,14 @@ def test_eight_devices_on_a_bus_that_loses_frames_get_their_ids_within_minutes(l
 def test_the_time_for_one_device_is_kept_and_what_is_known_of_it_is_told() -> None:
     bench = LssBench(some(2), window=100 * MILLISECOND)
     bench.pace.device_limit = 8 * SECOND
-    result = Assignment(bench.tool, in_order(range(10, 100)), bench.pace, KNOWN)
+    result = LssAssignment(bench.tool, in_order(range(10, 100)), bench.pace, KNOWN)
     bench.run(assign_all(result))
     assert (result.unfinished, len(result.done)) == ("", 2)
     bench = LssBench([LssAddress(*TYPE, 0xFFFF_FFFF)], window=100 * MILLISECOND)
     bench.pace.device_limit = 3 * SECOND
     begun = bench.bus.now
     with pytest.raises(LssError, match=r"the time for one device is over.*vendor-ID 0x360, product code 0x2"):
-        bench.run(assign_all(Assignment(bench.tool, in_order(range(10, 100)), bench.pace)))
+        bench.run(assign_all(LssAssignment(bench.tool, in_order(range(10, 100)), bench.pace)))
     assert bench.bus.now - begun < 4 * SECOND
     assert bench.none_is_selected
 
@@ -380,7 +380,7 @@ def test_the_time_for_one_device_is_kept_and_what_is_known_of_it_is_told() -> No
 def test_a_search_that_is_given_up_takes_nothing_from_those_that_are_ready_and_says_so() -> None:
     bench = LssBench([LssAddress(*TYPE, 1), LssAddress(*TYPE, 0xFFFF_FFFF)], window=100 * MILLISECOND)
     bench.pace.device_limit = 3 * SECOND
-    result = bench.run(assign_all(Assignment(bench.tool, in_order(range(10, 100)), bench.pace)))
+    result = bench.run(assign_all(LssAssignment(bench.tool, in_order(range(10, 100)), bench.pace)))
     assert [given.is_complete for given in result.done] == [True]
     assert "the time for one device is over" in result.unfinished
     assert (bench.ids, bench.none_is_selected) == ([10, UNCONFIGURED], True)

@@ -7,7 +7,13 @@ from typing import Any
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outcome, Time
-from canopen_proto.manager.programs.download import Limits, ProgramDownload, ProgramProgress, ProgramStep, download_program
+from canopen_proto.manager.programs.download import (
+    DownloadLimits,
+    ProgramDownload,
+    ProgramProgress,
+    ProgramStep,
+    download_program,
+)
 from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
@@ -42,7 +48,7 @@ class FlashBench:
         *,
         memory: ProgramMemory | None = None,
         lose: Iterable[int] = (),
-        limits: Limits | None = None,
+        limits: DownloadLimits | None = None,
         heartbeat: bool = False,
         frame_time: Time = 0,
         seed: int = 0,

@@ -13,7 +13,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.manager.programs.download import (
-    Limits,
+    DownloadLimits,
     ProgramDownload,
     ProgramDownloadFailed,
     ProgramStep,
@@ -180,7 +180,7 @@ def test_the_power_may_be_cut_at_any_moment(settings: BootLoaderSettings) -> Non
     duration, total = bench.bus.now - begun, len(bench.bus.sent)
     for moment in range(0, total + 24, 1 if takes_all() else 5):
         bench = FlashBench(settings)
-        bench.begin(IMAGE, expected_id=ID, confirm=settings.trial, limits=Limits(start=SECOND, busy=SECOND))
+        bench.begin(IMAGE, expected_id=ID, confirm=settings.trial, limits=DownloadLimits(start=SECOND, busy=SECOND))
         if moment < total:
             bench.bus.run_until(lambda bench=bench, moment=moment: len(bench.bus.sent) > moment)  # type: ignore[misc]
         else:

@@ -20,7 +20,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.manager.programs.download import (
     NOT_VERIFIED,
-    Limits,
+    DownloadLimits,
     ProgramDownload,
     ProgramDownloadFailed,
     ProgramStep,
@@ -36,7 +36,7 @@ from tests.manager.flash_bench import FlashBench
 
 IMAGE = pattern(30)
 ID = crc32(IMAGE)
-QUICK = Limits(start=SECOND, busy=SECOND)
+QUICK = DownloadLimits(start=SECOND, busy=SECOND)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import NodeBooted
 from canopen_proto.local_node import LocalNode
-from canopen_proto.lss.assign import Assignment, assign_all, in_order
+from canopen_proto.lss.assign import LssAssignment, assign_all, in_order
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.lss.scan import LssTool
 from canopen_proto.machine import Event, Outbox
@@ -109,7 +109,7 @@ async def test_a_node_id_that_lss_stored_is_there_when_the_power_comes_back() ->
                 tool = LssTool(master.bus().network.out)
                 master.bus().network.attach(tool)
                 known = (*host.nodes[0].lss.address[:3], None)
-                result = await master.run(assign_all(Assignment(tool, in_order([10, 11]), known=known)))
+                result = await master.run(assign_all(LssAssignment(tool, in_order([10, 11]), known=known)))
                 assert [given.is_complete for given in result.done] == ([True, True] if expected[0] == UNCONFIGURED else [])
                 assert await master.node(11).read("device_type") == 0x20192
             nursery.cancel_scope.cancel()

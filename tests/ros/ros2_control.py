@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, Protocol
 
 import trio
 
-from canopen_ros.goals import Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import GoalOutcome, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.samples import Sample
 from tests.ros.ros_world import Cell, wall
 
@@ -129,10 +129,10 @@ class JtcGoal:
 
     def __init__(self, trajectory: TrajectoryGoal) -> None:
         self.trajectory = trajectory
-        self.outcome: Outcome | None = None
+        self.outcome: GoalOutcome | None = None
         self.over = trio.Event()
 
-    def end(self, outcome: Outcome) -> None:
+    def end(self, outcome: GoalOutcome) -> None:
         if self.outcome is None:
             self.outcome = outcome
             self.over.set()
@@ -165,7 +165,7 @@ class JointTrajectoryController:
         self.is_active = True
 
     def on_deactivate(self) -> None:
-        self._end(Outcome.ABORTED)
+        self._end(GoalOutcome.ABORTED)
         self._points = []
         self.is_active = False
 
@@ -176,15 +176,15 @@ class JointTrajectoryController:
         is_rising = all(later > earlier for earlier, later in itertools.pairwise(times))
         rests = not any(trajectory.points[-1].velocities)
         if not self.is_active or set(trajectory.joint_names) != set(self._system.names) or not is_rising or not rests:
-            goal.end(Outcome.REJECTED)
+            goal.end(GoalOutcome.REJECTED)
             return goal
-        self._end(Outcome.PREEMPTED)
+        self._end(GoalOutcome.PREEMPTED)
         self._goal, self._begun, self._points = goal, None, list(trajectory.points)
         return goal
 
     def cancel(self, goal: JtcGoal) -> None:
         if goal is self._goal:
-            self._end(Outcome.PREEMPTED)
+            self._end(GoalOutcome.PREEMPTED)
             self._hold(self._system.positions)
 
     def update(self, now: float) -> None:
@@ -201,12 +201,12 @@ class JointTrajectoryController:
             system.commands = _between(self._points[later - 1], self._points[later], time)
             return
         system.commands = list(self._points[-1].positions)
-        self._end(Outcome.SUCCEEDED)
+        self._end(GoalOutcome.SUCCEEDED)
 
     def _hold(self, positions: Sequence[float]) -> None:
         self._begun, self._points = 0.0, [TrajectoryPoint(tuple(positions))]
 
-    def _end(self, outcome: Outcome) -> None:
+    def _end(self, outcome: GoalOutcome) -> None:
         if self._goal is not None:
             self._goal.end(outcome)
             self._goal = None
@@ -265,7 +265,7 @@ STEP: Final = 0.1
 class Executor(Protocol):
     """Where MoveIt sends its goals to."""
 
-    async def execute(self, goal: TrajectoryGoal) -> Outcome: ...
+    async def execute(self, goal: TrajectoryGoal) -> GoalOutcome: ...
 
     def cancel(self) -> None: ...
 
@@ -277,7 +277,7 @@ class Controllers:
         self._controller = controller
         self._goal: JtcGoal | None = None
 
-    async def execute(self, goal: TrajectoryGoal) -> Outcome:
+    async def execute(self, goal: TrajectoryGoal) -> GoalOutcome:
         self._goal = own = self._controller.accept(goal)
         await own.over.wait()
         assert own.outcome is not None
@@ -326,7 +326,7 @@ class MoveIt:
         if not await self._is_valid(plan):
             return "INVALID"
         limit = plan.points[-1].time_from_start * SCALING + MARGIN
-        outcome: list[Outcome] = []
+        outcome: list[GoalOutcome] = []
 
         async def send() -> None:
             outcome.append(await self._executor.execute(plan))

@@ -9,7 +9,7 @@ import trio
 
 from canopen_ros.bridge import open_bridge
 from canopen_ros.diagnostics import Level, named
-from canopen_ros.goals import Feedback, Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import Feedback, GoalOutcome, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.parameters import NodeParameters
 from canopen_ros.simulated import on_virtual_buses, simulated_machine
 from tests.master.world import virtual_time
@@ -48,7 +48,7 @@ async def test_a_trajectory_by_names_in_any_order() -> None:
         begun: list[str] = []
         goal = TrajectoryGoal(["joint2", "joint1"], [TrajectoryPoint([0.3, 0.2], time_from_start=2.0)])
         result = await arm.follow(goal, seen.append, lambda: begun.append(arm.state))
-        assert result.outcome is Outcome.SUCCEEDED
+        assert result.outcome is GoalOutcome.SUCCEEDED
         assert begun == ["moving"]
         assert len(seen) > 200
         assert bridge.sample().names == ("joint1", "joint2")

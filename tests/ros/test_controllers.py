@@ -11,7 +11,7 @@ import trio
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_ros.goals import START, GoalResult, Outcome, TrajectoryGoal
+from canopen_ros.goals import START, GoalOutcome, GoalResult, TrajectoryGoal
 from canopen_ros.names import MODE_SERVICES
 from tests.examples import examples
 from tests.master.world import virtual_time
@@ -39,7 +39,7 @@ class Node:
         self._world = world
         self._goal: TrajectoryGoal | None = None
 
-    async def execute(self, goal: TrajectoryGoal) -> Outcome:
+    async def execute(self, goal: TrajectoryGoal) -> GoalOutcome:
         self._goal = goal
         self.results.append(await self._world.arm.follow(goal, accepted=self.accepted))
         return self.results[-1].outcome

@@ -13,10 +13,10 @@ from canopen_master.errors import MasterClosed
 from canopen_proto.drives.cia402.states import POWERED
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.diagnostics import Level
-from canopen_ros.goals import Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import GoalOutcome, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.parameters import NodeParameters
 from canopen_ros.reply import Reply
-from canopen_ros.threads import Outgoing, Portal, open_portal
+from canopen_ros.threads import OutgoingMessages, Portal, open_portal
 from canopen_transports import TransportError
 from tests.master.world import virtual_time
 from tests.ros.ros_world import bridge_of, cell, chain_text, wall
@@ -48,7 +48,7 @@ async def test_diagnostics_go_on_telling_when_the_bus_is_gone(monkeypatch: pytes
             assert not reply.success
             assert reply.message.startswith("CO111"), service
         result = await world.arm.follow(TrajectoryGoal(["joint1"], [TrajectoryPoint([0.1], time_from_start=1)]))
-        assert result.outcome is Outcome.REJECTED
+        assert result.outcome is GoalOutcome.REJECTED
         world.arm.command_velocities([0.1, 0.1])
         assert not (await world.bridge.get_object("joint1", "statusword")).success
         with trio.move_on_after(2.0) as waited:
@@ -160,7 +160,7 @@ async def test_a_joint_without_a_unit_is_told_with_the_key_to_set() -> None:
         arm.command_velocities([0.1, 0.1])
         assert (
             await arm.follow(TrajectoryGoal(["joint2"], [TrajectoryPoint([0.1], time_from_start=1)]))
-        ).outcome is Outcome.REJECTED
+        ).outcome is GoalOutcome.REJECTED
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ async def test_units_become_radians(settings: dict[str, object], scale: float) -
         assert (await arm.call("init")).success
         assert (await arm.call("home")).success
         result = await arm.follow(TrajectoryGoal(["joint1"], [TrajectoryPoint([0.5], time_from_start=3.0)]))
-        assert result.outcome is Outcome.SUCCEEDED
+        assert result.outcome is GoalOutcome.SUCCEEDED
         assert bridge.sample().positions[0] == pytest.approx(0.5, abs=3e-5)
         assert arm.chain.positions[0] == pytest.approx(0.5 / scale, abs=3e-5 / scale)
 
@@ -277,13 +277,13 @@ def test_a_publisher_that_hangs_or_raises_holds_up_nobody() -> None:
             raise OSError("the node is going down")
         taken.append(number)
 
-    with Outgoing(4) as outgoing:
+    with OutgoingMessages(4) as outgoing:
         for number in range(50):
             outgoing.put(publish, number)
         go.set()
     assert outgoing.dropped >= 45
     assert taken[-4:] == [46, 47, 48, 49]
-    with Outgoing() as other:
+    with OutgoingMessages() as other:
         for number in range(5):
             other.put(publish, number)
     assert other.failures == 1

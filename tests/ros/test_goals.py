@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_ros.goals import Feedback, GoalCode, GoalResult, Outcome, Tolerance, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import Feedback, GoalCode, GoalOutcome, GoalResult, Tolerance, TrajectoryGoal, TrajectoryPoint
 from tests.master.world import virtual_time
 from tests.ros.ros_world import START, Cell, cell, wall
 
@@ -77,11 +77,11 @@ async def test_goals_that_are_refused_say_why_and_move_nothing() -> None:
         for what, (refused, code, text) in REFUSED.items():
             begun: list[int] = []
             result = await world.arm.follow(refused, None, lambda begun=begun: begun.append(1))  # type: ignore[misc]
-            assert (result.code, result.outcome) == (code, Outcome.REJECTED), what
+            assert (result.code, result.outcome) == (code, GoalOutcome.REJECTED), what
             assert re.search(text, result.text), (what, result.text)
             assert not begun
         assert world.positions == before
-        assert (await world.arm.follow(SIMPLE)).outcome is Outcome.SUCCEEDED
+        assert (await world.arm.follow(SIMPLE)).outcome is GoalOutcome.SUCCEEDED
 
 
 @virtual_time
@@ -90,7 +90,7 @@ async def test_a_subset_of_the_joints_moves_and_the_others_hold() -> None:
         await world.ask("init")
         await world.ask("home")
         result = await world.arm.follow(goal(P([0.2, 0.1], time_from_start=1.5), names=["joint3", "joint1"]))
-        assert result == GoalResult(GoalCode.SUCCESSFUL, "the joints are there", Outcome.SUCCEEDED)
+        assert result == GoalResult(GoalCode.SUCCESSFUL, "the joints are there", GoalOutcome.SUCCEEDED)
         assert world.bridge.sample().positions == pytest.approx((0.1, 0.0, 0.2), abs=EXACT)
 
 
@@ -99,7 +99,7 @@ async def test_a_joint_that_moves_has_to_be_in_a_goal_that_takes_over() -> None:
     async with cell() as world:
         await world.ask("init")
         results = await two_goals(world, goal(P([0.1], time_from_start=2.0), names=["joint2"]))
-        assert [result.outcome for result in results] == [Outcome.REJECTED, Outcome.SUCCEEDED]
+        assert [result.outcome for result in results] == [GoalOutcome.REJECTED, GoalOutcome.SUCCEEDED]
         assert results[0].text.startswith("joint1 moves, and is not in the trajectory")
 
 
@@ -119,7 +119,7 @@ async def test_a_trajectory_goes_through_its_points_at_their_times(kinds: str) -
         await world.ask("init")
         await world.ask("home")
         seen: list[Feedback] = []
-        assert (await world.arm.follow(goal(*points), seen.append)).outcome is Outcome.SUCCEEDED
+        assert (await world.arm.follow(goal(*points), seen.append)).outcome is GoalOutcome.SUCCEEDED
         for n in (1, 2):
             at = [
                 each for each in seen if each.actual.time_from_start == pytest.approx(times[n] + 0.03)
@@ -134,7 +134,7 @@ async def test_a_new_goal_blends_and_the_one_before_is_preempted() -> None:
         await world.ask("init")
         await world.ask("home")
         results = await two_goals(world, goal(P([-0.1, 0.3], time_from_start=2.2)))
-        assert [result.outcome for result in results] == [Outcome.PREEMPTED, Outcome.SUCCEEDED]
+        assert [result.outcome for result in results] == [GoalOutcome.PREEMPTED, GoalOutcome.SUCCEEDED]
         assert world.bridge.sample().positions == pytest.approx((-0.1, 0.3), abs=EXACT)
 
 
@@ -144,7 +144,7 @@ async def test_a_goal_that_is_refused_leaves_the_present_one_alone() -> None:
         await world.ask("init")
         await world.ask("home")
         results = await two_goals(world, goal(P([0.1, 2.5], time_from_start=0.3)))
-        assert [result.outcome for result in results] == [Outcome.REJECTED, Outcome.SUCCEEDED]
+        assert [result.outcome for result in results] == [GoalOutcome.REJECTED, GoalOutcome.SUCCEEDED]
         assert world.bridge.sample().positions == pytest.approx((0.5, -0.3), abs=EXACT)
 
 
@@ -153,7 +153,7 @@ async def test_an_empty_trajectory_stops_on_the_path() -> None:
     async with cell() as world:
         await world.ask("init")
         results = await two_goals(world, goal())
-        assert [result.outcome for result in results] == [Outcome.PREEMPTED, Outcome.SUCCEEDED]
+        assert [result.outcome for result in results] == [GoalOutcome.PREEMPTED, GoalOutcome.SUCCEEDED]
         assert 1_000 < world.positions[0] < 28_000
         await world.assert_all_stand()
         assert world.arm.state == "following"
@@ -195,7 +195,7 @@ async def test_a_cancelled_goal_brakes_on_its_path(how: str) -> None:
         else:
             scope.cancel()
         await trio.sleep(2.0)
-        assert [result.outcome for result in results] == ([Outcome.PREEMPTED] if how == "cancel" else [])
+        assert [result.outcome for result in results] == ([GoalOutcome.PREEMPTED] if how == "cancel" else [])
         first, second = world.positions
         assert second == pytest.approx(-first / 2, abs=3)  # on the path, on which both move at one rate
         await world.assert_all_stand()
@@ -208,7 +208,7 @@ async def test_a_joint_that_leaves_its_tolerance_ends_the_goal() -> None:
         await world.ask("home")
         tight = goal(P([0.5, -0.3], time_from_start=2.0), path_tolerance=[Tolerance("joint2", 1e-5)])
         result = await world.arm.follow(tight)
-        assert (result.code, result.outcome) == (GoalCode.PATH_TOLERANCE_VIOLATED, Outcome.ABORTED)
+        assert (result.code, result.outcome) == (GoalCode.PATH_TOLERANCE_VIOLATED, GoalOutcome.ABORTED)
         assert re.match(r"joint2 is off by \S+ in position, 1e-05 are allowed, at \d\.\d+ s: the joints brake", result.text)
         await world.assert_all_stand()
 
@@ -220,7 +220,7 @@ async def test_the_tolerance_of_the_goal_is_waited_for() -> None:
         await world.ask("home")
         exact = goal(P([0.3, 0.1], time_from_start=1.5), goal_tolerance=[Tolerance("joint1", 1e-9)], goal_time_tolerance=0.3)
         result = await world.arm.follow(exact)
-        assert (result.code, result.outcome) == (GoalCode.GOAL_TOLERANCE_VIOLATED, Outcome.ABORTED)
+        assert (result.code, result.outcome) == (GoalCode.GOAL_TOLERANCE_VIOLATED, GoalOutcome.ABORTED)
         assert "joint1 is off by" in result.text
         assert "0.3 s behind the end" in result.text
 
@@ -232,7 +232,7 @@ async def test_a_start_in_the_future_is_waited_for_and_a_halt_drops_it() -> None
         begun: list[float] = []
         later = goal(P([0.3, 0.1], time_from_start=1.5), start=wall() + 2_000_000_000)
         now = trio.current_time()
-        assert (await world.arm.follow(later, None, lambda: begun.append(trio.current_time()))).outcome is Outcome.SUCCEEDED
+        assert (await world.arm.follow(later, None, lambda: begun.append(trio.current_time()))).outcome is GoalOutcome.SUCCEEDED
         assert begun[0] == pytest.approx(now + 2.0, abs=0.5)
         results: list[GoalResult] = []
 
@@ -244,7 +244,7 @@ async def test_a_start_in_the_future_is_waited_for_and_a_halt_drops_it() -> None
         await world.ask("halt")
         await world.ask("recover")
         await trio.sleep(3.0)
-        assert [each.outcome for each in results] == [Outcome.PREEMPTED]
+        assert [each.outcome for each in results] == [GoalOutcome.PREEMPTED]
         assert not world.is_moving
 
 
@@ -254,7 +254,7 @@ async def test_a_start_in_the_past_leaves_out_what_is_over() -> None:
         await world.ask("init")
         late = goal(P([0.01, 0.0], time_from_start=1), P([0.3, 0.1], time_from_start=4.0), start=wall() - 2_000_000_000)
         now = trio.current_time()
-        assert (await world.arm.follow(late)).outcome is Outcome.SUCCEEDED
+        assert (await world.arm.follow(late)).outcome is GoalOutcome.SUCCEEDED
         assert 2.0 <= trio.current_time() - now < 2.9
 
 
@@ -272,7 +272,7 @@ async def test_a_service_ends_a_goal(service: str, code: int) -> None:
         await trio.sleep(1.5)
         await world.ask(service)
         await trio.sleep(0.1)
-        assert [(each.outcome, each.code) for each in results] == [(Outcome.ABORTED, code)]
+        assert [(each.outcome, each.code) for each in results] == [(GoalOutcome.ABORTED, code)]
         assert "CO403" in results[0].text
 
 
@@ -289,10 +289,10 @@ async def test_a_fault_ends_a_goal_and_the_next_one_is_refused() -> None:
         await trio.sleep(1.5)
         world.break_down(4)
         await trio.sleep(1.0)
-        assert (results[0].outcome, results[0].code) == (Outcome.ABORTED, GoalCode.PATH_TOLERANCE_VIOLATED)
+        assert (results[0].outcome, results[0].code) == (GoalOutcome.ABORTED, GoalCode.PATH_TOLERANCE_VIOLATED)
         assert "joint2" in results[0].text
         refused = await world.arm.follow(SIMPLE)
-        assert refused.outcome is Outcome.REJECTED
+        assert refused.outcome is GoalOutcome.REJECTED
         assert refused.text.startswith("CO402")
         assert "arm/recover" in refused.text
         await world.assert_all_stand()

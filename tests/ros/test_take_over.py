@@ -10,7 +10,7 @@ import trio
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_ros.goals import START, Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import START, GoalOutcome, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.names import MODE_SERVICES
 from canopen_ros.take_over import PAUSE
 from tests.examples import examples
@@ -169,7 +169,7 @@ async def run(drives: str, first: int, steps: list[tuple[str, object]], on: set[
                 case "goal", float(way):
                     to = [position + way for position in world.bridge.sample().positions[:1]]
                     ends = await world.arm.follow(TrajectoryGoal(["joint1"], [TrajectoryPoint(to, time_from_start=2.0)]))
-                    is_taken = is_taken and ends.outcome is not Outcome.SUCCEEDED
+                    is_taken = is_taken and ends.outcome is not GoalOutcome.SUCCEEDED
                 case "fault", int(node_id):
                     world.break_down(node_id)
                     await trio.sleep(0.1)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_ros.goals import Outcome, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import GoalOutcome, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.topic_motions import QUIET
 from tests.examples import takes_all
 from tests.master.world import virtual_time
@@ -76,7 +76,7 @@ async def test_zeros_begin_no_motion_and_end_none_of_a_goal() -> None:
         world.nursery.start_soon(follow)
         await trio.sleep(0.7)
         await feed(world, [0.0, 0.0], 1.5)
-        assert [each.outcome for each in results] == [Outcome.SUCCEEDED]
+        assert [each.outcome for each in results] == [GoalOutcome.SUCCEEDED]
 
 
 @virtual_time
@@ -92,7 +92,7 @@ async def test_a_joystick_takes_over_from_a_goal() -> None:
         await trio.sleep(1.5)
         world.let_go()
         await feed(world, [-0.2, 0.0], 2.0)
-        assert [each.outcome for each in results] == [Outcome.PREEMPTED]
+        assert [each.outcome for each in results] == [GoalOutcome.PREEMPTED]
         assert world.bridge.sample().velocities[0] == pytest.approx(-0.2, abs=0.01)
 
 
@@ -229,7 +229,7 @@ async def test_positions_are_refused_while_a_trajectory_runs() -> None:
         await trio.sleep(0.7)
         world.arm.command_positions(["joint1"], [0.5])
         await trio.sleep(3.0)
-        assert [each.outcome for each in results] == [Outcome.SUCCEEDED]
+        assert [each.outcome for each in results] == [GoalOutcome.SUCCEEDED]
         assert world.bridge.sample().positions[0] == pytest.approx(0.2, abs=EXACT)
         assert "it follows a trajectory" in (await reports(world))[0]
 

@@ -13,13 +13,13 @@ from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.simulation.drive.motion import Profile, follow
 from canopen_proto.simulation.drive.plant import Mechanics
 from canopen_proto.simulation.drive.settings import DriveSettings
-from canopen_proto.simulation.drive.smooth_motion import Limits, move, run
+from canopen_proto.simulation.drive.smooth_motion import ProfileLimits, move, run
 from tests.examples import examples
 from tests.simulation.drive_bench import Bench
 
-EQUAL = Limits(velocity=100.0, acceleration=200.0, deceleration=200.0, jerk_up=1_000.0, jerk_down=1_000.0)
+EQUAL = ProfileLimits(velocity=100.0, acceleration=200.0, deceleration=200.0, jerk_up=1_000.0, jerk_down=1_000.0)
 rates = st.floats(10.0, 1e5)
-any_limits = st.builds(Limits, rates, rates, rates, rates, rates)
+any_limits = st.builds(ProfileLimits, rates, rates, rates, rates, rates)
 fractions = st.floats(-1.0, 1.0)
 positions = st.floats(-1e6, 1e6)
 
@@ -78,7 +78,7 @@ def test_a_move_onto_the_spot_is_over_at_once() -> None:
 
 
 def test_speeding_up_and_slowing_down_have_their_own_limits() -> None:
-    limits = Limits(100.0, 400.0, 100.0, 8_000.0, 500.0)
+    limits = ProfileLimits(100.0, 400.0, 100.0, 8_000.0, 500.0)
     profile = move(0, 0.0, 0.0, 0.0, 1_000.0, limits)
     up, down = 100 / 400 + 400 / 8_000, 100 / 100 + 100 / 500
     assert duration(profile) == pytest.approx(up + down + (1_000 - 50 * (up + down)) / 100, rel=1e-6)
@@ -87,7 +87,7 @@ def test_speeding_up_and_slowing_down_have_their_own_limits() -> None:
 @given(positions, fractions, fractions, positions, any_limits)
 @examples(300)
 def test_from_any_state_it_ends_at_its_target_within_its_limits(
-    position: float, speed: float, change: float, target: float, limits: Limits
+    position: float, speed: float, change: float, target: float, limits: ProfileLimits
 ) -> None:
     """The state is within the limits, and so that the acceleration can end before the speed is beyond its limit."""
     jerk = min(limits.jerk_up, limits.jerk_down)
@@ -106,7 +106,7 @@ def test_from_any_state_it_ends_at_its_target_within_its_limits(
 @given(positions, fractions, st.floats(-3.0, 3.0), positions, any_limits)
 @examples(100)
 def test_a_state_beyond_the_limits_is_brought_back_without_a_step(
-    position: float, speed: float, change: float, target: float, limits: Limits
+    position: float, speed: float, change: float, target: float, limits: ProfileLimits
 ) -> None:
     """Limits that were lowered meanwhile, or a brake that was harder."""
     profile = move(0, position, 3.0 * speed * limits.velocity, change * limits.deceleration, target, limits)
@@ -116,7 +116,9 @@ def test_a_state_beyond_the_limits_is_brought_back_without_a_step(
 
 @given(fractions, fractions, st.floats(-1e4, 1e4), any_limits)
 @examples(100)
-def test_a_run_ends_at_its_velocity_without_a_step(speed: float, change: float, to_velocity: float, limits: Limits) -> None:
+def test_a_run_ends_at_its_velocity_without_a_step(
+    speed: float, change: float, to_velocity: float, limits: ProfileLimits
+) -> None:
     velocity, acceleration = speed * limits.velocity, change * min(limits.acceleration, limits.deceleration)
     profile = run(0, 0.0, velocity, acceleration, to_velocity, limits)
     assert_smooth(profile)

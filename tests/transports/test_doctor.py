@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from canopen_transports import doctor
-from canopen_transports.doctor import Finding, Health
+from canopen_transports.doctor import DoctorFinding, Health
 
 PROC_PCAN = """
 *------------ PEAK-System CAN interfaces (www.peak-system.com) -------------
@@ -38,7 +38,7 @@ def link(name: str, *, flags: tuple[str, ...] = ("NOARP", "UP", "LOWER_UP"), **d
     return {"ifname": name, "flags": list(flags), "linkinfo": {"info_kind": "can", "info_data": data}}
 
 
-def socketcan(root: Path, told: dict[str, Any]) -> Finding:
+def socketcan(root: Path, told: dict[str, Any]) -> DoctorFinding:
     put(root, {f"sys/class/net/{told['ifname']}/type": "280\n", "sys/class/net/eth0/type": "1\n"})
     (finding,) = doctor.check_socketcan(root, [told])
     return finding
@@ -91,7 +91,7 @@ def test_what_the_tool_says(monkeypatch: pytest.MonkeyPatch, answer: bytes | Non
     assert doctor.ip_links() == links
 
 
-def peak(root: Path, files: dict[str, str], library: str | None = "libpcanbasic.so", **channels: str) -> list[Finding]:
+def peak(root: Path, files: dict[str, str], library: str | None = "libpcanbasic.so", **channels: str) -> list[DoctorFinding]:
     return list(doctor.check_peak(put(root, files), library=library, channels=channels))
 
 

@@ -15,7 +15,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
 from canopen_transports.wire import (
     FaultHappened,
     FaultRates,
-    Message,
+    PeriodicMessage,
     QueueOrder,
     Wire,
     WireMember,
@@ -105,8 +105,8 @@ def test_the_machine_reaches_the_bound_with_jitter() -> None:
     period = 10 * MILLISECOND
     found = response_times(
         [
-            Message("A", 1, MILLISECOND, period, jitter=9_500 * MICROSECOND),
-            Message("B", 2, MILLISECOND, 2 * period),
+            PeriodicMessage("A", 1, MILLISECOND, period, jitter=9_500 * MICROSECOND),
+            PeriodicMessage("B", 2, MILLISECOND, 2 * period),
         ],
         115_000,
     )
@@ -162,7 +162,7 @@ def test_no_latency_is_above_the_analysis(network: Network) -> None:
         sources.append(Source(members[member], frame, *times))
         queue = str(member) if network.order is QueueOrder.FIFO else None
         time = wire.time_of(frame_bits(frame))
-        messages.append(Message(f"{can_id:X}", can_id, time, times[0], jitter=times[2], queue=queue))
+        messages.append(PeriodicMessage(f"{can_id:X}", can_id, time, times[0], jitter=times[2], queue=queue))
     found = response_times(messages, wire.settings.bitrate, error_interval=network.error_interval)
     assume(all(each.worst < NEVER for each in found))
     worst = latencies(wire, sources, 40 * MILLISECOND, seed=network.seed, error_interval=network.error_interval)

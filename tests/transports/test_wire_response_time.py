@@ -20,7 +20,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, LocalProtocolError
-from canopen_transports.wire import Message, duration, response_times, worst_bits
+from canopen_transports.wire import PeriodicMessage, duration, response_times, worst_bits
 from canopen_transports.wire.response_time import utilisation
 from tests.examples import examples
 
@@ -29,9 +29,9 @@ BITRATE = 125_000
 # 7 bytes and 11-bit identifiers, at most 125 bits, on 125 kbit/s.
 FRAME_TIME = duration(worst_bits(7), BITRATE)
 EXAMPLE = [
-    Message("A", 1, FRAME_TIME, 2_500 * MICROSECOND, deadline=2_500 * MICROSECOND),
-    Message("B", 2, FRAME_TIME, 3_500 * MICROSECOND, deadline=3_250 * MICROSECOND),
-    Message("C", 3, FRAME_TIME, 3_500 * MICROSECOND, deadline=3_250 * MICROSECOND),
+    PeriodicMessage("A", 1, FRAME_TIME, 2_500 * MICROSECOND, deadline=2_500 * MICROSECOND),
+    PeriodicMessage("B", 2, FRAME_TIME, 3_500 * MICROSECOND, deadline=3_250 * MICROSECOND),
+    PeriodicMessage("C", 3, FRAME_TIME, 3_500 * MICROSECOND, deadline=3_250 * MICROSECOND),
 ]
 
 
@@ -51,7 +51,7 @@ def test_the_older_analysis_would_have_passed_it() -> None:
     assert [first_instance_only(EXAMPLE, number) for number in range(3)] == [2 * MILLISECOND, 3 * MILLISECOND, 3 * MILLISECOND]
 
 
-def first_instance_only(messages: Sequence[Message], number: int) -> int:
+def first_instance_only(messages: Sequence[PeriodicMessage], number: int) -> int:
     """Tindell and Burns 1994, without jitter; messages in the order of their priority."""
     own, blocking = messages[number].time, max((each.time for each in messages[number + 1 :]), default=0)
     wait = blocking
@@ -89,7 +89,7 @@ def worst_of_all_schedules(messages: Sequence[tuple[int, int]]) -> list[int]:
 
 def bounds_of(messages: Sequence[tuple[int, int]]) -> list[int]:
     """The same by the analysis; a tick is a bit."""
-    named = [Message(f"{number}", number, *each) for number, each in enumerate(messages)]
+    named = [PeriodicMessage(f"{number}", number, *each) for number, each in enumerate(messages)]
     return [each.worst for each in response_times(named, SECOND)]
 
 
@@ -115,48 +115,48 @@ def test_every_phasing_of_small_sets(messages: list[tuple[int, int]]) -> None:
 
 
 def test_jitter_and_errors_make_it_longer() -> None:
-    plain = [Message("A", 1, 1000, 10_000), Message("B", 2, 1000, 20_000)]
-    late = [Message("A", 1, 1000, 10_000, jitter=9_500), Message("B", 2, 1000, 20_000, jitter=300)]
+    plain = [PeriodicMessage("A", 1, 1000, 10_000), PeriodicMessage("B", 2, 1000, 20_000)]
+    late = [PeriodicMessage("A", 1, 1000, 10_000, jitter=9_500), PeriodicMessage("B", 2, 1000, 20_000, jitter=300)]
     assert [each.worst for each in response_times(plain, 1_000_000)] == [2_000, 2_000]
     # Two of A come at once before B.
     assert [each.worst for each in response_times(late, 1_000_000)] == [9_500 + 2_000, 300 + 3_000]
-    with_errors = response_times([Message("A", 1, 100_000, SECOND)], 1_000_000, error_interval=SECOND)
+    with_errors = response_times([PeriodicMessage("A", 1, 100_000, SECOND)], 1_000_000, error_interval=SECOND)
     assert with_errors[0].worst == 100_000 + 31_000 + 100_000
 
 
 def test_a_network_that_needs_more_than_there_is() -> None:
-    fast, slow = response_times([Message("fast", 1, 400, 1_000), Message("slow", 2, 700, 1_000)], 1_000_000)
+    fast, slow = response_times([PeriodicMessage("fast", 1, 400, 1_000), PeriodicMessage("slow", 2, 700, 1_000)], 1_000_000)
     assert fast.worst == 1_100
     assert slow.worst == NEVER
     assert not slow.fits
 
 
 def test_a_busy_period_that_is_too_long_is_given_up() -> None:
-    nearly = Message("nearly all", 1, 999, 1_000)
-    found = response_times([nearly, Message("rest", 2, 1_000, 10**8)], 1_000_000)
+    nearly = PeriodicMessage("nearly all", 1, 999, 1_000)
+    found = response_times([nearly, PeriodicMessage("rest", 2, 1_000, 10**8)], 1_000_000)
     assert found[1].worst == 1_000 * 1_000  # one of 10**8, in which the other is sent a thousand times
-    assert response_times([Message("rest", 0, 2_000, 10**8), nearly], 1_000_000)[1].worst == NEVER
+    assert response_times([PeriodicMessage("rest", 0, 2_000, 10**8), nearly], 1_000_000)[1].worst == NEVER
 
 
 def test_a_queue_lets_the_urgent_wait_for_the_others() -> None:
     messages = [
-        Message("SYNC", 0x80, 55, 10_000, queue="master"),
-        Message("SDO", 0x601, 135, 10_000, queue="master"),
-        Message("TPDO", 0x181, 100, 10_000),
-        Message("heartbeat", 0x701, 65, 10_000),
+        PeriodicMessage("SYNC", 0x80, 55, 10_000, queue="master"),
+        PeriodicMessage("SDO", 0x601, 135, 10_000, queue="master"),
+        PeriodicMessage("TPDO", 0x181, 100, 10_000),
+        PeriodicMessage("heartbeat", 0x701, 65, 10_000),
     ]
     sync, sdo, tpdo, _ = response_times(messages, 1_000_000_000)
     # SYNC: behind the SDO, which lets the TPDO go first, and the heartbeat may have begun.
     assert sync.worst == 65 + 100 + 135 + 55
     assert sdo.worst == sync.worst
-    free = response_times([Message(each.name, each.priority, each.time, each.period) for each in messages], 1_000_000_000)
+    free = response_times([PeriodicMessage(each.name, each.priority, each.time, each.period) for each in messages], 1_000_000_000)
     assert free[0].worst == 135 + 55
     assert free[2].worst <= tpdo.worst
 
 
 def test_queues_that_hold_each_other_up() -> None:
-    crowd = [Message(f"{number}", number, 1_000, 10_500, queue=str(number % 3)) for number in range(10)]
-    found = response_times([Message("first", -1, 10, 10_000), *crowd], 1_000_000_000)
+    crowd = [PeriodicMessage(f"{number}", number, 1_000, 10_500, queue=str(number % 3)) for number in range(10)]
+    found = response_times([PeriodicMessage("first", -1, 10, 10_000), *crowd], 1_000_000_000)
     assert found[0].worst == 1_010
     assert all(each.worst == NEVER for each in found[1:])
     assert not any(each.instances for each in found[1:])
@@ -165,4 +165,4 @@ def test_queues_that_hold_each_other_up() -> None:
 @pytest.mark.parametrize("wrong", [{"time": 0}, {"period": 0}, {"jitter": -1}])
 def test_nonsense_is_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(LocalProtocolError, match="message A"):
-        Message(**({"name": "A", "priority": 1, "time": 10, "period": 10} | wrong))
+        PeriodicMessage(**({"name": "A", "priority": 1, "time": 10, "period": 10} | wrong))

@@ -1,8 +1,8 @@
 """The checks of `canopen doctor`: what this computer has to reach a CAN bus with, and what is missing.
 
 Each check reads files below `root` (a test passes a folder of its own), or takes the output of a tool or of a driver's library.
-It yields `Finding`s: what was checked, whether it is in order, what was seen, and the exact command to mend it. A check changes
-nothing, opens no bus and sends nothing; `receive_test` is the module that opens a bus.
+It yields `DoctorFinding`s: what was checked, whether it is in order, what was seen, and the exact command to mend it. A check
+changes nothing, opens no bus and sends nothing; `receive_test` is the module that opens a bus.
 
 `check_peak` makes the checks that the manual (chapter 2.1) asks the user to make by hand. `/proc/pcan` shows the driver. Its
 column "ndev" is NA for an adapter in character-device mode (`make NET=NO`), which PCAN-Basic and `/dev/pcan32` need. For an
@@ -61,7 +61,7 @@ class Health(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     """The result of a check. subject: what was checked. tries: what to do, with commands as they are typed. locator: the bus."""
 
     subject: str
@@ -71,7 +71,7 @@ class Finding:
     locator: str | None = None
 
 
-def examine(root: Path = Path("/")) -> list[Finding]:
+def examine(root: Path = Path("/")) -> list[DoctorFinding]:
     """Run all checks on this computer."""
     findings = [
         *check_socketcan(root, ip_links()),
@@ -80,7 +80,7 @@ def examine(root: Path = Path("/")) -> list[Finding]:
         *check_serial_lines(root, has_serial=importlib.util.find_spec("serial") is not None),
     ]
     if not any(each.locator or each.health is Health.WARNING for each in findings):
-        findings.insert(0, Finding("CAN adapters", Health.WARNING, "none was found on this computer", _NO_HARDWARE))
+        findings.insert(0, DoctorFinding("CAN adapters", Health.WARNING, "none was found on this computer", _NO_HARDWARE))
     return [*findings, *check_vcan(root), *check_multicast(root), *check_python_can()]
 
 
@@ -99,7 +99,7 @@ def ip_links() -> list[dict[str, Any]]:
     return [each for each in links if isinstance(each, dict)] if isinstance(links, list) else []
 
 
-def check_socketcan(root: Path, links: Iterable[dict[str, Any]]) -> Iterator[Finding]:
+def check_socketcan(root: Path, links: Iterable[dict[str, Any]]) -> Iterator[DoctorFinding]:
     """Check each CAN interface of the kernel: whether it is up, its bit rate, its controller. links: see `ip_links`."""
     told = {str(each.get("ifname")): each for each in links}
     for path in sorted((root / "sys/class/net").glob("*")):
@@ -107,7 +107,7 @@ def check_socketcan(root: Path, links: Iterable[dict[str, Any]]) -> Iterator[Fin
             yield _interface(root, path.name, told.get(path.name, {}))
 
 
-def _interface(root: Path, name: str, link: dict[str, Any]) -> Finding:
+def _interface(root: Path, name: str, link: dict[str, Any]) -> DoctorFinding:
     info = link.get("linkinfo") or {}
     data = info.get("info_data") or {}
     bitrate = (data.get("bittiming") or {}).get("bitrate")
@@ -116,7 +116,7 @@ def _interface(root: Path, name: str, link: dict[str, Any]) -> Finding:
     up = f"sudo ip link set {name} up"
     with_rate = up if is_virtual else f"{up} type can bitrate {bitrate or 500_000}"
     if not _is_up(root, name, link):
-        return Finding(subject, Health.WARNING, "it exists, but is DOWN", (with_rate,), locator)
+        return DoctorFinding(subject, Health.WARNING, "it exists, but is DOWN", (with_rate,), locator)
     state = str(data.get("state", "")).lower()
     counters = data.get("berr_counter") or {}
     sent, received = counters.get("tx", 0), counters.get("rx", 0)
@@ -130,17 +130,17 @@ def _interface(root: Path, name: str, link: dict[str, Any]) -> Finding:
     seen = ", ".join(parts)
     restart = f"sudo ip link set {name} down && {with_rate} restart-ms 100   (it then returns from bus-off after 100 ms)"
     if state == "bus-off":
-        return Finding(subject, Health.WARNING, seen, (restart,), locator)
+        return DoctorFinding(subject, Health.WARNING, seen, (restart,), locator)
     if "listen-only" in modes:
         again = f"sudo ip link set {name} down && {with_rate} listen-only off"
-        return Finding(subject, Health.NOTE, f"{seen}: nothing can be sent", (again,), locator)
+        return DoctorFinding(subject, Health.NOTE, f"{seen}: nothing can be sent", (again,), locator)
     if state in ("error-passive", "error-warning") or max(sent, received) >= HIGH_COUNTER:
         steps = (
             f"canopen doctor -b {locator}     (shows what is heard)",
             "check bit rate, CAN-H and CAN-L, termination (60 ohm)",
         )
-        return Finding(subject, Health.WARNING, seen, steps, locator)
-    return Finding(subject, Health.OK, seen, (), locator)
+        return DoctorFinding(subject, Health.WARNING, seen, steps, locator)
+    return DoctorFinding(subject, Health.OK, seen, (), locator)
 
 
 def _is_up(root: Path, name: str, link: dict[str, Any]) -> bool:
@@ -155,7 +155,7 @@ def _is_up(root: Path, name: str, link: dict[str, Any]) -> bool:
 # ---- PEAK ----
 
 
-def check_peak(root: Path, *, library: str | None, channels: dict[str, str]) -> Iterator[Finding]:
+def check_peak(root: Path, *, library: str | None, channels: dict[str, str]) -> Iterator[DoctorFinding]:
     """Check PEAK's adapters: whether one is plugged in, its driver, `/proc/pcan`, PCAN-Basic.
 
     library: the name of the PCAN-Basic library, None if there is none. channels: see `attached`.
@@ -168,12 +168,12 @@ def check_peak(root: Path, *, library: str | None, channels: dict[str, str]) -> 
     if not library:
         health = Health.WARNING if driver and " NA " in driver else Health.NOTE
         steps = ("install PEAK's PCAN-Basic library (peak-system.com)",) if health is Health.WARNING else ()
-        yield Finding("PCAN-Basic", health, "PEAK's library is not installed; pcan:... and /dev/pcan32 need it", steps)
+        yield DoctorFinding("PCAN-Basic", health, "PEAK's library is not installed; pcan:... and /dev/pcan32 need it", steps)
     elif not channels:
-        yield Finding("PCAN-Basic", Health.NOTE, "installed; it sees no adapter")
+        yield DoctorFinding("PCAN-Basic", Health.NOTE, "installed; it sees no adapter")
     for name, condition in channels.items():
         tries = () if condition == "free" else ("close the other program",)
-        yield Finding(
+        yield DoctorFinding(
             f"PCAN-Basic {name}", Health.OK if condition == "free" else Health.WARNING, condition, tries, f"pcan:{name}@500k"
         )
 
@@ -183,12 +183,14 @@ _PROC_LINE: Final = re.compile(r"^\s*(\d+)\s+(\w+)\s+(-?\w+-?)\s", re.MULTILINE)
 _RELEASE: Final = re.compile(r"Release_\S+(?:\s*\(([^)]*)\))?")
 
 
-def _proc_pcan(root: Path, text: str, library: str | None) -> Iterator[Finding]:
+def _proc_pcan(root: Path, text: str, library: str | None) -> Iterator[DoctorFinding]:
     release = _RELEASE.search(text)
     version = f"PEAK's driver {release[1] or release[0]}" if release else "PEAK's driver"
     channels = _PROC_LINE.findall(text)
     if not channels:
-        yield Finding("/proc/pcan", Health.WARNING, f"{version} is loaded and sees no adapter", ("plug it in; lsusb -d 0c72:",))
+        yield DoctorFinding(
+            "/proc/pcan", Health.WARNING, f"{version} is loaded and sees no adapter", ("plug it in; lsusb -d 0c72:",)
+        )
     for minor, kind, ndev in channels:
         interface = ndev.strip("-")
         subject = f"/proc/pcan {minor}"
@@ -197,12 +199,14 @@ def _proc_pcan(root: Path, text: str, library: str | None) -> Iterator[Finding]:
             device = root / locator[1:]
             if device.exists() and not os.access(device, os.R_OK | os.W_OK):
                 steps = (f"sudo chmod a+rw {locator}   (until it is plugged in again; then a rule of udev)",)
-                yield Finding(subject, Health.WARNING, f"{version}, {kind}: this user may not open {locator}", steps, locator)
+                yield DoctorFinding(
+                    subject, Health.WARNING, f"{version}, {kind}: this user may not open {locator}", steps, locator
+                )
                 continue
-            yield Finding(subject, Health.OK, f"{version}, {kind}, ndev NA: {locator}", (), locator if library else None)
+            yield DoctorFinding(subject, Health.OK, f"{version}, {kind}, ndev NA: {locator}", (), locator if library else None)
         else:
             step = f"use socketcan:{interface}, or build the driver with `make NET=NO`"
-            yield Finding(
+            yield DoctorFinding(
                 subject,
                 Health.NOTE,
                 f"{version}, {kind}, ndev {interface}: a network interface, no {minor} for PCAN-Basic",
@@ -239,50 +243,52 @@ _USB_ADAPTERS: Final = (
 )
 
 
-def check_usb(root: Path) -> Iterator[Finding]:
+def check_usb(root: Path) -> Iterator[DoctorFinding]:
     """Check that each plugged-in adapter of another maker has a driver."""
     for adapter in _USB_ADAPTERS:
         yield from _plugged_in(root, adapter)
 
 
-def _plugged_in(root: Path, adapter: _UsbAdapter) -> Iterator[Finding]:
+def _plugged_in(root: Path, adapter: _UsbAdapter) -> Iterator[DoctorFinding]:
     paths = (root / "sys/bus/usb/devices").glob("*/idVendor")
     plugged = [f"{_text(path)}:{_text(path.with_name('idProduct'))}" for path in paths]
     count = sum(each.startswith(adapter.ids) for each in plugged)
     subject = f"{adapter.maker} adapter"
     if count and (root / "sys/module" / adapter.module).exists():
         seen = f"the kernel's own driver, {adapter.module}, has it: use socketcan:can0"
-        yield Finding(subject, Health.OK, seen)
+        yield DoctorFinding(subject, Health.OK, seen)
     elif count:
         seen = f"{count} USB adapter{'s' * (count > 1)} of {adapter.maker} plugged in, and no driver is loaded"
         steps = (f"sudo modprobe {adapter.module}   (the kernel's own: socketcan:can0)", adapter.other)
-        yield Finding(subject, Health.WARNING, seen, tuple(filter(None, steps)))
+        yield DoctorFinding(subject, Health.WARNING, seen, tuple(filter(None, steps)))
 
 
 # ---- serial lines, vcan, multicast, python-can ----
 
 
-def check_serial_lines(root: Path, *, has_serial: bool) -> Iterator[Finding]:
+def check_serial_lines(root: Path, *, has_serial: bool) -> Iterator[DoctorFinding]:
     """Check that this user may open the serial lines, which may lead to an slcan adapter."""
     for pattern in ("ttyACM*", "ttyUSB*"):
         for path in sorted((root / "dev").glob(pattern)):
             locator, name = f"slcan:/dev/{path.name}@500k", f"serial line /dev/{path.name}"
             if not os.access(path, os.R_OK | os.W_OK):
                 steps = ("sudo usermod -aG dialout $USER   (then log in again)",)
-                yield Finding(name, Health.WARNING, "this user may not open it", steps, locator)
+                yield DoctorFinding(name, Health.WARNING, "this user may not open it", steps, locator)
             elif not has_serial:
-                yield Finding(name, Health.WARNING, "pyserial is not installed", ("pip install pyserial",), locator)
+                yield DoctorFinding(name, Health.WARNING, "pyserial is not installed", ("pip install pyserial",), locator)
             else:
-                yield Finding(name, Health.OK, f"may be an adapter that speaks slcan: -b {locator}", (), locator)
+                yield DoctorFinding(name, Health.OK, f"may be an adapter that speaks slcan: -b {locator}", (), locator)
 
 
-def check_vcan(root: Path) -> Iterator[Finding]:
+def check_vcan(root: Path) -> Iterator[DoctorFinding]:
     """Check whether the kernel has virtual CAN buses."""
     if not any((root / "sys/class/net").glob("*can*")) and not (root / "sys/module/vcan").exists():
-        yield Finding("vcan", Health.NOTE, "no virtual CAN bus; the kernel's module vcan is not loaded", ("sudo modprobe vcan",))
+        yield DoctorFinding(
+            "vcan", Health.NOTE, "no virtual CAN bus; the kernel's module vcan is not loaded", ("sudo modprobe vcan",)
+        )
 
 
-def check_multicast(root: Path) -> Iterator[Finding]:
+def check_multicast(root: Path) -> Iterator[DoctorFinding]:
     """Check whether udp_multicast has a route; with one, two terminals of this computer share a bus."""
     routes = _text(root / "proc/net/route").splitlines()[1:]
     for line in routes:
@@ -290,20 +296,22 @@ def check_multicast(root: Path) -> Iterator[Finding]:
         if len(fields) > 7:
             destination, mask = (int.from_bytes(bytes.fromhex(fields[place]), "little") for place in (1, 7))
             if int(_GROUP) & mask == destination:
-                yield Finding("udp_multicast", Health.OK, f"{_GROUP} is routed by {fields[0]}: two terminals can share a bus")
+                yield DoctorFinding(
+                    "udp_multicast", Health.OK, f"{_GROUP} is routed by {fields[0]}: two terminals can share a bus"
+                )
                 return
     if routes or (root / "proc/net").exists():
         step = "sudo ip route add 224.0.0.0/4 dev lo   (two terminals of this computer)"
-        yield Finding("udp_multicast", Health.NOTE, f"no network interface has a route to {_GROUP}", (step,))
+        yield DoctorFinding("udp_multicast", Health.NOTE, f"no network interface has a route to {_GROUP}", (step,))
 
 
-def check_python_can() -> Iterator[Finding]:
+def check_python_can() -> Iterator[DoctorFinding]:
     """Report python-can's version, and the backends that lack a package."""
     missing = [name for name, module in _PACKAGES.items() if importlib.util.find_spec(module) is None]
     seen = f"version {metadata.version('python-can')}"
     if missing:
         seen += f"; python-can's packages for these are not installed: {', '.join(missing)}"
-    yield Finding("python-can", Health.OK, seen)
+    yield DoctorFinding("python-can", Health.OK, seen)
 
 
 def _text(path: Path) -> str:

@@ -80,9 +80,9 @@ from canopen_proto.drives.axis.state import shut_down as shut_down
 from canopen_proto.drives.axis.synchronous import start_cyclic_position as start_cyclic_position
 from canopen_proto.drives.axis.synchronous import start_cyclic_torque as start_cyclic_torque
 from canopen_proto.drives.axis.synchronous import start_cyclic_velocity as start_cyclic_velocity
-from canopen_proto.drives.axis.target_sequence import Direction as Direction
 from canopen_proto.drives.axis.target_sequence import ProfileTarget as ProfileTarget
 from canopen_proto.drives.axis.target_sequence import RelativeTo as RelativeTo
+from canopen_proto.drives.axis.target_sequence import RotaryDirection as RotaryDirection
 from canopen_proto.drives.axis.target_sequence import Start as Start
 from canopen_proto.drives.axis.target_sequence import move_along as move_along
 from canopen_proto.drives.axis.torque import apply_torque as apply_torque

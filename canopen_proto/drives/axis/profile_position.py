@@ -23,8 +23,8 @@ from canopen_proto.drives.cia402.positioning import (
     DIRECTION_SHIFT,
     RELATIVE_OPTION,
     REQUEST_RESPONSE_OPTION,
-    Direction,
     RelativeTo,
+    RotaryDirection,
 )
 from canopen_proto.drives.cia402.states import Command, ControlBit, State, StatusBit
 from canopen_proto.machine import LocalProtocolError, Time
@@ -40,7 +40,7 @@ _NO_NEARER: Final = 0.001
 
 OTHER_TARGET: Final = "a target within the limit, or another limit"
 
-_OPPOSITE: Final = {Direction.POSITIVE: Direction.NEGATIVE, Direction.NEGATIVE: Direction.POSITIVE}
+_OPPOSITE: Final = {RotaryDirection.POSITIVE: RotaryDirection.NEGATIVE, RotaryDirection.NEGATIVE: RotaryDirection.POSITIVE}
 
 _AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 """The controlword with which a new set-point drops the one before."""
@@ -49,7 +49,7 @@ _AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 @moves
 @accounted
 def move_to(
-    axis: Axis, position: float, *, timeout: Time, relative: bool = False, direction: Direction | None = None
+    axis: Axis, position: float, *, timeout: Time, relative: bool = False, direction: RotaryDirection | None = None
 ) -> Procedure[None]:
     """Profile position: move to a position in the user's unit, with the drive's profile (0x6081, 0x6083), and wait for the end.
 
@@ -113,7 +113,7 @@ def _end_at_rest(axis: Axis) -> Procedure[None]:
         yield from write(axis.node, objects.END_VELOCITY, 0)
 
 
-def require_option(axis: Axis, direction: Direction | None, relative_to: RelativeTo | None = None) -> None:
+def require_option(axis: Axis, direction: RotaryDirection | None, relative_to: RelativeTo | None = None) -> None:
     """Raise DriveError if these options need 0x60F2 and the drive does not have it. Without it, drives count from the target
     before."""
     if objects.POSITIONING_OPTION_CODE in axis.node.dictionary:
@@ -125,7 +125,7 @@ def require_option(axis: Axis, direction: Direction | None, relative_to: Relativ
         raise DriveError(axis, "has no 0x60F2: it cannot count from another position", remedy=remedy, looks=False)
 
 
-def option_code(axis: Axis, present: int, direction: Direction | None = None, relative_to: RelativeTo | None = None) -> int:
+def option_code(axis: Axis, present: int, direction: RotaryDirection | None = None, relative_to: RelativeTo | None = None) -> int:
     """Return 0x60F2 (`present`) with these options; None leaves one as it is. Bits 4 and 5 become 0: the master itself
     clears bit 4 of the controlword, and an acknowledge that falls by itself could be missed."""
     option = present & ~REQUEST_RESPONSE_OPTION
@@ -136,7 +136,7 @@ def option_code(axis: Axis, present: int, direction: Direction | None = None, re
     return option if relative_to is None else option & ~RELATIVE_OPTION | relative_to
 
 
-def set_options(axis: Axis, direction: Direction | None = None) -> Procedure[None]:
+def set_options(axis: Axis, direction: RotaryDirection | None = None) -> Procedure[None]:
     """Make 0x60F2 fit `direction`: see `option_code`. Does nothing if the drive lacks it."""
     present = yield from read_if_present(axis.node, objects.POSITIONING_OPTION_CODE)
     if isinstance(present, int) and present != (option := option_code(axis, present, direction)):

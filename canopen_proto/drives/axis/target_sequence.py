@@ -42,8 +42,8 @@ from canopen_proto.drives.axis.state import enable, set_mode, settle
 from canopen_proto.drives.axis.watching import DriveWait
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl
-from canopen_proto.drives.cia402.positioning import Direction as Direction
 from canopen_proto.drives.cia402.positioning import RelativeTo as RelativeTo
+from canopen_proto.drives.cia402.positioning import RotaryDirection as RotaryDirection
 from canopen_proto.drives.cia402.states import Command, State
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
@@ -86,7 +86,7 @@ class ProfileTarget:
     acceleration: float | None = None
     deceleration: float | None = None
     end_velocity: float = 0.0
-    direction: Direction | None = None
+    direction: RotaryDirection | None = None
 
     def __post_init__(self) -> None:
         for name in ("velocity", "acceleration", "deceleration"):
@@ -280,7 +280,7 @@ class _Feeder:
         self._target = absolute
         return way, int(ModeControl.RELATIVE)
 
-    def _set_options(self, direction: Direction | None = None, relative_to: RelativeTo | None = None) -> Procedure[None]:
+    def _set_options(self, direction: RotaryDirection | None = None, relative_to: RelativeTo | None = None) -> Procedure[None]:
         """Write what a target needs to 0x60F2, if the drive has it."""
         present = self._written.get(objects.POSITIONING_OPTION_CODE)
         if present is not None:

@@ -39,7 +39,7 @@ class RequestResponse(enum.IntEnum):
     AT_ONCE = 2
 
 
-class Direction(enum.IntEnum):
+class RotaryDirection(enum.IntEnum):
     """The way to an absolute target of an axis without end, whose positions begin again at the ends of 0x607B: bits 6 and 7 of
     0x60F2."""
 
@@ -55,6 +55,6 @@ OPTION_CODES: Final = frozenset(
     relative | response << 4 | direction << DIRECTION_SHIFT
     for relative in RelativeTo
     for response in RequestResponse
-    for direction in Direction
+    for direction in RotaryDirection
 )
 """The values with a known meaning."""

@@ -1,4 +1,4 @@
-"""`Member`: a node of the network that the master boots, and all that decides whether it may be started."""
+"""`BootingNode`: a node of the network that the master boots, and all that decides whether it may be started."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RENEWALS: Final = 3
 """For so many of its full times the bus may work without a sign of life of a node; then an outage is no excuse any more."""
 
 
-class Member:
+class BootingNode:
     """A node of the network. outcome: of its last boot-up. boots: the node's count of boot-ups that were seen to.
 
     started_at: when it was last started. absent_since: since when it is known to be away; NEVER if it is not. watched_since: when

@@ -47,7 +47,7 @@ from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Time
 from canopen_proto.manager.boot.commands import NmtCommands
 from canopen_proto.manager.boot.entry import CONSUMER_FACTOR, NetworkEntry
-from canopen_proto.manager.boot.member import Member
+from canopen_proto.manager.boot.member import BootingNode
 from canopen_proto.manager.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeHook, boot_node, watch_by
 from canopen_proto.manager.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.network import Network, OutageChanged
@@ -206,7 +206,7 @@ class NetworkBoot:
         self._times = times
         self._update = update
         self._configure = configure
-        self._members = {node_id: Member(entry, nodes[node_id]) for node_id, entry in sorted(description.nodes.items())}
+        self._members = {node_id: BootingNode(entry, nodes[node_id]) for node_id, entry in sorted(description.nodes.items())}
         self._listed = [member for member in self._members.values() if member.entry.assignment.is_listed]
         self._begun: Time = 0
 
@@ -226,7 +226,7 @@ class NetworkBoot:
             tuple(node_id for node_id, member in members if member.is_left_running),
         )
 
-    def _is_unheard(self, member: Member) -> bool:
+    def _is_unheard(self, member: BootingNode) -> bool:
         """Return whether a lost node may be there: its bus is, or was, away."""
         return member.is_lost and member.may_be_unheard(self.network.outage, self.network.back_at)
 
@@ -252,7 +252,7 @@ class NetworkBoot:
         member.is_requested = True
         member.node.out.events.append(_BootRequested(node_id))
 
-    def _member(self, node_id: int) -> Member:
+    def _member(self, node_id: int) -> BootingNode:
         member = self._members.get(node_id)
         if member is None:
             raise LocalProtocolError(f"node {node_id} is not in the network list")
@@ -317,7 +317,7 @@ class NetworkBoot:
             yield from all_of(*(self._on_boot_up(member) for member in again))
         return (yield from act(self.report))
 
-    def _first_boot(self, member: Member, until: Time) -> Procedure[None]:
+    def _first_boot(self, member: BootingNode, until: Time) -> Procedure[None]:
         assignment = member.entry.assignment
         if assignment.is_listed and not assignment.keep_alive:
             yield from self._await_boot_up(member)
@@ -331,12 +331,12 @@ class NetworkBoot:
                 yield from self._await_bus(member)
             yield Wait(LOOK, member.node, _is_of(member), _TROUBLE)
 
-    def _await_boot_up(self, member: Member) -> Procedure[None]:
+    def _await_boot_up(self, member: BootingNode) -> Procedure[None]:
         """Wait for the boot-up of a node that was reset, for its time at most."""
         if member.node.boots == member.boots:
             yield Wait(self._times.boot_up, member.node, _is_of(member), (NodeBooted,))
 
-    def _boot(self, member: Member, since: Time, until: Time = 0) -> Procedure[None]:
+    def _boot(self, member: BootingNode, since: Time, until: Time = 0) -> Procedure[None]:
         """Boot a node, report its outcome, and start what is ready now. since: a node that was not heard since then is away."""
         if member.is_suspended:
             return
@@ -364,7 +364,7 @@ class NetworkBoot:
             yield from self._start(member)
         yield from self._start_network()
 
-    def _start(self, member: Member) -> Procedure[None]:
+    def _start(self, member: BootingNode) -> Procedure[None]:
         """Start a node, if that is allowed."""
         if self.startup.application_starts:
             return
@@ -435,7 +435,7 @@ class NetworkBoot:
         yield from self._command_all(command)
         yield from act(lambda now: self._own(command, now))
 
-    def _watch(self, member: Member) -> Procedure[None]:
+    def _watch(self, member: BootingNode) -> Procedure[None]:
         """Look after one node, for ever."""
         while True:
             if self.network.outage or self._is_unheard(member):
@@ -458,7 +458,7 @@ class NetworkBoot:
                 if learns and isinstance(event, HeartbeatReceived):
                     yield from self._learn(member)
 
-    def _await_bus(self, member: Member) -> Procedure[None]:
+    def _await_bus(self, member: BootingNode) -> Procedure[None]:
         """Wait while no frames pass; then give a node its full time again, unless it was silent for long between outages."""
         heard = self.network.heard(member.node.node_id).state_time
         if self.network.outage:
@@ -468,7 +468,7 @@ class NetworkBoot:
         if member.has_patience:
             yield from act(member.watch_again)
 
-    def _learn(self, member: Member) -> Procedure[None]:
+    def _learn(self, member: BootingNode) -> Procedure[None]:
         """Watch a node that has begun to send heartbeats, as soon as its period is known."""
         node = member.node
         now = yield from current_time()
@@ -494,7 +494,7 @@ class NetworkBoot:
             member.beats.clear()
             yield from act(lambda now: node.out.events.append(NodeSupervised(node.node_id, timeout)))
 
-    def _answers(self, member: Member) -> Procedure[bool]:
+    def _answers(self, member: BootingNode) -> Procedure[bool]:
         """Return whether a node whose heartbeats have stopped is there all the same: it answers, or is heard meanwhile."""
         node, standing, period = member.node, member.node.heartbeat.timeout, b""
         try:
@@ -514,7 +514,7 @@ class NetworkBoot:
             yield from act(lambda now: node.out.events.append(NodeSupervised(node.node_id, timeout)))
         return True
 
-    def _on_boot_up(self, member: Member) -> Procedure[None]:
+    def _on_boot_up(self, member: BootingNode) -> Procedure[None]:
         """Boot a node that has booted. If a start command has passed its boot-up, it runs without its settings: it is reset."""
         now = yield from current_time()
         if now - member.started_at < NMT_REACTION_TIME:
@@ -522,7 +522,7 @@ class NetworkBoot:
             yield from self._await_boot_up(member)
         yield from self._boot(member, now)
 
-    def _on_lost(self, member: Member) -> Procedure[None]:
+    def _on_lost(self, member: BootingNode) -> Procedure[None]:
         lost = NodeLost(member.node.node_id, self._reaction_to(member))
         yield from act(lambda now: self._take_loss(member, lost, now))
         if lost.reaction in _FOR_ALL:
@@ -533,7 +533,7 @@ class NetworkBoot:
             yield from self._await_boot_up(member)
         member.absent_since = yield from current_time()
 
-    def _reaction_to(self, member: Member) -> LossReaction:
+    def _reaction_to(self, member: BootingNode) -> LossReaction:
         assignment = member.entry.assignment
         if assignment.is_mandatory and self.startup.stop_all_on_loss:
             return LossReaction.STOP_ALL
@@ -541,7 +541,7 @@ class NetworkBoot:
             return LossReaction.RESET_ALL
         return LossReaction.RESET if assignment.boots and not assignment.keep_alive else LossReaction.NONE
 
-    def _take_loss(self, member: Member, lost: NodeLost, now: Time) -> None:
+    def _take_loss(self, member: BootingNode, lost: NodeLost, now: Time) -> None:
         member.node.heartbeat.set_timeout(0, now)  # guarding goes on: only so a node that is connected again is heard
         member.boots, member.outcome, member.is_running, member.absent_since = member.node.boots, None, False, now
         member.is_missed = True
@@ -551,11 +551,11 @@ class NetworkBoot:
         for member in self._members.values():
             self._stop_watching(member, now)
 
-    def _stop_watching(self, member: Member, now: Time) -> None:
+    def _stop_watching(self, member: BootingNode, now: Time) -> None:
         member.node.heartbeat.set_timeout(0, now)
         member.node.stop_guarding()
 
-    def _reset_and_boot(self, member: Member) -> Procedure[None]:
+    def _reset_and_boot(self, member: BootingNode) -> Procedure[None]:
         """Boot a node that has not just booted: reset it, unless the master leaves that to the application, or keeps it alive."""
         assignment = member.entry.assignment
         since = yield from current_time()
@@ -570,11 +570,11 @@ def _is_outage(event: Event) -> bool:
     return isinstance(event, OutageChanged)
 
 
-def _is_of_or_outage(member: Member) -> Callable[[Event], bool]:
+def _is_of_or_outage(member: BootingNode) -> Callable[[Event], bool]:
     node_id = member.node.node_id
     return lambda event: event.node_id == node_id or isinstance(event, OutageChanged)
 
 
-def _is_of(member: Member) -> Callable[[Event], bool]:
+def _is_of(member: BootingNode) -> Callable[[Event], bool]:
     node_id = member.node.node_id
     return lambda event: event.node_id == node_id

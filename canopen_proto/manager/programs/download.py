@@ -23,8 +23,8 @@ segments if the device broke a block transfer off.
 **The next call repairs what this one leaves**, wherever it ended: by a lost device, a power cut or a cancel. Until all of it is
 there, the device has no program that could be started; we start it only after "verify".
 
-Nothing is awaited for ever: see `Limits`. Meanwhile a lost heartbeat of the node does not count, for flash that is being erased
-may keep a processor busy; nodes that watch it too (their 0x1016) are not told.
+Nothing is awaited for ever: see `DownloadLimits`. Meanwhile a lost heartbeat of the node does not count, for flash that is being
+erased may keep a processor busy; nodes that watch it too (their 0x1016) are not told.
 
 Source: CiA 302-3; the order of the steps is that of Lely's master and of Zephyr's tool.
 """
@@ -117,7 +117,7 @@ NOT_VERIFIED: Final = "not verified: nothing has shown that the new program runs
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class DownloadLimits:
     """The longest waits, in ns. A node may have longer time-outs of its own for one SDO answer.
 
     answer: for one SDO answer. data: for one answer while the program is written. busy: until a flash operation is over. start:
@@ -217,7 +217,7 @@ def download_program(
     force: bool = False,
     unverified: bool = False,
     confirm: bool = False,
-    limits: Limits | None = None,
+    limits: DownloadLimits | None = None,
 ) -> Procedure[ProgramDownload]:
     """Write a program into a device and start it; see this module's text. Nothing else may use the node's SDO meanwhile.
 
@@ -231,7 +231,7 @@ def download_program(
     A ProgramProgress follows for each step, and each 100 ms while data are written. At the end the node is Pre-operational.
     Raises ProgramDownloadFailed.
     """
-    limits = Limits() if limits is None else limits
+    limits = DownloadLimits() if limits is None else limits
     so_far = ProgramDownload(len(image)) if so_far is None else so_far
     flashing = _Flashing(ProgramObjects(node, program), nmt, image, so_far, expected_id, force, unverified, confirm, limits)
     timeout, heartbeat = node.sdo.timeout, node.heartbeat.timeout
@@ -252,11 +252,11 @@ def download_program(
 
 
 def look(
-    node: RemoteNode, program: int = 1, so_far: ProgramDownload | None = None, limits: Limits | None = None
+    node: RemoteNode, program: int = 1, so_far: ProgramDownload | None = None, limits: DownloadLimits | None = None
 ) -> Procedure[ProgramFound]:
     """Return what a device has; nothing is written. Raises ProgramDownloadFailed, also if it takes no program this way."""
     so_far = ProgramDownload(0) if so_far is None else so_far
-    patience = TRIES * (Limits() if limits is None else limits).answer
+    patience = TRIES * (DownloadLimits() if limits is None else limits).answer
     try:
         so_far.found = found = yield from ProgramObjects(node, program).found(patience)
     except (SdoFailed, NotReached) as error:
@@ -278,7 +278,7 @@ class WantsSoftware(Protocol):
 
 
 def updating(
-    nmt: NmtMaster, image_of: Callable[[int], bytes | None], *, confirm: bool = False, limits: Limits | None = None
+    nmt: NmtMaster, image_of: Callable[[int], bytes | None], *, confirm: bool = False, limits: DownloadLimits | None = None
 ) -> Callable[[RemoteNode, WantsSoftware], Procedure[None]]:
     """Return the function that a boot-up of CiA 302-2 calls to update a node's software: `update(node, entry)`.
 
@@ -316,7 +316,7 @@ class _Flashing:
     force: bool
     unverified: bool
     confirm: bool
-    limits: Limits
+    limits: DownloadLimits
     block: Block = "auto"
     state: int | None = None  # 0x1F51, as last seen
     stopped: ProgramIdentity = NOTHING_KNOWN  # what was read after all was written, before the start

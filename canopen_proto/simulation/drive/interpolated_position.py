@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import ModeControl, ModeStatus
-from canopen_proto.drives.cia402.positioning import Direction
+from canopen_proto.drives.cia402.positioning import RotaryDirection
 from canopen_proto.drives.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import NEVER, Event, Outbox
 from canopen_proto.multiplexer import Mux
@@ -208,7 +208,7 @@ class InterpolatedPosition(SynchronousMode):
         self._await_sync()
         record = self._buffer.pop()
         if record is not None:
-            servo.interpolate(place_of(servo, record.position, Direction.SHORTEST), record.velocity)
+            servo.interpolate(place_of(servo, record.position, RotaryDirection.SHORTEST), record.velocity)
             self._show()
         elif servo.moving_at:
             self._stop_following()

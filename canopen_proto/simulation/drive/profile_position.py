@@ -37,8 +37,8 @@ from canopen_proto.drives.cia402.positioning import (
     DIRECTION_SHIFT,
     RELATIVE_OPTION,
     REQUEST_RESPONSE_OPTION,
-    Direction,
     RequestResponse,
+    RotaryDirection,
 )
 from canopen_proto.drives.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import MILLISECOND
@@ -94,7 +94,7 @@ class ProfilePosition(OperationMode):
             bases = (last.target if last else self._goal, servo.demand_position, servo.position, self._goal)
             target += bases[option & RELATIVE_OPTION]
         else:
-            target = place_of(servo, target, Direction(option >> DIRECTION_SHIFT & 3))
+            target = place_of(servo, target, RotaryDirection(option >> DIRECTION_SHIFT & 3))
         return _SetPoint(
             target,
             servo.rate(objects.PROFILE_VELOCITY),

@@ -297,7 +297,7 @@ class Servo(Parameters):
         if velocity and limited and math.isfinite(bound):
             self._plan(self._way_to(bound, abs(velocity), rates, jerks), control)
         elif jerks is not None:
-            limits = smooth_motion.Limits(fastest, *rates, *jerks)
+            limits = smooth_motion.ProfileLimits(fastest, *rates, *jerks)
             _, _, acceleration_now = self.demand.at(self.time)
             self._plan(smooth_motion.run(self.time, here, now_at, acceleration_now, velocity, limits), control)
         else:
@@ -312,7 +312,9 @@ class Servo(Parameters):
         if jerks is None:
             return motion.move(self.time, here, now_at, target, speed, *rates)
         _, _, acceleration = self.demand.at(self.time)
-        return smooth_motion.move(self.time, here, now_at, acceleration, target, smooth_motion.Limits(speed, *rates, *jerks))
+        return smooth_motion.move(
+            self.time, here, now_at, acceleration, target, smooth_motion.ProfileLimits(speed, *rates, *jerks)
+        )
 
     def interpolate(self, target: float, passing: int | None = None) -> None:
         """Make one step of ip or csp: reach `target` one interpolation period from now, in a straight line.

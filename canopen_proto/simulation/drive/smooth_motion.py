@@ -31,7 +31,7 @@ _HALVINGS: Final = 64
 _NOTHING: Final = 1e-6  # units: a rest of a way that rounding leaves
 
 
-class Limits(NamedTuple):
+class ProfileLimits(NamedTuple):
     """The limits of a profile: magnitudes above 0, in units, s."""
 
     velocity: float
@@ -46,7 +46,7 @@ class _Way:
 
     __slots__ = ("acceleration", "limits", "pieces", "position", "time", "velocity")
 
-    def __init__(self, limits: Limits, time: float, position: float, velocity: float, acceleration: float) -> None:
+    def __init__(self, limits: ProfileLimits, time: float, position: float, velocity: float, acceleration: float) -> None:
         self.limits = limits
         self.pieces: list[Piece] = []
         self.time = time
@@ -128,7 +128,7 @@ class _Way:
         return Profile(start, tuple(self.pieces))
 
 
-def move(start: Time, position: float, velocity: float, acceleration: float, target: float, limits: Limits) -> Profile:
+def move(start: Time, position: float, velocity: float, acceleration: float, target: float, limits: ProfileLimits) -> Profile:
     """Plan to go from this state to `target` and rest there; see this module's text."""
     way = _Way(limits, 0.0, position, velocity, acceleration)
     if velocity * (target - way.stop_after(0.0)) < 0.0:
@@ -139,7 +139,7 @@ def move(start: Time, position: float, velocity: float, acceleration: float, tar
     return way.finish(start, target)
 
 
-def run(start: Time, position: float, velocity: float, acceleration: float, to_velocity: float, limits: Limits) -> Profile:
+def run(start: Time, position: float, velocity: float, acceleration: float, to_velocity: float, limits: ProfileLimits) -> Profile:
     """Plan to change to `to_velocity` (of either sign) and keep it."""
     way = _Way(limits, 0.0, position, velocity, acceleration)
     if velocity * to_velocity < 0.0:

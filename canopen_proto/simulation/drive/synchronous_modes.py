@@ -29,7 +29,7 @@ from typing import Final
 from canopen_proto.communication_objects import CYCLE_PERIOD
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import ModeStatus
-from canopen_proto.drives.cia402.positioning import Direction
+from canopen_proto.drives.cia402.positioning import RotaryDirection
 from canopen_proto.drives.cia402.states import ControlBit, StatusBit
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
 from canopen_proto.multiplexer import Mux
@@ -116,7 +116,7 @@ class CyclicPosition(SynchronousMode):
             return
         servo = self.servo
         wanted = servo.parameter(objects.TARGET_POSITION) + servo.parameter(objects.POSITION_OFFSET)
-        target = place_of(servo, wanted, Direction.SHORTEST)
+        target = place_of(servo, wanted, RotaryDirection.SHORTEST)
         if not self._follows:
             if not (servo.is_settled and self._is_near(target)):
                 return

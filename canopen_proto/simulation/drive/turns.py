@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from canopen_proto.drives.cia402 import objects
-from canopen_proto.drives.cia402.positioning import Direction
+from canopen_proto.drives.cia402.positioning import RotaryDirection
 from canopen_proto.simulation.drive.servo import Servo
 
 _INT32 = 1 << 31
@@ -28,16 +28,16 @@ def shown(servo: Servo, place: float) -> int:
     return (round(place - servo.zero) - low) % count + low
 
 
-def place_of(servo: Servo, target: float, direction: Direction) -> float:
+def place_of(servo: Servo, target: float, direction: RotaryDirection) -> float:
     """Return the place on the track of an absolute target, from the present demand."""
     low, count = _range_of(servo)
     here = servo.demand_position
     turns = math.floor((here - servo.zero - low) / count)
     place = target + servo.zero + turns * count
-    if direction is Direction.LINEAR:
+    if direction is RotaryDirection.LINEAR:
         return place
     up = (place - here) % count
     down = up - count if up else 0.0
-    if direction is Direction.SHORTEST:
-        direction = Direction.POSITIVE if up <= -down or not up else Direction.NEGATIVE
-    return here + (up if direction is Direction.POSITIVE else down)
+    if direction is RotaryDirection.SHORTEST:
+        direction = RotaryDirection.POSITIVE if up <= -down or not up else RotaryDirection.NEGATIVE
+    return here + (up if direction is RotaryDirection.POSITIVE else down)

@@ -17,7 +17,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
 from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES, simulated_drives
 from canopen_proto.machine import SECOND, Time
-from canopen_transports.doctor import Finding, Health, examine
+from canopen_transports.doctor import DoctorFinding, Health, examine
 from canopen_transports.locator import bitrate_text, parse_locator
 from canopen_transports.realtime_checks import check_realtime
 from canopen_transports.receive_test import NO_WIRE, Each, Heard, find_bitrate, listen
@@ -77,7 +77,7 @@ def _examine_computer(screen: Screen) -> int:
     return ExitCode.DIFFERENT if any(each.health is Health.WARNING for each in findings) else ExitCode.OK
 
 
-def _show_finding(screen: Screen, finding: Finding) -> None:
+def _show_finding(screen: Screen, finding: DoctorFinding) -> None:
     style = _STYLES[finding.health]
     line = f"[{style}]{finding.health.value:<8}[/]{escape(finding.subject)}: {escape(finding.seen)}"
     screen.out.print(line, soft_wrap=True)
@@ -85,7 +85,7 @@ def _show_finding(screen: Screen, finding: Finding) -> None:
         screen.out.print(f"        {'or:' if number else 'try:':<5}{escape(step)}", soft_wrap=True)
 
 
-def _finding_as_json(finding: Finding) -> dict[str, Any]:
+def _finding_as_json(finding: DoctorFinding) -> dict[str, Any]:
     return {
         "subject": finding.subject,
         "health": finding.health.value,

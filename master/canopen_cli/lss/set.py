@@ -33,9 +33,9 @@ from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.named_files import read_text
 from canopen_proto.lss.assign import (
     NOBODY_AGREED,
-    Assignment,
     Choice,
     Given,
+    LssAssignment,
     Planned,
     by_table,
     give,
@@ -154,7 +154,7 @@ def assign(
     require_somebody(screen, "write node-IDs into devices", yes)
     questions = Questions(screen, agrees=yes)
 
-    async def give_all() -> tuple[Assignment, list[int]]:
+    async def give_all() -> tuple[LssAssignment, list[int]]:
         async with open_lss(settings, screen, window, limit) as lss:
             screen.say(f"[dim]{estimate(lss.pace, known)}[/]")
             assignment = await _assign(lss, screen, questions, choose, known, store=not no_store)
@@ -188,8 +188,8 @@ def assign(
         )
 
 
-async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice, known: Known, *, store: bool) -> Assignment:
-    assignment, begun = Assignment(lss.tool, choose, lss.pace, known, store), trio.current_time()
+async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice, known: Known, *, store: bool) -> LssAssignment:
+    assignment, begun = LssAssignment(lss.tool, choose, lss.pace, known, store), trio.current_time()
     while True:
         async with progress(lss, screen, known):
             plan: list[Planned] = await lss.run(assignment.next_plan())

@@ -27,7 +27,7 @@ from canopen_proto.machine import SECOND, Time
 from canopen_proto.manager.programs.download import (
     CONFIRM_ADVICE,
     MAX_PROGRAM,
-    Limits,
+    DownloadLimits,
     ProgramDownload,
     ProgramDownloadFailed,
     ProgramProgress,
@@ -88,7 +88,7 @@ class ProgramToFlash:
     image: bytes
     expected: int | None
     confirm: bool
-    limits: Limits
+    limits: DownloadLimits
 
     def is_in(self, found: ProgramFound) -> bool:
         """Return whether the device has this program already, as far as can be told."""
@@ -139,7 +139,7 @@ def flash(
     """
     screen = settings.screen()
     image = image_in(path)
-    limits = Limits() if limit is None else replace(Limits(), busy=limit, start=limit)
+    limits = DownloadLimits() if limit is None else replace(DownloadLimits(), busy=limit, start=limit)
     expected = crc32(image) if expect == CRC32 else expect
     assert not isinstance(expected, str)
     wanted = ProgramToFlash(node_id, program, path, image, expected, confirm, limits)

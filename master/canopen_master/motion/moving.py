@@ -44,7 +44,7 @@ PathMaker = Callable[[PathPoint], Path]
 ROUNDING: Final = 1e-9  # in cycles: 0.2 s are 20 cycles of 0.01 s, though 0.2 / 0.01 may be a little more
 
 
-class Member(FollowingChain, Protocol):
+class MovingChain(FollowingChain, Protocol):
     """A chain, as one of those that move together."""
 
     name: str
@@ -104,7 +104,7 @@ class Progress(NamedTuple):
 class Moving:
     """See this module's text. Positions and velocities are in the user's units of the joints."""
 
-    def __init__(self, members: tuple[Member, ...]) -> None:
+    def __init__(self, members: tuple[MovingChain, ...]) -> None:
         """members: the chains, in the order of the joints."""
         self._members = members
         self._override = 1.0
@@ -259,7 +259,7 @@ class Moving:
     # ---- for this folder ----
 
     @property
-    def members(self) -> tuple[Member, ...]:
+    def members(self) -> tuple[MovingChain, ...]:
         """The chains."""
         return self._members
 
@@ -455,7 +455,7 @@ class Progresses:
 class Together(Moving):
     """Several chains that move as one; made by `together`. Their joints stand one after another."""
 
-    def __init__(self, chains: tuple[Member, ...]) -> None:
+    def __init__(self, chains: tuple[MovingChain, ...]) -> None:
         super().__init__(chains)
         periods = {chain.settings.cycle_time for chain in chains}
         joints = [device for chain in chains for device in chain.devices]
@@ -492,7 +492,7 @@ def _less(limits: JointLimits, margin: float) -> JointLimits:
     return JointLimits(limits.lowest, limits.highest, limits.speed, acceleration, jerk)
 
 
-def together(*chains: Member) -> Together:
+def together(*chains: MovingChain) -> Together:
     """Return several chains of one master as one, for motions: one path, one clock, one stop. They may be on several buses.
 
     Raises LocalProtocolError for chains that have another cycle_time or a joint in common.

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 from canopen_master.errors import MasterClosed
 from canopen_ros.chain_bridge import ChainBridge
-from canopen_ros.goals import Feedback, GoalCode, GoalResult, Outcome, Tolerance, TrajectoryGoal, TrajectoryPoint
+from canopen_ros.goals import Feedback, GoalCode, GoalOutcome, GoalResult, Tolerance, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.names import FOLLOW
 from canopen_ros.ros1.rospy_types import GoalHandle, Message, actionlib, message_class, rospy, values
-from canopen_ros.threads import Outgoing, Portal
+from canopen_ros.threads import OutgoingMessages, Portal
 
 
 class TrajectoryAction:
     """The action server of one chain. Several goals at a time: the chain lets a new one take over from the one before."""
 
-    def __init__(self, chain: ChainBridge, portal: Portal, outgoing: Outgoing) -> None:
+    def __init__(self, chain: ChainBridge, portal: Portal, outgoing: OutgoingMessages) -> None:
         """Register at the ROS master, which takes some time: not in trio's thread."""
         self._chain = chain
         self._portal = portal
@@ -37,10 +37,10 @@ class TrajectoryAction:
             self._portal.post(self._chain.cancel, goal.goal)
 
     async def _follow(self, goal_id: str, goal: _Goal) -> None:
-        result = GoalResult(GoalCode.INVALID_GOAL, str(MasterClosed()), Outcome.ABORTED)
+        result = GoalResult(GoalCode.INVALID_GOAL, str(MasterClosed()), GoalOutcome.ABORTED)
         try:
             if goal.is_cancelled:  # before it has begun
-                result = GoalResult(GoalCode.SUCCESSFUL, "it was cancelled", Outcome.PREEMPTED)
+                result = GoalResult(GoalCode.SUCCESSFUL, "it was cancelled", GoalOutcome.PREEMPTED)
             else:
                 result = await self._chain.follow(goal.goal, goal.tell, goal.accept)
         finally:
@@ -51,7 +51,7 @@ class TrajectoryAction:
 class _Goal:
     """One goal, and what its client is told. All of it goes through the publisher's thread, so that it keeps its order."""
 
-    def __init__(self, handle: GoalHandle, outgoing: Outgoing) -> None:
+    def __init__(self, handle: GoalHandle, outgoing: OutgoingMessages) -> None:
         self.goal = action_goal(handle.get_goal())
         self.is_cancelled = False
         self._handle = handle
@@ -73,13 +73,13 @@ class _Goal:
         """Tell the client how the goal ended."""
         message = message_class("msg", f"{FOLLOW.type}Result")(error_code=int(result.code), error_string=result.text)
         outcome = result.outcome
-        if not self._is_accepted and outcome in (Outcome.SUCCEEDED, Outcome.ABORTED):
+        if not self._is_accepted and outcome in (GoalOutcome.SUCCEEDED, GoalOutcome.ABORTED):
             self.accept()  # actionlib knows no other way from "pending" to these
-        if outcome is Outcome.REJECTED:
+        if outcome is GoalOutcome.REJECTED:
             tell = self._handle.set_rejected
-        elif outcome is Outcome.PREEMPTED:
+        elif outcome is GoalOutcome.PREEMPTED:
             tell = self._handle.set_canceled
-        elif outcome is Outcome.ABORTED:
+        elif outcome is GoalOutcome.ABORTED:
             tell = self._handle.set_aborted
         else:
             tell = self._handle.set_succeeded

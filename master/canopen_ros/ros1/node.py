@@ -1,8 +1,8 @@
 """The ROS 1 node: the services, topics and actions of names.py, by rospy.
 
 trio has the main thread, with the bridge and the drives. rospy calls back in threads of its own, which use the Portal; all that
-is published goes through one more thread (Outgoing). The node ends, with all drives halted and shut down, by SIGINT, SIGTERM,
-`rosnode kill`, or when the ROS master is lost.
+is published goes through one more thread (OutgoingMessages). The node ends, with all drives halted and shut down, by SIGINT,
+SIGTERM, `rosnode kill`, or when the ROS master is lost.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from canopen_ros.ros1.action import TrajectoryAction, trajectory_goal
 from canopen_ros.ros1.roscore import RosCore
 from canopen_ros.ros1.rospy_types import Message, Publisher, message_class, rospy, values
 from canopen_ros.samples import Sample
-from canopen_ros.threads import Outgoing, Portal, open_portal, until_stopped
+from canopen_ros.threads import OutgoingMessages, Portal, open_portal, until_stopped
 
 NODE: Final = "ros_canopen"
 SIMULATED_TIME: Final = (
@@ -54,7 +54,7 @@ QUEUE: Final = 10
 class Node:
     """What ROS sees of a bridge."""
 
-    def __init__(self, bridge: Bridge, portal: Portal, outgoing: Outgoing) -> None:
+    def __init__(self, bridge: Bridge, portal: Portal, outgoing: OutgoingMessages) -> None:
         self._bridge = bridge
         self._portal = portal
         self._outgoing = outgoing
@@ -176,7 +176,7 @@ class Node:
 class Log(logging.Handler):
     """Passes on what the master tells (a drive that cannot be held, for example) to the log of ROS, /rosout."""
 
-    def __init__(self, outgoing: Outgoing) -> None:
+    def __init__(self, outgoing: OutgoingMessages) -> None:
         super().__init__()
         self._outgoing = outgoing
 
@@ -187,7 +187,7 @@ class Log(logging.Handler):
 
 async def run(parameters: NodeParameters, core: RosCore) -> None:
     """Run the node until it is to end; see this module's text. Raises MasterError if a bus cannot be opened, or a halt fails."""
-    with Outgoing() as outgoing:
+    with OutgoingMessages() as outgoing:
         log = Log(outgoing)
         logging.getLogger("canopen_master").addHandler(log)
         async with open_bridge(parameters) as bridge, open_portal() as portal:

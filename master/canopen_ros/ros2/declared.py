@@ -11,7 +11,7 @@ from typing import Final
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 
 from canopen_proto.dictionary.model import did_you_mean
-from canopen_ros.parameters import PARAMETERS, Parameter
+from canopen_ros.parameters import PARAMETERS, NodeParameter
 from canopen_ros.ros2.rcl import DeclaringNode
 
 AUTOSTART: Final = "autostart"
@@ -65,5 +65,5 @@ def _undeclare(node: DeclaringNode, name: str) -> object:
     return value
 
 
-def _constraints(parameter: Parameter) -> str:
+def _constraints(parameter: NodeParameter) -> str:
     return f"one of {', '.join(parameter.choices)}" if parameter.choices else ""

@@ -1,8 +1,8 @@
 """`Interface`: the topics and services of a machine, by the table of names.py, and their ways to the bridge and back.
 
 **Threads.** Callbacks of ROS run in the executor's thread, and reach the bridge through the portal. Messages of the bridge go out
-through `Outgoing`, since a publisher may block. The handler of a service awaits its answer, and leaves the thread to others
-meanwhile: so `halt` gets through while `home` runs.
+through `OutgoingMessages`, since a publisher may block. The handler of a service awaits its answer, and leaves the thread to
+others meanwhile: so `halt` gets through while `home` runs.
 
 **Objects.** `get_object` and `set_object` have types of rcl_interfaces: a type of our own would have to be compiled by each user.
 The parameter `joint1/6041sub0` is that object of joint1. A value that could not be read has the type NOT_SET, and the reason in
@@ -52,7 +52,7 @@ from canopen_ros.ros2.rcl import (
     TriggerResponse,
 )
 from canopen_ros.samples import Sample
-from canopen_ros.threads import Outgoing, Portal
+from canopen_ros.threads import OutgoingMessages, Portal
 
 Args = TypeVarTuple("Args")
 
@@ -68,7 +68,7 @@ INACTIVE: Final = "the node is not active, so it commands no drive. Try: ros2 li
 class Interface:
     """See this module's text. is_active: whether it takes commands and publishes. Use it in the executor's thread."""
 
-    def __init__(self, node: Node, executor: Executor, bridge: Bridge, portal: Portal, outgoing: Outgoing) -> None:
+    def __init__(self, node: Node, executor: Executor, bridge: Bridge, portal: Portal, outgoing: OutgoingMessages) -> None:
         self.is_active = False
         self._node = node
         self._executor = executor
@@ -230,7 +230,7 @@ class Interface:
         async for report in self._bridge.reports():
             self._outgoing.put(self._log_error, f"{report.chain}: {report.text}")
 
-    # ---- in the thread of `Outgoing` ----
+    # ---- in the thread of `OutgoingMessages` ----
 
     def _send_sample(self, sample: Sample) -> None:
         self._joint_states.publish(messages.joint_state(sample))

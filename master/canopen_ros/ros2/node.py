@@ -41,7 +41,7 @@ from canopen_ros.reply import COMMAND_ERRORS
 from canopen_ros.ros2.declared import AUTOSTART, OF_ROS, SIM_TIME, declare, problem_of
 from canopen_ros.ros2.interface import Interface
 from canopen_ros.ros2.rcl import Executor, NamedParameter
-from canopen_ros.threads import Outgoing, Portal, open_portal, until_stopped
+from canopen_ros.threads import OutgoingMessages, Portal, open_portal, until_stopped
 
 NAME: Final = "ros_canopen"
 
@@ -110,7 +110,7 @@ class CanopenNode(LifecycleNode):
     """See this module's text. The transitions run in the executor's thread, or before it begins to spin."""
 
     def __init__(
-        self, arguments: Sequence[str], executor: Executor, machine: Machine, portal: Portal, outgoing: Outgoing
+        self, arguments: Sequence[str], executor: Executor, machine: Machine, portal: Portal, outgoing: OutgoingMessages
     ) -> None:
         """arguments: a description file, or none."""
         super().__init__(NAME, automatically_declare_parameters_from_overrides=True, allow_undeclared_parameters=True)
@@ -245,7 +245,7 @@ async def _power_off(bridge: Bridge) -> None:
 async def _run(arguments: Sequence[str]) -> int:
     """Be the node until a signal comes, or the machine fails. Returns the exit status."""
     executor = SingleThreadedExecutor()
-    with Outgoing() as outgoing:
+    with OutgoingMessages() as outgoing:
         async with trio.open_nursery() as nursery:
             machine = Machine(nursery)
             async with open_portal() as portal:

@@ -11,7 +11,7 @@ from canopen_proto.frame_bits import duration, frame_bits, least_bits, worst_bit
 from canopen_transports.wire.faults import FaultKind, FaultRates
 from canopen_transports.wire.member import QueueFull, QueueOrder, WireMember
 from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
-from canopen_transports.wire.response_time import Message, ResponseTime, response_times
+from canopen_transports.wire.response_time import PeriodicMessage, ResponseTime, response_times
 from canopen_transports.wire.wire import Wire, WireSettings
 
 __all__ = [
@@ -19,7 +19,7 @@ __all__ = [
     "FaultHappened",
     "FaultKind",
     "FaultRates",
-    "Message",
+    "PeriodicMessage",
     "QueueFull",
     "QueueOrder",
     "ResponseTime",

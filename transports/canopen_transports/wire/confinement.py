@@ -23,7 +23,7 @@ from canopen_transports.errors import BusState
 from canopen_transports.wire.faults import FaultKind
 from canopen_transports.wire.member import WireMember
 from canopen_transports.wire.reports import FaultHappened, StateReported, WireEvent
-from canopen_transports.wire.segment import Segment
+from canopen_transports.wire.segment import CableSegment
 
 WARNING_LIMIT: Final = 96
 PASSIVE_LIMIT: Final = 128
@@ -48,14 +48,16 @@ class Confinement:
         self._auto_recovery = auto_recovery
         self._events = events
 
-    def count(self, segment: Segment, member: WireMember, now: Time, *, transmit: int = 0, receive: int = 0) -> None:
+    def count(self, segment: CableSegment, member: WireMember, now: Time, *, transmit: int = 0, receive: int = 0) -> None:
         """Count an error."""
         member.transmit_errors += transmit
         member.receive_errors = min(member.receive_errors + receive, BUS_OFF_LIMIT - 1)
         self.disturbed[member] = None
         self._recount(segment, member, now)
 
-    def got_through(self, segment: Segment, senders: Container[WireMember], takers: Container[WireMember], now: Time) -> None:
+    def got_through(
+        self, segment: CableSegment, senders: Container[WireMember], takers: Container[WireMember], now: Time
+    ) -> None:
         """Count a frame without an error: `senders` sent it, `takers` took it."""
         for member in list(self.disturbed):
             if member in senders:
@@ -69,13 +71,13 @@ class Confinement:
             if not (member.transmit_errors or member.receive_errors):
                 del self.disturbed[member]
 
-    def recover(self, segment: Segment, member: WireMember, now: Time) -> None:
+    def recover(self, segment: CableSegment, member: WireMember, now: Time) -> None:
         """Start a member's way back from bus-off."""
         self.settle(segment, now)
         member.recovery = RECOVERY
         segment.recovering.append(member)
 
-    def settle(self, segment: Segment, now: Time, frames: int = 0) -> None:
+    def settle(self, segment: CableSegment, now: Time, frames: int = 0) -> None:
         """Count the runs of 11 recessive bits since the bus became free, and one for each frame (between its delimiter and
         intermission)."""
         seen = frames
@@ -90,14 +92,14 @@ class Confinement:
                 self.disturbed.pop(member, None)
                 self._recount(segment, member, now)
 
-    def next_recovery(self, segment: Segment) -> Time:
+    def next_recovery(self, segment: CableSegment) -> Time:
         """Return when the first recovering member is back if no frame is sent until then."""
         return segment.free_at + self._time_of(min(member.recovery for member in segment.recovering))
 
     def _time_of(self, times: int) -> Time:
         return duration(RECESSIVE * times, self._bitrate)
 
-    def _recount(self, segment: Segment, member: WireMember, now: Time) -> None:
+    def _recount(self, segment: CableSegment, member: WireMember, now: Time) -> None:
         """Set the member's state by its counters."""
         state = _state_of(member)
         if state is member.state:

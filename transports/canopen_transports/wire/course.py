@@ -9,10 +9,10 @@ from canopen_proto.frame_bits import FRAME_TAIL, INTERMISSION, stuff_bits, stuff
 from canopen_transports.errors import BusState
 from canopen_transports.wire.faults import FaultKind, FaultRates
 from canopen_transports.wire.member import WireMember
-from canopen_transports.wire.segment import Segment, Transmission
+from canopen_transports.wire.segment import CableSegment, Transmission
 
 
-def decide(sending: Transmission, segment: Segment, rates: FaultRates, random: Random, acknowledge: bool, bits: int) -> int:
+def decide(sending: Transmission, segment: CableSegment, rates: FaultRates, random: Random, acknowledge: bool, bits: int) -> int:
     """Set the outcome and the victim of a transmission. Returns the number of bits until that shows. bits: of the frame.
 
     A frame that nobody acknowledges is a LOSS with its sender as the victim.

@@ -37,7 +37,7 @@ class QueueFull(LocalProtocolError):
     """A member's transmit queue has no room for this frame."""
 
 
-class Waiting(NamedTuple):
+class WaitingFrame(NamedTuple):
     """A frame in a transmit queue. Sorted by arbitration, then by age."""
 
     arbitration: int
@@ -80,7 +80,7 @@ class WireMember:
         self.transmit_errors = 0
         self.receive_errors = 0
         self.sent = 0
-        self.sending: Waiting | None = None  # stays at the head
+        self.sending: WaitingFrame | None = None  # stays at the head
         self.suspended_until: Time = 0
         self.delayed_until: Time = 0
         self.babbles_until: Time | None = None
@@ -88,8 +88,8 @@ class WireMember:
         self.unacknowledged = False
         self._order = order
         self._queued = 0
-        self._queue: deque[Waiting] = deque()
-        self._heap: list[Waiting] = []
+        self._queue: deque[WaitingFrame] = deque()
+        self._heap: list[WaitingFrame] = []
 
     def __repr__(self) -> str:
         counters = f"TEC {self.transmit_errors}, REC {self.receive_errors}"
@@ -114,14 +114,14 @@ class WireMember:
         """Queue a frame. Raises QueueFull if there is no room."""
         if not self.has_room:
             raise QueueFull(f"the transmit queue of member {self.number} is full: {self.size} frames")
-        waiting = Waiting(arbitration(frame), self._queued, frame, now)
+        waiting = WaitingFrame(arbitration(frame), self._queued, frame, now)
         self._queued += 1
         if self._order is QueueOrder.FIFO:
             self._queue.append(waiting)
         else:
             heapq.heappush(self._heap, waiting)
 
-    def head(self) -> Waiting | None:
+    def head(self) -> WaitingFrame | None:
         """Return the frame that competes for the bus while this member sends nothing, or None."""
         if self._queue:
             return self._queue[0]
@@ -141,7 +141,7 @@ class WireMember:
         else:
             heapq.heappush(self._heap, waiting)
 
-    def clear(self) -> list[Waiting]:
+    def clear(self) -> list[WaitingFrame]:
         """Empty the queue and return what was in it."""
         self.failed()
         dropped = sorted([*self._queue, *self._heap], key=lambda waiting: waiting.number)

@@ -19,9 +19,10 @@ frame 3 bits earlier.) The paper refuted the older analysis, which looked at q =
 instance.
 
 The analysis presumes that each member sends its most urgent frame first (see QueueOrder). For members that send in the order of
-queuing (`queue` of a Message) the bound here is simpler than the published one (R. I. Davis, S. Kollmann, V. Pollex, F. Slomka:
-"Schedulability analysis for CAN with FIFO queues", ECRTS 2011), and not below it. A frame is only as urgent as the least urgent
-one of its queue, and waits for all frames of its queue. To other members it comes with the jitter that its own queue gives it.
+queuing (`queue` of a PeriodicMessage) the bound here is simpler than the published one (R. I. Davis, S. Kollmann, V. Pollex, F.
+Slomka: "Schedulability analysis for CAN with FIFO queues", ECRTS 2011), and not below it. A frame is only as urgent as the
+least urgent one of its queue, and waits for all frames of its queue. To other members it comes with the jitter that its own
+queue gives it.
 
 Errors: `error_interval` is the shortest time between two errors on the bus. Each error costs an error frame and a repetition of
 the longest frame.
@@ -45,7 +46,7 @@ ERROR_OVERHEAD: Final = 31
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class PeriodicMessage:
     """A frame that is sent again and again.
 
     priority: the lower one goes first; two messages of one priority wait for each other. time: on the wire at worst, ns. period:
@@ -76,7 +77,7 @@ class ResponseTime:
     """The result for one message. worst: ns, NEVER if it grows without end. instance: which one waits longest, from 0. instances:
     how many lie in the longest busy period. blocking: by one frame of lower priority, ns."""
 
-    message: Message
+    message: PeriodicMessage
     worst: Time
     instance: int
     instances: int
@@ -88,12 +89,12 @@ class ResponseTime:
         return self.worst <= self.message.due
 
 
-def utilisation(messages: Sequence[Message]) -> float:
+def utilisation(messages: Sequence[PeriodicMessage]) -> float:
     """Return the part of the bus that the messages need at worst."""
     return sum(message.time / message.period for message in messages)
 
 
-def response_times(messages: Sequence[Message], bitrate: int, *, error_interval: Time = NEVER) -> list[ResponseTime]:
+def response_times(messages: Sequence[PeriodicMessage], bitrate: int, *, error_interval: Time = NEVER) -> list[ResponseTime]:
     """Return the worst-case response time of each message, in the order given. bitrate: bit/s."""
     bit = duration(1, bitrate)
     seen = list(messages)  # as others see them: a queue makes its frames late
@@ -111,7 +112,7 @@ def response_times(messages: Sequence[Message], bitrate: int, *, error_interval:
     return [each if each.message.queue is None and _is_above_queues(each.message, messages) else _endless(each) for each in found]
 
 
-def _is_above_queues(message: Message, messages: Sequence[Message]) -> bool:
+def _is_above_queues(message: PeriodicMessage, messages: Sequence[PeriodicMessage]) -> bool:
     """Return whether this message is more urgent than all messages of queues, so that the queues do not delay it."""
     return all(other.queue is None or other.priority > message.priority for other in messages)
 
@@ -121,7 +122,7 @@ def _endless(response: ResponseTime) -> ResponseTime:
 
 
 def _of_message(
-    number: int, messages: Sequence[Message], seen: Sequence[Message], bit: Time, error_interval: Time
+    number: int, messages: Sequence[PeriodicMessage], seen: Sequence[PeriodicMessage], bit: Time, error_interval: Time
 ) -> ResponseTime:
     message = messages[number]
     others = [(other, late) for place, (other, late) in enumerate(zip(messages, seen, strict=True)) if place != number]
@@ -133,7 +134,7 @@ def _of_message(
     blocking = max(behind, default=0)
     if error_interval < NEVER:
         again = max([message.time, blocking, *(other.time for other in before)])
-        before.append(Message("errors", -1, ERROR_OVERHEAD * bit + again, error_interval))
+        before.append(PeriodicMessage("errors", -1, ERROR_OVERHEAD * bit + again, error_interval))
     busy = NEVER
     if utilisation([message, *before]) < 1:
         longest = MAX_INSTANCES * message.period
@@ -151,7 +152,7 @@ def _of_message(
     return ResponseTime(message, worst, at, instances, blocking)
 
 
-def _fixed_point(start: Time, own: Time, granularity: Time, messages: Sequence[Message], longest: Time) -> Time:
+def _fixed_point(start: Time, own: Time, granularity: Time, messages: Sequence[PeriodicMessage], longest: Time) -> Time:
     """Return the smallest t >= `start` with t = own + the time that the messages need in t; NEVER if it is above `longest`."""
     time = start
     while time <= longest:

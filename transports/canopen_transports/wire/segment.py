@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from canopen_proto.machine import NEVER, Time
 from canopen_transports.errors import BusState
 from canopen_transports.wire.faults import FaultKind
-from canopen_transports.wire.member import Waiting, WireMember
+from canopen_transports.wire.member import WaitingFrame, WireMember
 
 
 class Transmission:
@@ -15,7 +15,7 @@ class Transmission:
 
     __slots__ = ("begun", "ends", "outcome", "senders", "victim", "waiting")
 
-    def __init__(self, begun: Time, waiting: Waiting, senders: list[WireMember]) -> None:
+    def __init__(self, begun: Time, waiting: WaitingFrame, senders: list[WireMember]) -> None:
         self.begun = begun
         self.waiting = waiting
         self.senders = senders
@@ -24,7 +24,7 @@ class Transmission:
         self.victim = senders[0]
 
 
-class Segment:
+class CableSegment:
     """A piece of cable, and its members. unheard_since: the time since which `is_unheard` holds, or None."""
 
     __slots__ = ("_others", "begins", "current", "free_at", "members", "recovering", "unheard_since", "wanting")

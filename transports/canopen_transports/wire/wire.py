@@ -40,9 +40,9 @@ from canopen_transports.errors import BusState
 from canopen_transports.wire.confinement import BUS_OFF_LIMIT, Confinement
 from canopen_transports.wire.course import decide
 from canopen_transports.wire.faults import FaultKind, FaultRates
-from canopen_transports.wire.member import TRANSMIT_QUEUE_SIZE, QueueOrder, Waiting, WireMember
+from canopen_transports.wire.member import TRANSMIT_QUEUE_SIZE, QueueOrder, WaitingFrame, WireMember
 from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
-from canopen_transports.wire.segment import Segment, Transmission
+from canopen_transports.wire.segment import CableSegment, Transmission
 
 ERROR_FLAG: Final = 6
 ERROR_DELIMITER: Final = 8
@@ -82,7 +82,7 @@ class Wire:
         self._busy: Time = 0
         self._now = self._since = now
         self._random = random.Random(settings.seed)
-        self._segments = [Segment((), now)]
+        self._segments = [CableSegment((), now)]
         self._joined = 0
         self._late: list[tuple[Time, int, Delivery]] = []
         self._late_so_far = 0
@@ -198,7 +198,7 @@ class Wire:
         self._schedule(whole)
         here = set(half)
         parts = [member for member in whole.members if member in here], [each for each in whole.members if each not in here]
-        self._segments = [Segment(part, whole.free_at) for part in parts]
+        self._segments = [CableSegment(part, whole.free_at) for part in parts]
         for segment in self._segments:
             self._schedule(segment)
 
@@ -212,7 +212,7 @@ class Wire:
             self._confinement.settle(segment, self._now)
             self._schedule(segment)
         free_at = max(segment.free_at for segment in self._segments)
-        self._segments = [Segment(sorted(self.members, key=lambda member: member.number), free_at)]
+        self._segments = [CableSegment(sorted(self.members, key=lambda member: member.number), free_at)]
         self._schedule(self._segments[0])
 
     # ---- time and output ----
@@ -280,14 +280,14 @@ class Wire:
                 if self._due(segment) <= due:
                     self._step(segment, due)
 
-    def _due(self, segment: Segment) -> Time:
+    def _due(self, segment: CableSegment) -> Time:
         if segment.current is not None:
             return segment.current.ends
         if segment.recovering:
             return min(segment.begins, self._confinement.next_recovery(segment))
         return segment.begins
 
-    def _step(self, segment: Segment, now: Time) -> None:
+    def _step(self, segment: CableSegment, now: Time) -> None:
         if segment.current is not None:
             self._finish(segment, segment.current)
         elif segment.begins <= now:
@@ -298,7 +298,7 @@ class Wire:
 
     # ---- a transmission ----
 
-    def _schedule(self, segment: Segment) -> None:
+    def _schedule(self, segment: CableSegment) -> None:
         """Set when the next frame begins. While a frame is being sent, its end does that."""
         if segment.current is not None:
             return
@@ -317,7 +317,7 @@ class Wire:
             begins = max(begins, min(member.suspended_until for member in segment.wanting))
         segment.begins = begins if begins > self._now else self._now
 
-    def _begin(self, segment: Segment, now: Time) -> None:
+    def _begin(self, segment: CableSegment, now: Time) -> None:
         senders = segment.winners(now)
         if segment.recovering:
             self._confinement.settle(segment, now)
@@ -330,7 +330,7 @@ class Wire:
         bits = self._bits_of(first.frame)
         sending.ends = now + self.time_of(decide(sending, segment, self.rates, self._random, self.settings.acknowledge, bits))
 
-    def _finish(self, segment: Segment, sending: Transmission) -> None:
+    def _finish(self, segment: CableSegment, sending: Transmission) -> None:
         """Carry out what was decided when the frame began."""
         now, outcome = sending.ends, sending.outcome
         segment.current = None
@@ -348,7 +348,7 @@ class Wire:
             self._confinement.settle(segment, segment.free_at, frames=1)
         self._schedule(segment)
 
-    def _deliver(self, segment: Segment, sending: Transmission, now: Time) -> None:
+    def _deliver(self, segment: CableSegment, sending: Transmission, now: Time) -> None:
         waiting, senders, outcome, victim = sending.waiting, sending.senders, sending.outcome, sending.victim
         takers = receivers = segment.others(senders)[1]
         self.frames += 1
@@ -383,7 +383,7 @@ class Wire:
         self._late_so_far += 1
         heapq.heappush(self._late, (member.delayed_until, self._late_so_far, delivery._replace(at=member.delayed_until)))
 
-    def _sent(self, segment: Segment, member: WireMember, waiting: Waiting, now: Time) -> None:
+    def _sent(self, segment: CableSegment, member: WireMember, waiting: WaitingFrame, now: Time) -> None:
         member.sending = None
         member.sent += 1
         member.unacknowledged = False
@@ -396,14 +396,14 @@ class Wire:
             segment.wanting.pop(member, None)
         self._suspend(segment, member)
 
-    def _fail(self, segment: Segment, sending: Transmission, outcome: FaultKind, now: Time) -> None:
+    def _fail(self, segment: CableSegment, sending: Transmission, outcome: FaultKind, now: Time) -> None:
         """Start an error frame."""
         self._events.append(FaultHappened(now, outcome, sending.waiting.frame, sending.senders[0]))
         self._end_in_error(segment, sending.senders, ERROR_FRAME, now)
         for member in segment.others(sending.senders)[0]:
             self._confinement.count(segment, member, now, receive=9 if member is sending.victim else 1)
 
-    def _not_acknowledged(self, segment: Segment, sending: Transmission, now: Time) -> None:
+    def _not_acknowledged(self, segment: CableSegment, sending: Transmission, now: Time) -> None:
         for member in sending.senders:
             if not member.unacknowledged:
                 member.unacknowledged = True
@@ -412,7 +412,7 @@ class Wire:
         self._end_in_error(segment, sending.senders, ERROR_FLAG + ERROR_DELIMITER, now, to_blame)
 
     def _end_in_error(
-        self, segment: Segment, senders: list[WireMember], bits: int, now: Time, to_blame: list[WireMember] | None = None
+        self, segment: CableSegment, senders: list[WireMember], bits: int, now: Time, to_blame: list[WireMember] | None = None
     ) -> None:
         """End a transmission with an error frame of so many bits. The senders get their frame back."""
         self.error_frames += 1
@@ -423,12 +423,12 @@ class Wire:
                 self._confinement.count(segment, member, now, transmit=8)
             self._suspend(segment, member)
 
-    def _suspend(self, segment: Segment, member: WireMember) -> None:
+    def _suspend(self, segment: CableSegment, member: WireMember) -> None:
         """Make an error-passive member wait after sending, so that others can begin first."""
         if member.state is BusState.PASSIVE:
             member.suspended_until = segment.free_at + self.time_of(SUSPEND)
 
-    def _destroy(self, segment: Segment, outcome: FaultKind) -> None:
+    def _destroy(self, segment: CableSegment, outcome: FaultKind) -> None:
         """Destroy the frame on the wire; it is sent again."""
         sending = segment.current
         if sending is not None:
@@ -441,13 +441,13 @@ class Wire:
 
     # ---- members ----
 
-    def _segment_of(self, member: WireMember) -> Segment:
+    def _segment_of(self, member: WireMember) -> CableSegment:
         for segment in self._segments:
             if member in segment.members:
                 return segment
         raise LocalProtocolError(f"{member!r} is not on this wire")
 
-    def _forget(self, segment: Segment, member: WireMember) -> None:
+    def _forget(self, segment: CableSegment, member: WireMember) -> None:
         if member in segment.members:
             member.clear()
             segment.remove(member)
