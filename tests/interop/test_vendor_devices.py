@@ -1,7 +1,7 @@
 """Devices made of real devices' files, read by `canopen` 2.4.1 with its own import of the same file.
 
 A sample of each file's objects: the first ones of each data type. (All of them are read by our own client, in virtual time:
-tests/proto/test_vendor_devices.py.) A file that it cannot import, it reads by our description.
+tests/data/test_vendor_devices.py.) A file that it cannot import, it reads by our description.
 """
 
 from __future__ import annotations
