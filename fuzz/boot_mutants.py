@@ -189,8 +189,8 @@ BOOT_MUTANTS: Final = tuple(
         (
             "kept_alive_is_reset",
             _NETWORK,
-            "if assignment.boots and not assignment.keep_alive else LossReaction.NONE",
-            "if assignment.boots else LossReaction.NONE",
+            "if assignment.boots and not assignment.keep_alive else LossResponse.NONE",
+            "if assignment.boots else LossResponse.NONE",
             "a node that is kept alive is reset because a heartbeat was late",
             ALL,
         ),

@@ -185,3 +185,23 @@ def test_each_step_of_the_ways_on_the_page_is_in_the_file_that_it_names() -> Non
         return [f"{file}: {part}" for part in sorted(parts) if not re.search(rf"\b{part}\b", source)]
 
     assert [each for step, file in steps for each in absent(step, file)] == []
+
+
+TWICE = {"Publisher": "rospy and rclpy each have their own, and this is their name for it"}
+"""Class names that stand in two places, and why."""
+
+
+@pytest.fixture(scope="module")
+def class_names() -> dict[str, list[str]]:
+    """The modules that define a class, by the class's name; classes inside of functions and of classes too."""
+    found: dict[str, list[str]] = defaultdict(list)
+    for name, path in modules().items():
+        for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                found[node.name].append(name)
+    assert len(found) > 1000
+    return found
+
+
+def test_no_two_classes_have_one_name(class_names: dict[str, list[str]]) -> None:
+    assert {name: places for name, places in class_names.items() if len(places) > 1}.keys() == TWICE.keys()

@@ -163,15 +163,15 @@ class ObjectDictionary:
         if (keys := list(by_mux)) != (ordered := sorted(keys)):  # most files are in order, and sorting them is quick
             by_mux = {key: by_mux[key] for key in ordered}
         self._by_mux: dict[Mux, Variable] = by_mux
-        self._names: _Names | None = None
+        self._names: _NameIndex | None = None
         self._constants = {key: tuple(each) for key, each in (constants or {}).items()}
         self.pdos: tuple[PdoDescription, ...] = tuple(pdos)
         self._fillers = {filler.name: filler for filler in fillers}
         self.source = source
 
-    def _name_all(self) -> _Names:
+    def _name_all(self) -> _NameIndex:
         """Collect the names when the first one is looked for: a caller that uses only numbers does not wait for them."""
-        self._names = _Names([*([self._pseudo] if self._pseudo else ()), *self.objects.values()])
+        self._names = _NameIndex([*([self._pseudo] if self._pseudo else ()), *self.objects.values()])
         return self._names
 
     def get(self, index: int, subindex: int = 0) -> Variable | None:
@@ -215,7 +215,7 @@ class ObjectDictionary:
             return self.at(*place_of(key))
         return self.at(*key)
 
-    def _by_text(self, text: str, names: _Names) -> Variable:
+    def _by_text(self, text: str, names: _NameIndex) -> Variable:
         """Return the variable for a text that is no exact name. Raises ObjectNotFound."""
         found = names.folded.get(_fold(text))
         if found is not None:
@@ -237,7 +237,7 @@ class ObjectDictionary:
             raise ObjectNotFound(f"{where}; {self.objects[index].name} has subindex {known}")
         raise ObjectNotFound(where)
 
-    def _not_named(self, name: str, names: _Names) -> NoReturn:
+    def _not_named(self, name: str, names: _NameIndex) -> NoReturn:
         if name in self._fillers:
             raise ObjectNotFound(f"{name!r} is a filler of PDOs; it has no value")
         if name in names.shared:
@@ -354,7 +354,7 @@ class ObjectDictionary:
         return replace(pdo, entries=tuple(entries))
 
 
-class _Names:
+class _NameIndex:
     """The variables by name. exact: by the exact name. shared: field names of several records, and how many records."""
 
     __slots__ = ("exact", "folded", "shared")

@@ -82,7 +82,7 @@ class Requester(Protocol):
         """Cancel a command."""
 
 
-class Source(Protocol):
+class HasOutbox(Protocol):
     """A part of a network: a machine, or a view of one."""
 
     out: Outbox
@@ -133,7 +133,7 @@ class Wait(Step):
     def __init__(
         self,
         timeout: Time | None,
-        source: Source | None = None,
+        source: HasOutbox | None = None,
         match: Callable[[Event], bool] | None = None,
         kinds: Collection[type[Event]] | None = None,
     ) -> None:

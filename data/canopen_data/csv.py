@@ -63,7 +63,7 @@ def load_csv(
     by_place = _variables(index_rows, findings)
     entries: dict[str, Variable | Filler] = {name: each for each in by_place.values() for name in each.names}
     entries |= _fillers(index_rows, findings)
-    names = _Names(entries, indices, sources[0])
+    names = _Aliases(entries, indices, sources[0])
     by_mux = _constants(constant_rows, names, findings)
     descriptions = [_pdo(row, names, findings) for row in pdo_rows]
     findings.sort(key=lambda each: (sources.index(each.source), each.line, each.column))
@@ -83,7 +83,7 @@ def load_csv(
     return dictionary, findings
 
 
-class _Names:
+class _Aliases:
     """The objects and fillers of indices.csv, by alias."""
 
     def __init__(self, entries: Mapping[str, Variable | Filler], text: str, source: str) -> None:
@@ -161,7 +161,7 @@ def _objects(variables: Mapping[tuple[int, int], Variable]) -> Iterable[Object]:
         yield Object.of(record or (members[0].name if len(members) == 1 else f"object_{index:04X}"), members)
 
 
-def _constants(rows: Iterable[ConstantRow], names: _Names, findings: list[Finding]) -> dict[Mux, list[Constant]]:
+def _constants(rows: Iterable[ConstantRow], names: _Aliases, findings: list[Finding]) -> dict[Mux, list[Constant]]:
     by_mux: dict[Mux, list[Constant]] = {}
     for row in rows:
         found = names.find(row.alias, findings)
@@ -175,7 +175,7 @@ def _constants(rows: Iterable[ConstantRow], names: _Names, findings: list[Findin
     return by_mux
 
 
-def _pdo(row: PdoRow, names: _Names, findings: list[Finding]) -> PdoDescription | None:
+def _pdo(row: PdoRow, names: _Aliases, findings: list[Finding]) -> PdoDescription | None:
     before = len(findings)
     entries: list[Variable | Filler] = []
     bits = 0

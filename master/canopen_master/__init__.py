@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from canopen_master.motion.moving import Together as Together
     from canopen_master.motion.moving import together as together
     from canopen_master.motion.record_format import RecordError as RecordError
-    from canopen_master.motion.record_reader import Record as Record
+    from canopen_master.motion.record_reader import MotionRecord as MotionRecord
     from canopen_master.motion.record_reader import read_record as read_record
     from canopen_master.motion.recording import Recorder as Recorder
     from canopen_master.motion.target_motion import Jog as Jog
@@ -97,7 +97,7 @@ else:
             "canopen_master.motion.device": "Device",
             "canopen_master.motion.moving": "Progress Together together",
             "canopen_master.motion.record_format": "RecordError",
-            "canopen_master.motion.record_reader": "Record read_record",
+            "canopen_master.motion.record_reader": "MotionRecord read_record",
             "canopen_master.motion.recording": "Recorder",
             "canopen_master.motion.target_motion": "Jog Targets",
             "canopen_master.node": "Node",

@@ -131,7 +131,7 @@ class ReadStream:
 async def write_stream(node: Peer, index: int, subindex: int, pieces: Pieces, size: int | None, block: Block) -> None:
     """See Node.write_stream."""
     client = node.remote.sdo
-    source = Source(pieces, size)
+    source = PieceSource(pieces, size)
     if client.serves_blocks and (size is None or size > AUTO_BLOCK) if block == "auto" else block:
         request = node.begin(lambda now: client.download_stream(index, subindex, now, size=size))
         try:
@@ -157,7 +157,7 @@ def _check(node: Peer, outcome: Outcome, *, size_unknown: bool = False) -> None:
         raise node.error_of(outcome, "writing to", size_unknown=size_unknown)
 
 
-async def _feed(node: Peer, request: OpenRequest, source: Source) -> Outcome:
+async def _feed(node: Peer, request: OpenRequest, source: PieceSource) -> Outcome:
     """Feed a download stream from a source until it ends."""
     client, request_id = node.remote.sdo, request.request_id
     rest, fed = memoryview(b""), 0
@@ -184,7 +184,7 @@ async def _feed(node: Peer, request: OpenRequest, source: Source) -> Outcome:
     return await request.outcome()
 
 
-class Source:
+class PieceSource:
     """The source of the pieces. size: as announced."""
 
     def __init__(self, pieces: Pieces, size: int | None) -> None:

@@ -38,7 +38,7 @@ from canopen_ros.goals import START, GoalCode, GoalOutcome, GoalRefused, GoalRes
 from canopen_ros.names import COMMANDS, MODE_SERVICES, OTHER_MODES
 from canopen_ros.reply import COMMAND_ERRORS, Reply, text_of
 from canopen_ros.samples import is_unit_missing, si_per_unit
-from canopen_ros.take_over import Source, TakeOver
+from canopen_ros.take_over import MotionSource, TakeOver
 from canopen_ros.topic_motions import Jogging, Streaming, braking_way
 
 WATCHDOG: Final = 0.1
@@ -270,7 +270,7 @@ class ChainBridge:
         Never raises or waits: a refusal is reported (`Bridge.reports`). Zeros begin no motion.
         """
         what = "take velocities"
-        self._take_over.hear(Source.VELOCITIES)
+        self._take_over.hear(MotionSource.VELOCITIES)
         try:
             self._require_movable(what)
             velocities = self._in_units("velocity", values)
@@ -278,12 +278,12 @@ class ChainBridge:
         except COMMAND_ERRORS as error:
             self._tell(error)
             return
-        if self._is_refused(Source.VELOCITIES, self._take_over.of_velocities(velocities)):
+        if self._is_refused(MotionSource.VELOCITIES, self._take_over.of_velocities(velocities)):
             return
         if self._jogging is not None and not self._jogging.is_over:
             self._jogging.give(velocities)
         elif any(velocities):
-            self._take_over.begins(Source.VELOCITIES)
+            self._take_over.begins(MotionSource.VELOCITIES)
             self._jogging = Jogging(self.chain, self._tell, partial(self._require_movable, what), velocities, self.watchdog)
             self._nursery.start_soon(self._jogging.run)
 
@@ -296,7 +296,7 @@ class ChainBridge:
         whole.
         """
         what = "take positions"
-        self._take_over.hear(Source.POSITIONS)
+        self._take_over.hear(MotionSource.POSITIONS)
         try:
             self._require_movable(what)
             if self._goals:
@@ -311,12 +311,12 @@ class ChainBridge:
         except COMMAND_ERRORS as error:
             self._tell(error)
             return
-        if self._is_refused(Source.POSITIONS, refusal):
+        if self._is_refused(MotionSource.POSITIONS, refusal):
             return
         if self._streaming is not None and not self._streaming.is_over:
             self._streaming.give(targets, speeds)
         else:
-            self._take_over.begins(Source.POSITIONS)
+            self._take_over.begins(MotionSource.POSITIONS)
             self._streaming = Streaming(self.chain, self._tell, partial(self._require_movable, what), targets, speeds)
             self._nursery.start_soon(self._streaming.run)
 
@@ -327,7 +327,7 @@ class ChainBridge:
                 limit = abs(value) * limits.speed / abs(velocity)
                 raise SetPointRefused(f"the velocity of {name} is beyond its limit of {limit:.6g}", name, f"{value:.6g}")
 
-    def _is_refused(self, source: Source, error: ChainError | None) -> bool:
+    def _is_refused(self, source: MotionSource, error: ChainError | None) -> bool:
         """Return whether a source is not taken over; tell so, once."""
         if error is not None and self._take_over.is_news(source):
             self._report(self.name, text_of(error, self.name), True)
@@ -375,14 +375,14 @@ class ChainBridge:
         ends PREEMPTED. A goal that is refused changes nothing. If the task is cancelled, or by `cancel`, the joints brake along
         the path; `cancel` lets this return PREEMPTED. A trajectory without points stops the present motion.
         """
-        return await self._follow(goal, Source.ACTION, feedback, accepted)
+        return await self._follow(goal, MotionSource.ACTION, feedback, accepted)
 
     async def command_trajectory(self, goal: TrajectoryGoal) -> None:
         """Do as `follow` for a trajectory of the topic: a source that has to be taken over. One that fails is reported."""
-        self._take_over.hear(Source.TRAJECTORIES)
-        if self._is_refused(Source.TRAJECTORIES, self._not_taken(goal)):
+        self._take_over.hear(MotionSource.TRAJECTORIES)
+        if self._is_refused(MotionSource.TRAJECTORIES, self._not_taken(goal)):
             return
-        result = await self._follow(goal, Source.TRAJECTORIES)
+        result = await self._follow(goal, MotionSource.TRAJECTORIES)
         if result.outcome is not GoalOutcome.SUCCEEDED:
             self._report(self.name, f"the trajectory was {result.outcome.value}: {result.text}", False)
 
@@ -402,7 +402,7 @@ class ChainBridge:
     async def _follow(
         self,
         goal: TrajectoryGoal,
-        source: Source,
+        source: MotionSource,
         feedback: Tell | None = None,
         accepted: Callable[[], object] | None = None,
     ) -> GoalResult:

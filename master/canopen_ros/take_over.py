@@ -39,7 +39,7 @@ SILENT_CYCLES: Final = 5
 """Cycles without a position, at least, until a joint counts as not heard: one with a long cycle is heard less often."""
 
 
-class Source(Enum):
+class MotionSource(Enum):
     """What moves the joints. The value is for people."""
 
     VELOCITIES = "the velocities of command_vel"
@@ -60,15 +60,15 @@ class TakeOver:
         self._velocities = False
         self._joints: set[int] = set()  # by their places: those that the source of positions may move
         self._trajectories = False
-        self._heard: dict[Source, float] = {}  # when the last message of a source came
-        self._pauses: dict[Source, float] = {}  # how long it was silent before that
-        self._refused: set[Source] = set()  # whose refusal has been told
+        self._heard: dict[MotionSource, float] = {}  # when the last message of a source came
+        self._pauses: dict[MotionSource, float] = {}  # how long it was silent before that
+        self._refused: set[MotionSource] = set()  # whose refusal has been told
 
     def interrupt(self) -> None:
         """Let every source be taken over again."""
         self._forget(None)
 
-    def begins(self, source: Source) -> None:
+    def begins(self, source: MotionSource) -> None:
         """Let every other source be taken over again: this one begins to move the joints."""
         self.look()
         self._forget(source)
@@ -84,7 +84,7 @@ class TakeOver:
 
     # ---- one message ----
 
-    def hear(self, source: Source) -> None:
+    def hear(self, source: MotionSource) -> None:
         """Note that a message came, before it is looked at: also one that is refused for another reason."""
         self.look()
         now = trio.current_time()
@@ -98,12 +98,14 @@ class TakeOver:
         if not any(velocities):
             self._velocities = True
         if self._velocities:
-            self._refused.discard(Source.VELOCITIES)
+            self._refused.discard(MotionSource.VELOCITIES)
             return None
         place = next(place for place, velocity in enumerate(velocities) if velocity)
         joint = self._chain.devices[place].name
         seen = f"since the chain was stopped, made ready or moved by something else, that of {joint} was never 0 with all others"
-        return self._error(Source.VELOCITIES, "they have to be 0 once", joint, seen, "let the joystick go: zeros for all joints")
+        return self._error(
+            MotionSource.VELOCITIES, "they have to be 0 once", joint, seen, "let the joystick go: zeros for all joints"
+        )
 
     def of_positions(self, aims: Mapping[int, float], scales: Sequence[float]) -> ChainError | None:
         """Return why these positions move nothing, or None. aims: where each joint comes to rest, by its place, in its own unit.
@@ -111,12 +113,12 @@ class TakeOver:
         scales: radians, or metres, in one unit of each joint.
         """
         if self._joints.issuperset(aims):
-            self._refused.discard(Source.POSITIONS)
+            self._refused.discard(MotionSource.POSITIONS)
             return None
-        error = self._off(Source.POSITIONS, aims, scales)
+        error = self._off(MotionSource.POSITIONS, aims, scales)
         if error is None:
             self._joints.update(aims)
-            self._refused.discard(Source.POSITIONS)
+            self._refused.discard(MotionSource.POSITIONS)
             return None
         return error
 
@@ -126,20 +128,22 @@ class TakeOver:
         age: seconds since its stamp; negative for a start to come; 0 without a stamp.
         """
         if self._trajectories:
-            self._refused.discard(Source.TRAJECTORIES)
+            self._refused.discard(MotionSource.TRAJECTORIES)
             return None
         since = trio.current_time() - self._interrupted_at
         if age > since:
             seen = f"its stamp is {age:.3g} s old, and the chain was stopped, made ready or homed {since:.3g} s ago"
-            return self._error(Source.TRAJECTORIES, "it is older than that", "", seen, "a trajectory from where the joints are")
-        error = None if self._pauses[Source.TRAJECTORIES] > PAUSE else self._off(Source.TRAJECTORIES, first, scales)
+            return self._error(
+                MotionSource.TRAJECTORIES, "it is older than that", "", seen, "a trajectory from where the joints are"
+            )
+        error = None if self._pauses[MotionSource.TRAJECTORIES] > PAUSE else self._off(MotionSource.TRAJECTORIES, first, scales)
         if error is None:
             self._trajectories = True
-            self._refused.discard(Source.TRAJECTORIES)
+            self._refused.discard(MotionSource.TRAJECTORIES)
             return None
         return error
 
-    def is_news(self, source: Source) -> bool:
+    def is_news(self, source: MotionSource) -> bool:
         """Return whether the refusal of a source is to be told: once until the source is taken, pauses, or is interrupted."""
         is_news = source not in self._refused
         self._refused.add(source)
@@ -152,18 +156,18 @@ class TakeOver:
         limit = max(STALE, round(SILENT_CYCLES * self._chain.settings.cycle_time * SECOND))
         return heard is not None and device.node.now() - heard <= limit
 
-    def _forget(self, besides: Source | None) -> None:
+    def _forget(self, besides: MotionSource | None) -> None:
         if besides is None:
             self._interrupted_at = trio.current_time()
-        if besides is not Source.VELOCITIES:
+        if besides is not MotionSource.VELOCITIES:
             self._velocities = False
-        if besides is not Source.POSITIONS:
+        if besides is not MotionSource.POSITIONS:
             self._joints.clear()
-        if besides is not Source.TRAJECTORIES:
+        if besides is not MotionSource.TRAJECTORIES:
             self._trajectories = False
         self._refused.clear()
 
-    def _off(self, source: Source, aims: Mapping[int, float], scales: Sequence[float]) -> ChainError | None:
+    def _off(self, source: MotionSource, aims: Mapping[int, float], scales: Sequence[float]) -> ChainError | None:
         """Return the error for the joint that is farthest from its aim, unless all are near."""
         worst: tuple[float, str, str] | None = None
         for place, aim in aims.items():
@@ -182,6 +186,6 @@ class TakeOver:
         step = "let the controller begin where the joints are (/joint_states): restart it, for example"
         return self._error(source, f"they begin {distance:.3g} away from {joint}", joint, seen, step)
 
-    def _error(self, source: Source, why: str, joint: str, seen: str, step: str) -> ChainError:
+    def _error(self, source: MotionSource, why: str, joint: str, seen: str, step: str) -> ChainError:
         failed = f"chain {self._chain.name} does not take {source.value} over: {why}"
         return ChainError(CHAIN_NOT_READY, self._chain.name, failed, joint=joint, seen=seen, tries=(step,))

@@ -6,7 +6,7 @@ import pytest
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
-from canopen_proto.manager.boot.network_boot import BootReport, LossReaction, NetworkStarted, NodeLost
+from canopen_proto.manager.boot.network_boot import BootReport, LossResponse, NetworkStarted, NodeLost
 from tests.manager.boot_bench import (
     HEARTBEAT,
     KEPT,
@@ -86,7 +86,7 @@ def test_a_lost_node_is_reset_and_booted_again() -> None:
     bench.nodes[3].switch_off()
     bench.bus.run(20 * SECOND)
     assert bench.commands_sent() == ["000#8103"]
-    assert bench.bus.take_events(NodeLost) == [NodeLost(3, LossReaction.RESET)]
+    assert bench.bus.take_events(NodeLost) == [NodeLost(3, LossResponse.RESET)]
     bench.nodes[3].boot(bench.bus.now)
     bench.bus.run(SECOND)
     assert bench.commands_sent() == ["000#8103", "000#0103"]
@@ -236,7 +236,7 @@ def test_a_node_that_is_left_to_the_application_is_only_watched() -> None:
     bench.bus.run(SECOND)
     bench.nodes[3].switch_off()
     bench.bus.run(SECOND)
-    assert bench.bus.take_events(NodeLost) == [NodeLost(3, LossReaction.NONE)]
+    assert bench.bus.take_events(NodeLost) == [NodeLost(3, LossResponse.NONE)]
     bench.nodes[3].boot(bench.bus.now)
     bench.bus.run(SECOND)
     assert bench.letters() == "0000"

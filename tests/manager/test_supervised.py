@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.manager.boot.entry import CONSUMER_FACTOR
-from canopen_proto.manager.boot.network_boot import LossReaction, NodeLost, NodeSupervised
+from canopen_proto.manager.boot.network_boot import LossResponse, NodeLost, NodeSupervised
 from canopen_proto.network import OutageChanged
 from tests.manager.boot_bench import HEARTBEAT, MANDATORY, OPTIONAL, SETTING, Answer, BootBench, TableNode, entry
 
@@ -140,7 +140,7 @@ def test_while_the_bus_is_away_nobody_is_lost(
     expected = [] if victim is None else [victim]
     assert [each.node_id for each in losses(bench)] == expected
     if victim is not None and assignment == MANDATORY:
-        assert losses(bench)[0].reaction is LossReaction.STOP_ALL
+        assert losses(bench)[0].reaction is LossResponse.STOP_ALL
     told = [event.outage for event in bench.bus.events if isinstance(event, OutageChanged)]
     assert told == ["can0 is down: unplugged", ""]
 

@@ -18,7 +18,7 @@ from canopen_master.errors import PackageMissing
 from canopen_master.motion import recording
 from canopen_master.motion.record_files import CsvFile
 from canopen_master.motion.record_format import OF_CHAIN, OF_JOINT, RecordedJoint, RecordError, is_whole
-from canopen_master.motion.record_reader import Record, is_record, read_record
+from canopen_master.motion.record_reader import MotionRecord, is_record, read_record
 from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.drives.axis.units import Unit
 from tests.master.world import BUS, arm_of, following_arm, simulated, virtual_time
@@ -41,7 +41,7 @@ async def swing(arm: Chain, cycles: int = CYCLES) -> list[list[float]]:
     raise AssertionError
 
 
-def numbers(record: Record, column: str) -> list[float | None]:
+def numbers(record: MotionRecord, column: str) -> list[float | None]:
     return [None if math.isnan(value) else value for value in record[column]]
 
 

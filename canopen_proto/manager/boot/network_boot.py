@@ -69,8 +69,8 @@ LOOK: Final = 100 * MILLISECOND
 """Between two looks whether the others have booted."""
 
 
-class LossReaction(StrEnum):
-    """The reaction of the master to a lost node, in words."""
+class LossResponse(StrEnum):
+    """What the master has sent because of a lost node, in words."""
 
     RESET = "it was reset"
     RESET_ALL = "all nodes were reset"
@@ -78,7 +78,7 @@ class LossReaction(StrEnum):
     NONE = "nothing was sent"
 
 
-_FOR_ALL: Final = (LossReaction.STOP_ALL, LossReaction.RESET_ALL)
+_FOR_ALL: Final = (LossResponse.STOP_ALL, LossResponse.RESET_ALL)
 
 
 class NodeLost(Event):
@@ -87,7 +87,7 @@ class NodeLost(Event):
     __slots__ = ("reaction",)
     __match_args__ = ("node_id", "reaction")
 
-    def __init__(self, node_id: int, reaction: LossReaction) -> None:
+    def __init__(self, node_id: int, reaction: LossResponse) -> None:
         self.node_id = node_id
         self.reaction = reaction
 
@@ -422,7 +422,7 @@ class NetworkBoot:
                 yield Wait(None)  # there are no nodes
             except _MandatoryLost as failed:
                 lost = failed.lost
-            if lost.reaction is LossReaction.STOP_ALL:
+            if lost.reaction is LossResponse.STOP_ALL:
                 yield from self._for_all(NmtCommand.STOP)
                 return lost
             self._begun = yield from current_time()
@@ -527,19 +527,19 @@ class NetworkBoot:
         yield from act(lambda now: self._take_loss(member, lost, now))
         if lost.reaction in _FOR_ALL:
             raise _MandatoryLost(lost)
-        if lost.reaction is LossReaction.RESET:
+        if lost.reaction is LossResponse.RESET:
             member.reset = NmtCommand.RESET_NODE
             yield from self.commands.send(member.reset, member.node.node_id, lambda: not member.is_suspended)
             yield from self._await_boot_up(member)
         member.absent_since = yield from current_time()
 
-    def _reaction_to(self, member: BootingNode) -> LossReaction:
+    def _reaction_to(self, member: BootingNode) -> LossResponse:
         assignment = member.entry.assignment
         if assignment.is_mandatory and self.startup.stop_all_on_loss:
-            return LossReaction.STOP_ALL
+            return LossResponse.STOP_ALL
         if assignment.is_mandatory and self.startup.reset_all_on_loss:
-            return LossReaction.RESET_ALL
-        return LossReaction.RESET if assignment.boots and not assignment.keep_alive else LossReaction.NONE
+            return LossResponse.RESET_ALL
+        return LossResponse.RESET if assignment.boots and not assignment.keep_alive else LossResponse.NONE
 
     def _take_loss(self, member: BootingNode, lost: NodeLost, now: Time) -> None:
         member.node.heartbeat.set_timeout(0, now)  # guarding goes on: only so a node that is connected again is heard

@@ -56,7 +56,7 @@ class SetPointLost(Event):
         self.set_point = set_point
 
 
-class Record(NamedTuple):
+class DataRecord(NamedTuple):
     """A data record. velocity: None in linear interpolation."""
 
     position: int
@@ -73,7 +73,7 @@ class RecordBuffer:
 
     def clear(self, size: int) -> None:
         """Drop all records. size: how many places there are from now on."""
-        self._places: list[Record | None] = [None] * size
+        self._places: list[DataRecord | None] = [None] * size
         self._read = self.write = self.waiting = 0
         self._is_placed = False  # the host has written where to write
 
@@ -82,7 +82,7 @@ class RecordBuffer:
         self.write = position % len(self._places)
         self._is_placed = True
 
-    def push(self, record: Record, *, drives_out: bool) -> Record | None:
+    def push(self, record: DataRecord, *, drives_out: bool) -> DataRecord | None:
         """Store a record; return the one that is lost. drives_out: a full buffer loses its oldest one, else the new one."""
         old = self._places[self.write]
         if old is None:
@@ -98,7 +98,7 @@ class RecordBuffer:
             self._read = self.write
         return old
 
-    def pop(self) -> Record | None:
+    def pop(self) -> DataRecord | None:
         """Take the record whose turn it is; None: there is none."""
         record = self._places[self._read]
         if record is not None:
@@ -178,7 +178,7 @@ class InterpolatedPosition(SynchronousMode):
         servo = self.servo
         velocity = servo.parameter(objects.INTERPOLATION_VELOCITY) if self._has_velocity else None
         self._fit()
-        record = Record(servo.parameter(objects.INTERPOLATION_SET_POINT), velocity)
+        record = DataRecord(servo.parameter(objects.INTERPOLATION_SET_POINT), velocity)
         lost = self._buffer.push(record, drives_out=self._is_ring or not self._queues)
         if lost is not None and self._queues:
             self.out.events.append(SetPointLost(self.node_id, lost.position))

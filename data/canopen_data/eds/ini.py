@@ -14,7 +14,7 @@ encodings.py turns bytes into text.
 
 Speed: most of a file is repetition. In a maker's file, half to nine tenths of the sections repeat another one except for their
 name. So the text after a first line `ParameterName=` is parsed once for all equal sections (`Body`), and otherwise each distinct
-line once (`_Lines`). The spelling of keys, and columns, are found on request.
+line once (`_ParsedLines`). The spelling of keys, and columns, are found on request.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Section:
     @property
     def entries(self) -> Iterator[Entry]:
         """Yield all entries in the order of the file, including those that do not count."""
-        known = _Lines()
+        known = _ParsedLines()
         for number, line in enumerate(self._text.split("\n")[1:], start=self.line + 1):
             folded, value = known[line]
             if folded not in ("", _ODD):
@@ -219,7 +219,7 @@ class EdsDocument:
 
     def _read(self, text: str, findings: Findings) -> None:
         """Parse the text. Lines before the first section belong to none."""
-        known = _Lines()
+        known = _ParsedLines()
         bodies: dict[str, Body] = {}
         indices: dict[str, int] = {}
         text = "\n" + text
@@ -283,7 +283,7 @@ class EdsDocument:
 _LIST_OF: Final = {"parametername": "name", "defaultvalue": "value", "parametervalue": "value", "denotation": "denotation"}
 
 
-class _Lines(dict[str, tuple[str, str]]):
+class _ParsedLines(dict[str, tuple[str, str]]):
     """Each distinct line, parsed. hash: whether one begins with `#`."""
 
     def __init__(self) -> None:
@@ -310,7 +310,7 @@ def _body(
     tail: str,
     name: str,
     line: int,
-    known: _Lines,
+    known: _ParsedLines,
     bodies: dict[str, Body],
     findings: Findings,
 ) -> Body:
@@ -338,12 +338,12 @@ def _body(
     return body
 
 
-def _repeats(lines: list[str], values: dict[str, str], known: _Lines) -> bool:
+def _repeats(lines: list[str], values: dict[str, str], known: _ParsedLines) -> bool:
     """Return whether a key occurs twice. Comments may repeat."""
     return len(values) != sum(1 for key, _ in map(known.__getitem__, lines) if key)
 
 
-def _report(lines: Iterable[str], number: int, known: _Lines, findings: Findings, section: str) -> None:
+def _report(lines: Iterable[str], number: int, known: _ParsedLines, findings: Findings, section: str) -> None:
     """Report the faults in the lines of a section ("": before the first section). number: of the first line."""
     seen: dict[str, int] = {}
     for line_number, line in enumerate(lines, start=number):

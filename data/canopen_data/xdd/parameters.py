@@ -83,7 +83,7 @@ _FROM_TEMPLATE: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class XddParameter:
     """The content of a parameter; values are text. "" or None: not given.
 
     members: the types of a structure's parts, in order. entry: the type of each element of an array. default, actual, low_limit,
@@ -109,7 +109,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class _Type:
-    """A resolved type. members, entry: see `Parameter`."""
+    """A resolved type. members, entry: see `XddParameter`."""
 
     data_type: DataType | None = None
     members: tuple[DataType | None, ...] = ()
@@ -125,8 +125,8 @@ class ApplicationProcess:
         self._types: dict[str, Element] = {}
         self._parameters: dict[str, Element] = {}
         self._known_types: dict[str, _Type] = {}
-        self._known: dict[str, Parameter | None] = {}
-        self._own: dict[str, Parameter | None] = {}
+        self._known: dict[str, XddParameter | None] = {}
+        self._own: dict[str, XddParameter | None] = {}
         for process in processes:
             for part in process.children:
                 if part.name == "dataTypeList":
@@ -134,7 +134,7 @@ class ApplicationProcess:
                 elif part.name in ("parameterList", "templateList"):
                     self._parameters |= {each.get("uniqueID"): each for each in part.children}
 
-    def parameter(self, unique_id: str) -> Parameter | None:
+    def parameter(self, unique_id: str) -> XddParameter | None:
         """Return the parameter of that ID, or None. Its template supplies what it lacks."""
         if unique_id not in self._known:
             own = self._own_of(unique_id)
@@ -142,14 +142,14 @@ class ApplicationProcess:
             self._known[unique_id] = own if own is None or template is None else _merged(own, template)
         return self._known[unique_id]
 
-    def _own_of(self, unique_id: str) -> Parameter | None:
+    def _own_of(self, unique_id: str) -> XddParameter | None:
         """Return a parameter or a template by itself."""
         if unique_id not in self._own:
             element = self._parameters.get(unique_id) if unique_id else None
             self._own[unique_id] = None if element is None else self._read(element)
         return self._own[unique_id]
 
-    def _read(self, element: Element) -> Parameter:
+    def _read(self, element: Element) -> XddParameter:
         kind = self._type_of(element, MAX_REFERENCES)
         default, actual, allowed = element.first("defaultValue"), element.first("actualValue"), element.first("allowedValues")
         unit, denotation = element.first("unit"), element.first("denotation")
@@ -160,7 +160,7 @@ class ApplicationProcess:
         if data_type is DataType.OCTET_STRING and (default is None or not default.get("value")):
             data_type = DataType.DOMAIN
         low, high = self._limits(allowed)
-        return Parameter(
+        return XddParameter(
             element,
             data_type,
             kind.members,
@@ -233,7 +233,7 @@ class ApplicationProcess:
         return kind
 
 
-def _merged(own: Parameter, template: Parameter) -> Parameter:
+def _merged(own: XddParameter, template: XddParameter) -> XddParameter:
     """Return a parameter with the fields that it lacks taken from its template."""
     absent = {name: value for name in _FROM_TEMPLATE if not getattr(own, name) and (value := getattr(template, name))}
     if own.factor == 1.0:

@@ -33,7 +33,7 @@ from canopen_data.findings import DictionaryError, Severity
 from canopen_data.xdd import device
 from canopen_data.xdd.document import XddDocument
 from canopen_data.xdd.elements import Element, XddFindings, parse
-from canopen_data.xdd.parameters import ACCESS, ApplicationProcess, Parameter
+from canopen_data.xdd.parameters import ACCESS, ApplicationProcess, XddParameter
 from canopen_data.xdd.texts import HEXADECIMAL, hexadecimal_of, limit_of, number_of, value_of
 from canopen_proto.datatypes import DataType, Value, bit_length_of, is_integer
 from canopen_proto.dictionary.model import Constant, ObjectDictionary
@@ -118,7 +118,7 @@ class _Part:
     """The description of one object or sub-object: its element and its parameter, if any."""
 
     element: Element
-    parameter: Parameter | None
+    parameter: XddParameter | None
 
     def text(self, attribute: str) -> tuple[str, Element, str]:
         """Return the text of an attribute, else of its parameter, and the element and attribute that hold it."""
@@ -340,7 +340,7 @@ class _Reader:
             return {"tpdo": Access.RWR, "rpdo": Access.RWW}.get(mapping, access)
         return access
 
-    def _constants_of(self, parameter: Parameter, data_type: DataType) -> list[Constant]:
+    def _constants_of(self, parameter: XddParameter, data_type: DataType) -> list[Constant]:
         """Return the named values of a whole number; other types have no constants."""
         bits = bit_length_of(data_type)
         if not parameter.named_values or not is_integer(data_type) or bits is None:
@@ -370,7 +370,7 @@ def _likely_access(index: int, subindex: int) -> Access:
     return Access.RW if standard is None else standard.access
 
 
-def _member_type(whole: Parameter | None, subindex: int, position: int, count: int) -> DataType | None:
+def _member_type(whole: XddParameter | None, subindex: int, position: int, count: int) -> DataType | None:
     """Return a sub-object's type by the type of its array or structure. A structure gives the types of all sub-objects, or of
     none."""
     if whole is None:

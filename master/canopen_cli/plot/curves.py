@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from canopen_data.path_file import PathFile
-from canopen_master.motion.record_reader import Record
+from canopen_master.motion.record_reader import MotionRecord
 
 POINTS = 2000
 """Of a path that is drawn: more than a picture has."""
@@ -44,7 +44,7 @@ class MotionCurves:
     late: Sequence[float] = field(default=())
 
 
-def curves_of_record(record: Record) -> MotionCurves:
+def curves_of_record(record: MotionRecord) -> MotionCurves:
     """Return the curves in a recording.
 
     Velocities and accelerations are those of the set-points, over the nominal cycle: the clock of the computer that sent them

@@ -52,7 +52,7 @@ from canopen_master.motion.chain_errors import (
 from canopen_master.motion.chain_settings import ChainSettings as ChainSettings
 from canopen_master.motion.chain_view import ChainState as ChainState
 from canopen_master.motion.chain_view import ChainView
-from canopen_master.motion.cycles import Cycles, Source
+from canopen_master.motion.cycles import Cycles, SetPointSource
 from canopen_master.motion.device import Device
 from canopen_master.motion.gap_guard import GapGuard
 from canopen_master.motion.joint_procedures import (
@@ -326,13 +326,13 @@ class Chain(ChainView, Moving):
             seen = "it moves along a path, or by a stream of targets"
             raise not_now(self.name, what, seen, "wait for its end, or cancel it")
 
-    def begin_source(self, source: Source, motion: Motion) -> None:
+    def begin_source(self, source: SetPointSource, motion: Motion) -> None:
         """Take the set-points of a motion from now on."""
         self.motion = motion
         self._set_points.begin_source(source)
         self.begun.unpark_all()
 
-    def source_over(self, source: Source, problem: str) -> None:
+    def source_over(self, source: SetPointSource, problem: str) -> None:
         """See `Follower`."""
         if self._set_points.source is not source:
             return

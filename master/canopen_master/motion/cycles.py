@@ -55,7 +55,7 @@ class SourcePoint(NamedTuple):
     torques: Sequence[float] = ()
 
 
-class Source(Protocol):
+class SetPointSource(Protocol):
     """Gives a chain its set-points, cycle by cycle."""
 
     def next(self, skipped: int) -> SourcePoint | None:
@@ -100,7 +100,7 @@ class SetPoints:
         self._point: SourcePoint | None = None  # of the source, if it gave these
         self._within: WithinReach | None = None  # while set-points are followed
         self._path: deque[list[float]] = deque()
-        self.source: Source | None = None
+        self.source: SetPointSource | None = None
         self._feeds: list[FeedForward] = []
 
     @property
@@ -148,7 +148,7 @@ class SetPoints:
         self.given_in = -1
         self.tick.unpark_all()
 
-    def begin_source(self, source: Source) -> None:
+    def begin_source(self, source: SetPointSource) -> None:
         """Let a source give the set-points from now on, in place of a loop, or of another source."""
         self._path.clear()
         self._is_held = self.is_awaited = False

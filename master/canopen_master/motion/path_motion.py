@@ -24,7 +24,7 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.errors import PathRefused
-from canopen_master.motion.cycles import Source, SourcePoint
+from canopen_master.motion.cycles import SetPointSource, SourcePoint
 from canopen_master.motion.device import Device
 from canopen_master.motion.target_motion import StreamGenerator
 from canopen_proto.drives.axis.following_error import LAG
@@ -87,10 +87,10 @@ class FollowingChain(Protocol):
     def is_on_path(self) -> bool:
         """Whether its joints are sent where they are wanted; they come back to their path behind a gap (late_sync.py)."""
 
-    def begin_source(self, source: Source, motion: Motion) -> None:
+    def begin_source(self, source: SetPointSource, motion: Motion) -> None:
         """Follow the set-points of this source, for this motion, from now on. The chain follows set-points already."""
 
-    def source_over(self, source: Source, problem: str) -> None:
+    def source_over(self, source: SetPointSource, problem: str) -> None:
         """The source gives no more set-points. problem: why the joints may still move; "" if they stand at the last ones."""
 
     def stopping(self, why: str) -> None:
@@ -110,7 +110,7 @@ class Lane:
         self.cycles = 0
 
     def next(self, skipped: int) -> SourcePoint | None:
-        """See `Source`."""
+        """See `SetPointSource`."""
         self.cycles += 1
         motion = self._motion
         if self.cycles > motion.cycles:  # the first chain that this SYNC is reported to
@@ -120,7 +120,7 @@ class Lane:
         return self._part(motion)
 
     def stand_at(self, positions: Sequence[float]) -> SourcePoint | None:
-        """See `Source`."""
+        """See `SetPointSource`."""
         return self._part(self._motion) if self._motion.stand_at(self._begin, positions) else None
 
     def _part(self, motion: Motion) -> SourcePoint:

@@ -23,7 +23,7 @@ _PARQUET_MARK: Final = b"PAR1"
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class MotionRecord:
     """A recording. columns: by name, all of one length, NaN for a value that is missing. source: the file.
 
     is_cut: the last row was not whole, and was left out: the program was killed while it wrote, or writes still.
@@ -51,7 +51,7 @@ def is_record(path: str | Path) -> bool:
         return _kind(file) is not None
 
 
-def read_record(path: str | Path) -> Record:
+def read_record(path: str | Path) -> MotionRecord:
     """Read a recording. Raises RecordError, which says where the file is damaged, or what it is not."""
     try:
         with open(path, "rb") as file:
@@ -85,8 +85,8 @@ def _head(path: str | Path, text: str, columns: Sequence[str]) -> RecordHead:
     return head
 
 
-def _read_csv(path: str | Path, file: IO[bytes]) -> Record:
-    lines = _Lines(path, file)
+def _read_csv(path: str | Path, file: IO[bytes]) -> MotionRecord:
+    lines = _TextLines(path, file)
     rows = csv.reader(lines)
     next(lines)
     head_text = next(lines, "")
@@ -105,7 +105,7 @@ def _read_csv(path: str | Path, file: IO[bytes]) -> Record:
             raise _unreadable(path, f"line {lines.number}, column {name}: {cell!r} is no number") from None
         for column, value in zip(columns, values, strict=True):
             column.append(value)
-    return Record(head, dict(zip(names, columns, strict=True)), str(path), lines.was_cut)
+    return MotionRecord(head, dict(zip(names, columns, strict=True)), str(path), lines.was_cut)
 
 
 def _is_number(cell: str) -> bool:
@@ -116,7 +116,7 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-class _Lines:
+class _TextLines:
     """The lines of a file as text. number: of the last one, from 1. was_cut: it had no end."""
 
     def __init__(self, path: str | Path, file: IO[bytes]) -> None:
@@ -138,7 +138,7 @@ class _Lines:
             raise _unreadable(self._path, f"line {self.number} is no UTF-8 text") from None
 
 
-def _read_parquet(path: str | Path) -> Record:
+def _read_parquet(path: str | Path) -> MotionRecord:
     pyarrow, parquet = pyarrow_modules(str(path))
     try:
         table = parquet.read_table(path, memory_map=True)
@@ -155,4 +155,4 @@ def _read_parquet(path: str | Path) -> Record:
         raise RecordError(
             UNREADABLE, f"cannot read the recording {path}", seen=str(error).partition("\n")[0], cause=cause
         ) from error
-    return Record(head, columns, str(path))
+    return MotionRecord(head, columns, str(path))

@@ -21,7 +21,7 @@ SEPARATOR: Final = "=" * 80
 """Stands in a class's `_full_text` before the definition of each message that it uses."""
 
 
-class Source(NamedTuple):
+class GeneratedModule(NamedTuple):
     """One generated module. kind: "msg" or "srv"."""
 
     package: str
@@ -33,7 +33,7 @@ class Source(NamedTuple):
 def messages_of_action(name: str, text: str) -> dict[str, str]:
     """Return the definitions of the seven messages of an action, each after those that it uses.
 
-    Source: http://wiki.ros.org/actionlib, and genaction.py of package actionlib_msgs.
+    GeneratedModule: http://wiki.ros.org/actionlib, and genaction.py of package actionlib_msgs.
     """
     goal, result, feedback = text.split("---\n")
     status = "Header header\nactionlib_msgs/GoalStatus status\n"
@@ -53,7 +53,7 @@ def packages() -> list[str]:
     return sorted(folder.name for folder in DEFINITIONS.iterdir() if folder.is_dir())
 
 
-def generate(package: str) -> Iterator[Source]:
+def generate(package: str) -> Iterator[GeneratedModule]:
     """Generate the modules of all definitions of a package. Raises ImportError without ROS 1 (genpy, genmsg)."""
     genmsg, generator = (importlib.import_module(name) for name in ("genmsg", "genpy.generator"))
     context = genmsg.MsgContext.create_default()
@@ -64,10 +64,10 @@ def generate(package: str) -> Iterator[Source]:
     for name, text in messages.items():
         spec = genmsg.msg_loader.load_msg_from_string(context, text, f"{package}/{name}")
         register_used(context, spec.types)
-        yield Source(package, "msg", name, "\n".join(generator.msg_generator(context, spec, {})))
+        yield GeneratedModule(package, "msg", name, "\n".join(generator.msg_generator(context, spec, {})))
     for path in sorted(definitions.glob("*.srv")):
         spec = genmsg.msg_loader.load_srv_from_string(context, path.read_text(), f"{package}/{path.stem}")
-        yield Source(package, "srv", path.stem, "\n".join(generator.srv_generator(context, spec, {})))
+        yield GeneratedModule(package, "srv", path.stem, "\n".join(generator.srv_generator(context, spec, {})))
 
 
 def register_used(context: Any, types: list[str]) -> None:

@@ -51,7 +51,7 @@ QUEUE: Final = 10
 """Messages that rospy keeps for each slow subscriber."""
 
 
-class Node:
+class BridgeInterface:
     """What ROS sees of a bridge."""
 
     def __init__(self, bridge: Bridge, portal: Portal, outgoing: OutgoingMessages) -> None:
@@ -191,7 +191,7 @@ async def run(parameters: NodeParameters, core: RosCore) -> None:
         log = Log(outgoing)
         logging.getLogger("canopen_master").addHandler(log)
         async with open_bridge(parameters) as bridge, open_portal() as portal:
-            node = Node(bridge, portal, outgoing)
+            node = BridgeInterface(bridge, portal, outgoing)
             await trio.to_thread.run_sync(node.advertise)
             async with trio.open_nursery() as nursery:
                 nursery.start_soon(node.publish)

@@ -43,8 +43,8 @@ from canopen_ros.ros2.rcl import (
     GetResponse,
     JointState,
     JointTrajectory,
+    LifecycleNode,
     Logger,
-    Node,
     Numbers,
     Publisher,
     SetRequest,
@@ -68,7 +68,9 @@ INACTIVE: Final = "the node is not active, so it commands no drive. Try: ros2 li
 class Interface:
     """See this module's text. is_active: whether it takes commands and publishes. Use it in the executor's thread."""
 
-    def __init__(self, node: Node, executor: Executor, bridge: Bridge, portal: Portal, outgoing: OutgoingMessages) -> None:
+    def __init__(
+        self, node: LifecycleNode, executor: Executor, bridge: Bridge, portal: Portal, outgoing: OutgoingMessages
+    ) -> None:
         self.is_active = False
         self._node = node
         self._executor = executor

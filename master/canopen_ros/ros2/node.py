@@ -62,7 +62,7 @@ EXPECTED: Final = (*COMMAND_ERRORS, NotOff, DataError, DictionaryError, OSError)
 """A transition that raises one of these says its text; from anything else, a traceback is more use."""
 
 
-class Machine:
+class BridgeTask:
     """The bridge between `open` and `close`, in a task of its own: `open_bridge` is left by the task that entered it.
 
     failure: why the bridge ended by itself.
@@ -110,7 +110,7 @@ class CanopenNode(LifecycleNode):
     """See this module's text. The transitions run in the executor's thread, or before it begins to spin."""
 
     def __init__(
-        self, arguments: Sequence[str], executor: Executor, machine: Machine, portal: Portal, outgoing: OutgoingMessages
+        self, arguments: Sequence[str], executor: Executor, machine: BridgeTask, portal: Portal, outgoing: OutgoingMessages
     ) -> None:
         """arguments: a description file, or none."""
         super().__init__(NAME, automatically_declare_parameters_from_overrides=True, allow_undeclared_parameters=True)
@@ -247,7 +247,7 @@ async def _run(arguments: Sequence[str]) -> int:
     executor = SingleThreadedExecutor()
     with OutgoingMessages() as outgoing:
         async with trio.open_nursery() as nursery:
-            machine = Machine(nursery)
+            machine = BridgeTask(nursery)
             async with open_portal() as portal:
                 node = CanopenNode(arguments, executor, machine, portal, outgoing)
                 executor.add_node(node)

@@ -143,7 +143,7 @@ class NamedParameter(Parameter, Protocol):
         """Its name."""
 
 
-class Node(Protocol):
+class LifecycleNode(Protocol):
     """A node with a life cycle."""
 
     def get_logger(self) -> Logger:
@@ -202,7 +202,7 @@ class DeclaringNode(Protocol):
 class Executor(Protocol):
     """Runs the callbacks of a node in the thread that spins."""
 
-    def add_node(self, node: Node) -> bool:
+    def add_node(self, node: LifecycleNode) -> bool:
         """Run this node's callbacks."""
 
     def spin(self) -> None:
