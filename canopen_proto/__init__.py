@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from canopen_proto.abort import AbortCode as AbortCode
-    from canopen_proto.dictionary.model import NotInDictionary as NotInDictionary
+    from canopen_proto.dictionary.model import NotInDictionaryError as NotInDictionaryError
     from canopen_proto.dictionary.model import ObjectDictionary as ObjectDictionary
     from canopen_proto.drives.axis.axis import Axis as Axis
     from canopen_proto.drives.axis.axis import AxisSettings as AxisSettings
@@ -62,7 +62,7 @@ else:
         {
             "canopen_proto.abort": "AbortCode",
             "canopen_proto.simulation.drive.node": "powerball",
-            "canopen_proto.dictionary.model": "NotInDictionary ObjectDictionary",
+            "canopen_proto.dictionary.model": "NotInDictionaryError ObjectDictionary",
             "canopen_proto.drives.axis.axis": "Axis AxisSettings",
             "canopen_proto.emcy": "EmcyReceived",
             "canopen_proto.frame": "Frame RoutingKey routing_key",

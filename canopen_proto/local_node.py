@@ -66,7 +66,7 @@ from canopen_proto.parameter_storage import SIGNATURES, ParameterStorage
 from canopen_proto.pdo.consumer import (
     EMCY_PDO_LENGTH_EXCEEDED,
     EMCY_PDO_NOT_PROCESSED,
-    PdoLengthError,
+    PdoLengthUnexpected,
     PdoOverdue,
     PdoReceived,
 )
@@ -153,7 +153,7 @@ class LocalNode(Group):
                 SyncReceived: self._on_sync,
                 SyncSent: self._on_sync,
                 PdoReceived: self._on_pdo,
-                PdoLengthError: self._on_length_error,
+                PdoLengthUnexpected: self._on_length_error,
                 PdoOverdue: self._on_pdo_error,
                 MpdoReceived: self._on_mpdo,
                 MpdoNotProcessed: self._on_pdo_error,
@@ -200,8 +200,8 @@ class LocalNode(Group):
     def set_value(self, index: int, subindex: int, value: Value, now: Time) -> None:
         """Set a value as the device itself, whatever the access right. Triggers the event-driven TPDOs that carry it.
 
-        A communication object takes effect as after a client's write. Raises ObjectNotFound, ValueRangeError if the object cannot
-        hold the value, LocalProtocolError if a communication object refuses it.
+        A communication object takes effect as after a client's write. Raises ObjectNotFoundError, ValueRangeError if the object
+        cannot hold the value, LocalProtocolError if a communication object refuses it.
         """
         variable = self.dictionary.variable((index, subindex))
         variable.encode(value)
@@ -309,7 +309,7 @@ class LocalNode(Group):
     def take_write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
         """Store a write to a `deferred` object and let it take effect, as for any other object.
 
-        data: of ObjectAccessPending. Returns the argument for `complete`: None, or an abort code. Raises ObjectNotFound.
+        data: of ObjectAccessPending. Returns the argument for `complete`: None, or an abort code. Raises ObjectNotFoundError.
         """
         variable = self.dictionary.variable((index, subindex))
         value = self._store.decode(variable, data)
@@ -482,11 +482,11 @@ class LocalNode(Group):
         self.communication.refresh(indices.ERROR_REGISTER, 0)
         self.pdos.trigger(ERROR_REGISTER, now)
 
-    def _on_length_error(self, report: PdoLengthError, now: Time) -> None:
+    def _on_length_error(self, report: PdoLengthUnexpected, now: Time) -> None:
         if report.emcy_code == EMCY_PDO_NOT_PROCESSED or report.emcy_code in self.optional_emcy:
             self._on_pdo_error(report, now)
 
-    def _on_pdo_error(self, report: PdoLengthError | PdoOverdue | MpdoNotProcessed, now: Time) -> None:
+    def _on_pdo_error(self, report: PdoLengthUnexpected | PdoOverdue | MpdoNotProcessed, now: Time) -> None:
         self._errors.rpdo_failed(report.number, report.emcy_code, now)
 
     def _on_sync_length(self, report: SyncLengthUnexpected, now: Time) -> None:

@@ -250,7 +250,8 @@ class RemoteNode(Group):
         return variable, meant, variable.encode(meant)
 
     def value_of(self, uploaded: SdoUploaded) -> Value:
-        """Return the value that an upload brought. Raises ObjectNotFound; ValueRangeError if its length is not the object's."""
+        """Return the value that an upload brought. Raises ObjectNotFoundError; ValueRangeError if its length is not the
+        object's."""
         return self.dictionary.at(uploaded.index, uploaded.subindex).decode(uploaded.data)
 
     def message_of(self, uploaded: SdoUploaded) -> Message:

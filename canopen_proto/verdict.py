@@ -1,7 +1,7 @@
 """What the two conformance kits share: of devices (canopen_check) and of transports (canopen_transports.conformance).
 
 A case is run by its own kit, and ends with a `Verdict`. Its body states what it expects by `expect` and the like. The first
-expectation that is not met ends the body with a `Violation`; a body that cannot be tried ends with `NotApplicable`.
+expectation that is not met ends the body with a `ViolationError`; a body that cannot be tried ends with `NotApplicable`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Verdict:
 
 
 @mypyc_attr(native_class=False)
-class Violation(ProcedureError, AssertionError):
+class ViolationError(ProcedureError, AssertionError):
     """What is tested did what it must not, or did not do what it must. The text says what was expected and what was seen."""
 
 
@@ -52,15 +52,15 @@ def does_not_apply(reason: str) -> NoReturn:
 
 
 def expect(condition: bool, otherwise: str) -> None:
-    """Go on if the condition holds, else raise Violation with this text."""
+    """Go on if the condition holds, else raise ViolationError with this text."""
     if not condition:
-        raise Violation(otherwise)
+        raise ViolationError(otherwise)
 
 
 def expect_equal(seen: object, expected: object, what: str) -> None:
-    """Go on if the two are equal, else raise Violation, which shows both; numbers also as hexadecimal."""
+    """Go on if the two are equal, else raise ViolationError, which shows both; numbers also as hexadecimal."""
     if seen != expected:
-        raise Violation(f"{what} is {_shown(seen)}, not {_shown(expected)}")
+        raise ViolationError(f"{what} is {_shown(seen)}, not {_shown(expected)}")
 
 
 def _shown(value: object) -> str:

@@ -242,7 +242,7 @@ ARM_NAMES: Final = """
 import contextlib, math
 import trio
 from canopen_data.path_file import read_path
-from canopen_master import Chain, MotionReplaced, PathRefused, together
+from canopen_master import Chain, MotionReplacedError, PathRefusedError, together
 from canopen_master.trajectories.through_points import through_points
 from canopen_proto.drives.trajectory import cubic, from_function
 """

@@ -74,8 +74,8 @@ LSS_MUTANTS: Final = tuple(
         (
             "second_device_is_one",
             _ASSIGN,
-            "        if reply.count > 1:\n            raise LssNotSelected",
-            "        if False:\n            raise LssNotSelected",
+            "        if reply.count > 1:\n            raise LssNotSelectedError",
+            "        if False:\n            raise LssNotSelectedError",
             "two devices with one address get one node-ID",
             ASSIGN,
         ),

@@ -16,7 +16,7 @@ from canopen_cli.app import CLOSED_PIPE
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.problem import ExitCode
 from canopen_master import errors
-from canopen_master.direct.connection import AlreadyConnected, NotConnected
+from canopen_master.direct.connection import AlreadyConnectedError, NotConnectedError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.sdo.client import SdoAborted
 from tests.cli.test_problem import test_each_error_has_its_status as table_of_errors
@@ -80,13 +80,13 @@ def statuses_of_codes() -> dict[str, set[int]]:
     """By code: each exit status that the command line gives with it."""
     found: defaultdict[str, set[int]] = defaultdict(set)
     for _, text in sources():
-        if "usage(" not in text and "Problem(" not in text:
+        if "usage(" not in text and "CommandError(" not in text:
             continue
         for call in ast.walk(ast.parse(text)):
             match call:
                 case ast.Call(ast.Name("usage"), [ast.Constant(str(code)), *_]):
                     found[code].add(ExitCode.USAGE)
-                case ast.Call(ast.Name("Problem"), [ast.Attribute(ast.Name("ExitCode"), name), ast.Constant(str(code)), *_]):
+                case ast.Call(ast.Name("CommandError"), [ast.Attribute(ast.Name("ExitCode"), name), ast.Constant(str(code)), *_]):
                     found[code].add(ExitCode[name])
     (examples,) = table_of_errors.pytestmark  # type: ignore[attr-defined]
     for _, status, code in examples.args[1]:
@@ -94,14 +94,14 @@ def statuses_of_codes() -> dict[str, set[int]]:
     aborted = SdoAborted(5, 1, 0x6041, 0, AbortCode.NO_SDO_CONNECTION, AbortOrigin.LOCAL)
     given_up = errors.GIVEN_UP, aborted, "x", "it was given up", "", "", ()
     others = [
-        errors.SdoNotConfirmed(*given_up),
-        errors.SdoGivenUp(*given_up),
-        errors.SdoNotConfirmed(errors.CONTESTED, *given_up[1:]),
-        errors.RealtimeRefused(errors.REALTIME_REFUSED, "x"),
-        errors.MasterClosed(),
-        NotConnected(),
-        AlreadyConnected("x"),
-        errors.SetPointRefused("set-point nan was refused", "joint1", "it is not a finite number"),
+        errors.SdoNotConfirmedError(*given_up),
+        errors.SdoGivenUpError(*given_up),
+        errors.SdoNotConfirmedError(errors.CONTESTED, *given_up[1:]),
+        errors.RealtimeRefusedError(errors.REALTIME_REFUSED, "x"),
+        errors.MasterClosedError(),
+        NotConnectedError(),
+        AlreadyConnectedError("x"),
+        errors.SetPointRefusedError("set-point nan was refused", "joint1", "it is not a finite number"),
     ]
     for problem in map(problem_of, others):
         found[problem.code].add(problem.exit_code)

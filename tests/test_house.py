@@ -6,6 +6,7 @@ Every import counts: inside a function, and under TYPE_CHECKING. The rooms of a 
 from __future__ import annotations
 
 import ast
+import builtins
 import importlib
 import re
 from collections import defaultdict
@@ -192,16 +193,43 @@ TWICE = {"Publisher": "rospy and rclpy each have their own, and this is their na
 
 
 @pytest.fixture(scope="module")
-def class_names() -> dict[str, list[str]]:
-    """The modules that define a class, by the class's name; classes inside of functions and of classes too."""
-    found: dict[str, list[str]] = defaultdict(list)
-    for name, path in modules().items():
+def classes() -> dict[str, list[list[str]]]:
+    """The names of each class's bases, by the class's name, for each place that defines it; inside of functions too."""
+    found: dict[str, list[list[str]]] = defaultdict(list)
+    for path in modules().values():
         for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ClassDef):
-                found[node.name].append(name)
+                found[node.name].append([ast.unparse(base).rpartition(".")[2] for base in node.bases])
     assert len(found) > 1000
     return found
 
 
-def test_no_two_classes_have_one_name(class_names: dict[str, list[str]]) -> None:
-    assert {name: places for name, places in class_names.items() if len(places) > 1}.keys() == TWICE.keys()
+def derived(classes: Mapping[str, list[list[str]]], *roots: str) -> set[str]:
+    """The classes that derive from one of these, over any number of steps."""
+    found: set[str] = set()
+    while more := {name for name, places in classes.items() if any({*bases} & {*roots, *found} for bases in places)} - found:
+        found |= more
+    return found
+
+
+def test_no_two_classes_have_one_name(classes: dict[str, list[list[str]]]) -> None:
+    assert {name for name, places in classes.items() if len(places) > 1} == TWICE.keys()
+
+
+FLOW = {
+    "Cancelled": "as trio.Cancelled: it ends a procedure that somebody has cancelled; a BaseException, and no error",
+    "NotApplicable": "it ends a conformance case with the result of that name, which is no failure",
+}
+"""Exceptions that are no errors, and why."""
+
+
+def test_an_exception_is_an_error_by_its_name_and_an_event_is_not(classes: dict[str, list[list[str]]]) -> None:
+    """One that begins with `_` never leaves its module: it is a jump."""
+    builtin = [name for name, value in vars(builtins).items() if isinstance(value, type) and issubclass(value, BaseException)]
+    exceptions = derived(classes, *builtin)
+    assert {"TransportError", "AxisBusyError", "SdoTransferError"} <= exceptions
+    others = {name for name in exceptions if not name.endswith("Error") and not name.startswith("_")}
+    assert others == FLOW.keys()
+    events = derived(classes, "Event")
+    assert {"SdoAborted", "HeartbeatLost", "BusChanged"} <= events
+    assert {name for name in events if name.endswith("Error")} == set()

@@ -2,17 +2,17 @@
 
 from canopen_proto.dictionary.model import Access as Access
 from canopen_proto.dictionary.model import Constant as Constant
-from canopen_proto.dictionary.model import ConstantNotFound as ConstantNotFound
+from canopen_proto.dictionary.model import ConstantNotFoundError as ConstantNotFoundError
 from canopen_proto.dictionary.model import Direction as Direction
 from canopen_proto.dictionary.model import Filler as Filler
 from canopen_proto.dictionary.model import Key as Key
 from canopen_proto.dictionary.model import Message as Message
-from canopen_proto.dictionary.model import NotInDictionary as NotInDictionary
+from canopen_proto.dictionary.model import NotInDictionaryError as NotInDictionaryError
 from canopen_proto.dictionary.model import Object as Object
 from canopen_proto.dictionary.model import ObjectDictionary as ObjectDictionary
-from canopen_proto.dictionary.model import ObjectNotFound as ObjectNotFound
+from canopen_proto.dictionary.model import ObjectNotFoundError as ObjectNotFoundError
 from canopen_proto.dictionary.model import ObjectType as ObjectType
 from canopen_proto.dictionary.model import PdoDescription as PdoDescription
-from canopen_proto.dictionary.model import PdoNotFound as PdoNotFound
+from canopen_proto.dictionary.model import PdoNotFoundError as PdoNotFoundError
 from canopen_proto.dictionary.model import Variable as Variable
 from canopen_proto.dictionary.values import Values as Values

@@ -131,8 +131,8 @@ def download_order(
     """Return the writes that set a device to these values, as this module's text describes.
 
     values: by mux. standing: the device's present values, as far as they are known; strict devices want the CAN-ID unchanged in
-    the write that destroys a PDO. Raises ObjectNotFound for a mux that the dictionary does not have, and ValueRangeError if an
-    object's type cannot hold its value; limits of objects are not checked.
+    the write that destroys a PDO. Raises ObjectNotFoundError for a mux that the dictionary does not have, and ValueRangeError if
+    an object's type cannot hold its value; limits of objects are not checked.
     """
     order = _Order(dictionary, node_id, standing or {})
     for key, value in values.items():

@@ -37,7 +37,7 @@ from canopen_proto.multiplexer import Mux, index_of, mux, place_of
 
 
 @mypyc_attr(native_class=False)
-class NotInDictionary(LocalProtocolError, KeyError):
+class NotInDictionaryError(LocalProtocolError, KeyError):
     """A name or number is not in the dictionary. The text suggests similar ones."""
 
     def __str__(self) -> str:  # KeyError would show its text in quotes
@@ -45,17 +45,17 @@ class NotInDictionary(LocalProtocolError, KeyError):
 
 
 @mypyc_attr(native_class=False)
-class ObjectNotFound(NotInDictionary):
+class ObjectNotFoundError(NotInDictionaryError):
     """No such object or subindex."""
 
 
 @mypyc_attr(native_class=False)
-class ConstantNotFound(NotInDictionary):
+class ConstantNotFoundError(NotInDictionaryError):
     """No such constant of this object."""
 
 
 @mypyc_attr(native_class=False)
-class PdoNotFound(NotInDictionary):
+class PdoNotFoundError(NotInDictionaryError):
     """No such PDO description."""
 
 
@@ -195,7 +195,7 @@ class ObjectDictionary:
     def __contains__(self, key: object) -> bool:
         try:
             self.variable(key)  # type: ignore[arg-type]
-        except (NotInDictionary, TypeError):
+        except (NotInDictionaryError, TypeError):
             return False
         return True
 
@@ -203,7 +203,7 @@ class ObjectDictionary:
         """Return the variable that a key names; see `Key`.
 
         Text is tried as an exact name, then as a name with other case, spaces, hyphens or underscores, then as a number. Raises
-        ObjectNotFound, whose text suggests similar names.
+        ObjectNotFoundError, whose text suggests similar names.
         """
         if isinstance(key, str):
             names = self._names or self._name_all()
@@ -216,7 +216,7 @@ class ObjectDictionary:
         return self.at(*key)
 
     def _by_text(self, text: str, names: _NameIndex) -> Variable:
-        """Return the variable for a text that is no exact name. Raises ObjectNotFound."""
+        """Return the variable for a text that is no exact name. Raises ObjectNotFoundError."""
         found = names.folded.get(_fold(text))
         if found is not None:
             return found
@@ -226,7 +226,8 @@ class ObjectDictionary:
         return self.at(int(number[1], 16), int(number[2] or "0", 16))
 
     def at(self, index: int, subindex: int) -> Variable:
-        """Return the variable at an index and subindex. Raises ObjectNotFound, which lists the subindices; `get` returns None."""
+        """Return the variable at an index and subindex. Raises ObjectNotFoundError, which lists the subindices; `get` returns
+        None."""
         if 0 < index <= 0xFFFF and 0 <= subindex <= 0xFF:
             found = self._by_mux.get(mux(index, subindex))
             if found is not None:
@@ -234,15 +235,17 @@ class ObjectDictionary:
         where = f"object 0x{index:04X}:{subindex:02X} is not in the dictionary{self._of_source()}"
         if index in self.objects:
             known = ", ".join(str(each) for each in sorted(self.objects[index].variables))
-            raise ObjectNotFound(f"{where}; {self.objects[index].name} has subindex {known}")
-        raise ObjectNotFound(where)
+            raise ObjectNotFoundError(f"{where}; {self.objects[index].name} has subindex {known}")
+        raise ObjectNotFoundError(where)
 
     def _not_named(self, name: str, names: _NameIndex) -> NoReturn:
         if name in self._fillers:
-            raise ObjectNotFound(f"{name!r} is a filler of PDOs; it has no value")
+            raise ObjectNotFoundError(f"{name!r} is a filler of PDOs; it has no value")
         if name in names.shared:
-            raise ObjectNotFound(f"{names.shared[name]} objects have a field {name!r}; say which one, as {names.example(name)!r}")
-        raise ObjectNotFound(f"object {name!r} is not in the dictionary{self._of_source()}{did_you_mean(name, names.exact)}")
+            raise ObjectNotFoundError(
+                f"{names.shared[name]} objects have a field {name!r}; say which one, as {names.example(name)!r}"
+            )
+        raise ObjectNotFoundError(f"object {name!r} is not in the dictionary{self._of_source()}{did_you_mean(name, names.exact)}")
 
     def _of_source(self) -> str:
         return f" ({self.source})" if self.source else ""
@@ -252,14 +255,14 @@ class ObjectDictionary:
         return self._constants.get(self.variable(key).mux, ())
 
     def constant(self, key: Key, name: str) -> Constant:
-        """Return one constant of an object. Raises ConstantNotFound, whose text suggests similar names."""
+        """Return one constant of an object. Raises ConstantNotFoundError, whose text suggests similar names."""
         variable = self.variable(key)
         constants = self._constants.get(variable.mux, ())
         for each in constants:
             if each.name == name:
                 return each
         near = did_you_mean(name, [each.name for each in constants])
-        raise ConstantNotFound(f"{variable.label} has no constant {name!r}{near}")
+        raise ConstantNotFoundError(f"{variable.label} has no constant {name!r}{near}")
 
     def constant_value(self, key: Key, name: str) -> int:
         """Return the number to write for a constant: negative if the object is signed and the constant's highest bit is set."""
@@ -270,7 +273,7 @@ class ObjectDictionary:
         return value
 
     def matches(self, key: Key, constant_name: str, value: Value) -> bool:
-        """Return whether a value bears a constant: `(value & mask) == constant`. Raises ConstantNotFound."""
+        """Return whether a value bears a constant: `(value & mask) == constant`. Raises ConstantNotFoundError."""
         constant = self.constant(key, constant_name)
         return isinstance(value, int) and constant.is_in(value)
 
@@ -284,7 +287,7 @@ class ObjectDictionary:
     def value_from(self, key: Key, value: Value) -> Value:
         """Return a value with a constant's name replaced by its number; any other value stays as it is.
 
-        Text for an object that holds no text must be a constant: raises ConstantNotFound if it is none.
+        Text for an object that holds no text must be a constant: raises ConstantNotFoundError if it is none.
         """
         if not isinstance(value, str):
             return value
@@ -298,12 +301,12 @@ class ObjectDictionary:
         return MappingProxyType(self._fillers)
 
     def pdo(self, name: str) -> PdoDescription:
-        """Return a PDO description by its name. Raises PdoNotFound."""
+        """Return a PDO description by its name. Raises PdoNotFoundError."""
         for each in self.pdos:
             if each.name == name:
                 return each
         near = did_you_mean(name, [each.name for each in self.pdos])
-        raise PdoNotFound(f"PDO {name!r} is not in the dictionary{self._of_source()}{near}")
+        raise PdoNotFoundError(f"PDO {name!r} is not in the dictionary{self._of_source()}{near}")
 
     def message(self, node_id: int, key: Key, value: Value, timestamp: int | None = None) -> Message:
         """Return a Message for a transferred value. timestamp: as in Message."""

@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple
 
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value
-from canopen_proto.dictionary.model import Access, Object, ObjectNotFound, ObjectType, Variable
+from canopen_proto.dictionary.model import Access, Object, ObjectNotFoundError, ObjectType, Variable
 
 _COMMUNICATION: Final = """
 1000      00    U32  ro    device_type
@@ -364,11 +364,11 @@ def standard_variable(index: int, subindex: int = 0, **changes: Any) -> Variable
     """Return a standard object with changes: `standard_variable(0x607A, default=0, low_limit=-180_000)`.
 
     changes: fields of `Variable` (default, access, low_limit, high_limit, pdo_mappable, name ...). No node-ID is added to a
-    default given here. Raises ObjectNotFound if no standard has the object, TypeError for an unknown field.
+    default given here. Raises ObjectNotFoundError if no standard has the object, TypeError for an unknown field.
     """
     found = find_standard(index, subindex)
     if found is None:
-        raise ObjectNotFound(f"0x{index:04X}:{subindex:02X} is no object of CiA 301 or CiA 402")
+        raise ObjectNotFoundError(f"0x{index:04X}:{subindex:02X} is no object of CiA 301 or CiA 402")
     if "default" in changes:
         changes.setdefault("adds_node_id", False)
     return replace(found, **changes) if changes else found
@@ -380,7 +380,7 @@ def standard_object(
     """Return a whole standard object: `standard_object(0x1017, 100)`, `standard_object(0x1600, highest=8)`.
 
     default: of subindex 0. defaults: by subindex; they count before `default`. highest: the last subindex; None = the last one
-    with a row of its own, at least 1. Raises ObjectNotFound if no standard has the index or the highest subindex.
+    with a row of its own, at least 1. Raises ObjectNotFoundError if no standard has the index or the highest subindex.
     """
     chosen: dict[int, Value] = {} if default is None else {0: default}
     chosen |= defaults or {}

@@ -20,7 +20,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, zero_of
-from canopen_proto.dictionary.model import Key, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary.model import Key, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.multiplexer import Mux, mux_text
 
 
@@ -49,18 +49,18 @@ class Values:
     def __setitem__(self, mux: Mux, value: Value) -> None:
         """Set the value at a mux, without checking it. Raises KeyError if the dictionary has no such object."""
         if mux not in self.store:
-            raise ObjectNotFound(f"object {mux_text(mux)} is not in the dictionary")
+            raise ObjectNotFoundError(f"object {mux_text(mux)} is not in the dictionary")
         self.store[mux] = value
 
     def read(self, key: Key) -> Value:
-        """Return the value of an object. Raises ObjectNotFound."""
+        """Return the value of an object. Raises ObjectNotFoundError."""
         return self.store[self._held(key).mux]
 
     def write(self, key: Key, value: Value) -> None:
         """Set the value of an object. A constant's name stands for its value.
 
-        Raises ObjectNotFound, ConstantNotFound, or ValueRangeError if the value does not fit the type or the limits. The old
-        value then stays.
+        Raises ObjectNotFoundError, ConstantNotFoundError, or ValueRangeError if the value does not fit the type or the limits.
+        The old value then stays.
         """
         variable = self._held(key)
         value = self.dictionary.value_from(variable, value)
@@ -69,7 +69,7 @@ class Values:
         self.store[variable.mux] = value
 
     def raw(self, index: int, subindex: int = 0) -> bytes:
-        """Return the bytes of an object as SDO carries them. Raises ObjectNotFound."""
+        """Return the bytes of an object as SDO carries them. Raises ObjectNotFoundError."""
         variable = self._held((index, subindex))
         return variable.encode(self.store[variable.mux])
 
@@ -111,7 +111,7 @@ class Values:
     def _held(self, key: Key) -> Variable:
         variable = self.dictionary.variable(key)
         if variable.mux not in self.store:
-            raise ObjectNotFound(f"{variable.label} is no object of this device")
+            raise ObjectNotFoundError(f"{variable.label} is no object of this device")
         return variable
 
 

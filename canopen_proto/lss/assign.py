@@ -268,7 +268,7 @@ def _give(tool: LssTool, pace: Pace, address: LssAddress, node_id: int, present:
     try:
         yield from select_only(tool, pace, address)
         own = yield from own_node_id(tool, pace)
-    except LssNotSelected as failed:
+    except LssNotSelectedError as failed:
         yield from all_waiting(tool)
         return Given(address, node_id, remark=f"nothing was written: {failed}")
     if own not in (present, node_id):
@@ -288,12 +288,12 @@ def _give(tool: LssTool, pace: Pace, address: LssAddress, node_id: int, present:
     return Given(address, node_id, True, stored, booted, "; ".join(filter(None, (remark, why))), is_refused)
 
 
-class LssNotSelected(ProcedureError):
+class LssNotSelectedError(ProcedureError):
     """It is not sure that exactly the device with this address is selected."""
 
 
 def select_only(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[None]:
-    """Select the device with this address, and make sure that no other is selected. Raises LssNotSelected.
+    """Select the device with this address, and make sure that no other is selected. Raises LssNotSelectedError.
 
     Then all slaves are to be sent to "waiting" (`all_waiting`).
     """
@@ -307,19 +307,19 @@ def select_only(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[Non
         if attempt:
             pace.slow_down(attempt)  # not one lost frame
     if not any(seen):
-        raise LssNotSelected(f"no device with the address {address} answers")
-    raise LssNotSelected(f"another device is selected beside {address}: is a second LSS master at work?")
+        raise LssNotSelectedError(f"no device with the address {address} answers")
+    raise LssNotSelectedError(f"another device is selected beside {address}: is a second LSS master at work?")
 
 
 def own_node_id(tool: LssTool, pace: Pace) -> Procedure[int]:
-    """Return the node-ID of the selected device, or UNCONFIGURED. Raises LssNotSelected unless one device answers."""
+    """Return the node-ID of the selected device, or UNCONFIGURED. Raises LssNotSelectedError unless one device answers."""
     for _ in range(CONFIRMATIONS):
         reply = yield from ask(tool, lambda now: tool.master.inquire(LssService.INQUIRE_NODE_ID, now, window=pace.window))
         if reply.count > 1:
-            raise LssNotSelected("two devices with this address answer: set another serial number, or connect one at a time")
+            raise LssNotSelectedError("two devices with this address answer: set another serial number, or connect one at a time")
         if reply.count:
             return reply.answers[0][1]
-    raise LssNotSelected("it does not say which node-ID it has")
+    raise LssNotSelectedError("it does not say which node-ID it has")
 
 
 def _confirmed(tool: LssTool, pace: Pace, service: LssService, node_id: int) -> Procedure[str]:

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from canopen_proto.lss.assign import LssNotSelected, select_only
+from canopen_proto.lss.assign import LssNotSelectedError, select_only
 from canopen_proto.lss.messages import BIT_RATES, OK, LssAddress, LssService, LssState, error_text
 from canopen_proto.lss.scan import TRIES, LssTool, Pace, all_waiting, ask
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
@@ -91,7 +91,7 @@ def store_all(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Pro
 def _on_selected(tool: LssTool, pace: Pace, address: LssAddress, service: LssService, index: int) -> Procedure[str]:
     try:
         yield from select_only(tool, pace, address)
-    except LssNotSelected as failed:
+    except LssNotSelectedError as failed:
         yield from all_waiting(tool)
         return str(failed)
     remark = "it does not answer: not supported by this device?"
@@ -125,7 +125,7 @@ def missing(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Proce
     for address in addresses:
         try:
             yield from select_only(tool, pace, address)
-        except LssNotSelected:
+        except LssNotSelectedError:
             absent.append(address)
     yield from all_waiting(tool)
     return absent

@@ -67,7 +67,7 @@ class LssError(ProcedureError):
     """LSS did not lead to its goal. The message says what was seen, and what to try."""
 
 
-class LssTimeOver(LssError):
+class LssTimeoutError(LssError):
     """The time for one device is over."""
 
 
@@ -138,7 +138,7 @@ class Pace:
     """How long the questions wait, ns. It adapts: to the slowest answer, and to answers that went missing.
 
     window: for silence. guard: after an answer, at least. slowest: the slowest answer so far. repeats: how often a silent
-    question is asked, 1 to TRIES. device_limit: the longest time to find one device; `until` is its end: then LssTimeOver.
+    question is asked, 1 to TRIES. device_limit: the longest time to find one device; `until` is its end: then LssTimeoutError.
     """
 
     window: Time = WINDOW
@@ -245,7 +245,7 @@ def survey(
 
     aside: devices that do not take part: they are selected first. Each device is reported by LssFound. At the end, and when it is
     cancelled, all slaves are in "waiting". Raises LssError if the answers make no sense even when the questions wait long, and
-    LssTimeOver if one device takes longer than `pace` allows.
+    LssTimeoutError if one device takes longer than `pace` allows.
     """
     result = Survey()
     pace.until = (yield from current_time()) + pace.device_limit
@@ -306,7 +306,7 @@ def fastscan(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, *, first: 
 
     known: numbers that the address has. first: no slave is selected yet; slaves in "configuration" do not take part. The
     caller has to check the result (`identity_of_selected`): a late answer may have been the last one. Raises LssError if
-    nothing sensible comes, and LssTimeOver at the end of the time of `pace`.
+    nothing sensible comes, and LssTimeoutError at the end of the time of `pace`.
     """
     last = absent = 0
     for _ in range(ATTEMPTS):
@@ -316,8 +316,8 @@ def fastscan(tool: LssTool, pace: Pace, known: Known = NOTHING_KNOWN, *, first: 
         for sub in range(NUMBERS):
             try:
                 number = yield from _number(tool, pace, sub, known[sub])
-            except LssTimeOver:
-                raise LssTimeOver(_time_over(numbers)) from None
+            except LssTimeoutError:
+                raise LssTimeoutError(_time_over(numbers)) from None
             if number is None:
                 break
             numbers.append(number)
@@ -371,9 +371,9 @@ def _anybody(tool: LssTool, pace: Pace, first: bool) -> Procedure[bool]:
 def _question(
     tool: LssTool, pace: Pace, number: int, bit: int, sub: int, following: int, guard: Time | None, window: Time = 0
 ) -> Procedure[LssReply]:
-    """Ask the slaves without a node-ID. window: that of `pace` if it is 0. Raises LssTimeOver."""
+    """Ask the slaves without a node-ID. window: that of `pace` if it is 0. Raises LssTimeoutError."""
     if pace.until < NEVER and (yield from current_time()) >= pace.until:
-        raise LssTimeOver(_time_over(()))
+        raise LssTimeoutError(_time_over(()))
     reply = yield from ask(
         tool, lambda now: tool.master.fastscan(number, bit, sub, following, now, window=window or pace.window, guard=guard)
     )

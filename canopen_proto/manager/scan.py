@@ -26,7 +26,7 @@ from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey, r
 from canopen_proto.group import Group
 from canopen_proto.machine import MILLISECOND, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.nmt import SERVICES, STATE_OF_BYTE, NmtState, Service
-from canopen_proto.procedures.steps import Procedure, SdoFailed, act, all_of, sleep, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, act, all_of, sleep, upload
 from canopen_proto.sdo.client import SdoClient
 
 ALL_NODE_IDS: Final = range(1, MAX_NODE_ID + 1)
@@ -184,7 +184,7 @@ def _ask(scanner: Scanner, client: SdoClient, answer_timeout: Time) -> Procedure
     device_type: int | None = None
     try:
         device_type = int.from_bytes((yield from upload(client, indices.DEVICE_TYPE)), "little")
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.origin is not AbortOrigin.PEER:
             return None
         remark = str(failed)  # a refusal is a sign of life
@@ -208,7 +208,7 @@ def _optional(client: SdoClient, index: int, subindex: int) -> Procedure[bytes |
     """Read an object that a device need not have; return None if it does not give it."""
     try:
         return (yield from upload(client, index, subindex))
-    except SdoFailed:
+    except SdoTransferError:
         return None
 
 

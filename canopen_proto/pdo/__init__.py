@@ -5,7 +5,7 @@ The PDOs of another node: `settings` says what one carries and when it is sent, 
 file, `configure` has the procedures that bring the node to them and exchange them."""
 
 from canopen_proto.pdo.consumer import PdoConsumer as PdoConsumer
-from canopen_proto.pdo.consumer import PdoLengthError as PdoLengthError
+from canopen_proto.pdo.consumer import PdoLengthUnexpected as PdoLengthUnexpected
 from canopen_proto.pdo.consumer import PdoOverdue as PdoOverdue
 from canopen_proto.pdo.consumer import PdoReceived as PdoReceived
 from canopen_proto.pdo.consumer import PdoTooLate as PdoTooLate

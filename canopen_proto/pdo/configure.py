@@ -44,19 +44,19 @@ from canopen_proto.pdo.settings import (
     step_text,
 )
 from canopen_proto.pdo.slots import described_pdos
-from canopen_proto.procedures.objects import ABSENT, ObjectAccess, UnexpectedLength, read_if_present
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, act, download, upload
+from canopen_proto.procedures.objects import ABSENT, ObjectAccess, UnexpectedLengthError, read_if_present
+from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoTransferError, act, download, upload
 from canopen_proto.sdo.client import SdoClient
 
-_FAILURES: Final = (SdoFailed, LocalProtocolError)
+_FAILURES: Final = (SdoTransferError, LocalProtocolError)
 """How a step can fail: the transfer fails, or the client refuses it because its queue is full."""
 
 
-class StrangePdo(ProcedureError):
+class InvalidPdoError(ProcedureError):
     """A device shows impossible settings of a PDO: more entries than allowed, or objects that its dictionary here lacks."""
 
 
-class PdoRefused(ProcedureError):
+class PdoRefusedError(ProcedureError):
     """A device refused new settings of a PDO, or its old ones. step: the number of the step that failed or was cancelled, from 1
     on. restored: whether the device has its old settings."""
 
@@ -107,7 +107,8 @@ class PdoNode(ObjectAccess, Protocol):
 def read_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
     """Read the present settings of a PDO of the device (number: 1..512), without its times.
 
-    Raises SdoFailed if the device has no such PDO; StrangePdo or UnexpectedLength if its settings are impossible.
+    Raises SdoTransferError if the device has no such PDO; InvalidPdoError or UnexpectedLengthError if its settings are
+    impossible.
     """
     communication, mapping = communication_index(direction, number), mapping_index(direction, number)
     cob_id = yield from _number(node, communication, COB_ID, 4)
@@ -115,7 +116,7 @@ def read_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[PdoS
     count = yield from _number(node, mapping, 0, 1)
     if count > MAX_ENTRIES:
         text = f"{direction} {number}: {count} mapped objects; a PDO has {MAX_ENTRIES} at most"
-        raise StrangePdo(f"a PDO of node {node.node_id} makes no sense: {text}")
+        raise InvalidPdoError(f"a PDO of node {node.node_id} makes no sense: {text}")
     entries: tuple[int, ...] = ()
     for subindex in range(1, count + 1):
         entries = (*entries, (yield from _number(node, mapping, subindex, 4)))
@@ -125,14 +126,14 @@ def read_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[PdoS
 def _number(node: PdoNode, index: int, subindex: int, size: int) -> Procedure[int]:
     data = yield from upload(node.sdo, index, subindex)
     if len(data) != size:
-        raise UnexpectedLength(f"node {node.node_id}: 0x{index:04X}:{subindex:02X} came with {len(data)} bytes, not {size}")
+        raise UnexpectedLengthError(f"node {node.node_id}: 0x{index:04X}:{subindex:02X} came with {len(data)} bytes, not {size}")
     return int.from_bytes(data, "little")
 
 
 def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings]:
     """Write the settings of a PDO to the device; return its old settings, with those times that were written.
 
-    The node must be Pre-operational for most devices. Raises PdoRefused, which names the step, the abort and the settings in
+    The node must be Pre-operational for most devices. Raises PdoRefusedError, which names the step, the abort and the settings in
     force now; or, as `read_pdo` does, an error while reading the old settings: nothing was written then.
     """
     before = yield from read_pdo(node, *settings.place)
@@ -153,19 +154,19 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
             yield from _put_back(node, before, settings, done, len(steps))
         except _FAILURES as failed:
             message = f"setting {name} up was cancelled, and its old settings could not be put back: {failed}"
-            raise PdoRefused(message, step=done + 1, restored=False) from failed
+            raise PdoRefusedError(message, step=done + 1, restored=False) from failed
         raise
     except _FAILURES as refused:
         what = " = ".join(step_text(steps[done]))
         message = f"{name} could not be set up: step {done + 1} of {len(steps)} ({what}): {refused}"
-        in_doubt = isinstance(refused, SdoFailed) and refused.origin is not AbortOrigin.PEER
+        in_doubt = isinstance(refused, SdoTransferError) and refused.origin is not AbortOrigin.PEER
         if done or in_doubt:  # else nothing has changed
             try:
                 yield from _put_back(node, before, settings, done, len(steps))
             except _FAILURES as failed:
                 message += f"; and its old settings could not be put back: {failed}"
-                raise PdoRefused(message, step=done + 1, restored=False) from refused
-        raise PdoRefused(f"{message}; it has its old settings", step=done + 1, restored=True) from refused
+                raise PdoRefusedError(message, step=done + 1, restored=False) from refused
+        raise PdoRefusedError(f"{message}; it has its old settings", step=done + 1, restored=True) from refused
     return before
 
 
@@ -187,13 +188,13 @@ def steps_to_destroy(
 ) -> Procedure[list[Write]]:
     """Return the downloads that destroy those of these PDOs that are valid in the device itself, which may lack some.
 
-    which: by their COB-IDs in the device. Raises SdoFailed if it does not answer.
+    which: by their COB-IDs in the device. Raises SdoTransferError if it does not answer.
     """
     steps = []
     for pdo in pdos:
         try:
             data = yield from upload(node.sdo, communication_index(*pdo.place), COB_ID)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.abort_code not in ABSENT:
                 raise
             continue
@@ -212,8 +213,9 @@ def exchange_pdos(node: PdoNode, pdos: Iterable[PdoSettings], *, sends_at_sync: 
 
     The node should be Pre-operational: most devices accept new settings only then. An RPDO is not sent before
     `RemoteNode.enable_rpdo`. sends_at_sync: an event-driven RPDO (types 254 and 255), which acts as soon as it comes, is sent at
-    each SYNC too; else only when it is triggered. Raises StrangePdo, with nothing sent, if the node's dictionary lacks an object;
-    SdoFailed, StrangePdo or UnexpectedLength if the node's settings cannot be read; PdoRefused if the node refuses these.
+    each SYNC too; else only when it is triggered. Raises InvalidPdoError, with nothing sent, if the node's dictionary lacks an
+    object; SdoTransferError, InvalidPdoError or UnexpectedLengthError if the node's settings cannot be read; PdoRefusedError if
+    the node refuses these.
     """
     for settings in pdos:
         mapping = _mapping_of(node, settings)
@@ -241,7 +243,8 @@ def define_pdo(
 def use_device_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[Mapping | None]:
     """Exchange a PDO with the device's own settings; return its mapping, or None if the PDO is not valid or carries nothing.
 
-    Raises SdoFailed; StrangePdo if its settings are impossible, or if the node's dictionary lacks an object that it maps.
+    Raises SdoTransferError; InvalidPdoError if its settings are impossible, or if the node's dictionary lacks an object that it
+    maps.
     """
     settings = yield from read_pdo(node, direction, number)
     if not settings.is_valid or not settings.entries:
@@ -256,8 +259,8 @@ def exchange_device_pdos(node: PdoNode) -> Procedure[tuple[PdoDifference, ...]]:
 
     A TPDO is received from now on. For an RPDO, the present values of its objects are read first, so that it sends these once it
     is enabled (`RemoteNode.enable_rpdo`); until then it is not sent. A PDO that maps objects which the dictionary lacks is
-    exchanged too; they become unsigned numbers. MPDOs are left out. Raises SdoFailed if the device does not answer; StrangePdo,
-    UnexpectedLength.
+    exchanged too; they become unsigned numbers. MPDOs are left out. Raises SdoTransferError if the device does not answer;
+    InvalidPdoError, UnexpectedLengthError.
     """
     described = {pdo.place: pdo for pdo in described_pdos(node.dictionary, node.node_id)}
     differences = []
@@ -266,10 +269,10 @@ def exchange_device_pdos(node: PdoNode) -> Procedure[tuple[PdoDifference, ...]]:
         try:
             read = yield from read_pdo(node, direction, number)
             present = read if read.is_valid and read.entries else None
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.abort_code not in ABSENT:
                 raise
-        except StrangePdo:
+        except InvalidPdoError:
             continue  # an MPDO, or impossible settings: there is no mapping to use
         wanted = described.get((direction, number))
         if _key_and_objects(present) != _key_and_objects(wanted):
@@ -288,24 +291,25 @@ def _key_and_objects(settings: PdoSettings | None) -> object:
 
 def read_commanded(node: PdoNode, keys: Iterable[Mux]) -> Procedure[None]:
     """Read the present values of objects that an RPDO is going to carry, so that it sends these. 0 is sent for an object that
-    cannot be read, such as a write-only command. Call it before the RPDO is exchanged. Raises SdoFailed if nobody answers."""
+    cannot be read, such as a write-only command. Call it before the RPDO is exchanged. Raises SdoTransferError if nobody
+    answers."""
     for key in keys:
         try:
             yield from read_if_present(node, split_mux(key))
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.PEER:
                 raise
 
 
 def _mapping_of(node: PdoNode, settings: PdoSettings, *, lacks_objects: bool = False) -> Mapping:
-    """Return the mapping of a PDO by the node's dictionary, which may lack objects. Raises StrangePdo."""
+    """Return the mapping of a PDO by the node's dictionary, which may lack objects. Raises InvalidPdoError."""
     try:
         if lacks_objects:
             mapping = Mapping(entries_of(settings.entries, node.dictionary))
         else:
             mapping = Mapping.from_parameters(settings.entries, node.dictionary)
     except MappingError as error:
-        raise StrangePdo(f"{settings.name} of node {node.node_id}: {error}") from error
+        raise InvalidPdoError(f"{settings.name} of node {node.node_id}: {error}") from error
     check_rpdo(node, settings)
     return mapping
 
@@ -321,7 +325,8 @@ def _exchange(node: PdoNode, settings: PdoSettings, mapping: Mapping, *, sends_a
 
 
 def check_rpdo(node: PdoNode, settings: PdoSettings) -> None:
-    """Raise StrangePdo if these settings of a device would have us send an RPDO on the CAN-ID of another service: 0 is NMT."""
+    """Raise InvalidPdoError if these settings of a device would have us send an RPDO on the CAN-ID of another service: 0 is
+    NMT."""
     if settings.direction is Direction.RPDO and check_can_id(settings.cob_id) is not None:
         text = f"its COB-ID 0x{settings.cob_id:X} has a CAN-ID that no PDO may have; nothing is sent there"
-        raise StrangePdo(f"{settings.name} of node {node.node_id}: {text}")
+        raise InvalidPdoError(f"{settings.name} of node {node.node_id}: {text}")

@@ -87,7 +87,7 @@ class PdoReceived(Event):
         return None if position is None else self.components[position]
 
 
-class PdoLengthError(Event):
+class PdoLengthUnexpected(Event):
     """A PDO was shorter or longer than its mapping. expected, received: bytes. emcy_code: 0x8210 for a short one, which is not
     processed; 0x8220 for a long one, whose mapped bytes are used."""
 
@@ -232,7 +232,7 @@ class PdoConsumer(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         """Hold the data for the next SYNC, or put their values into the store and report `PdoReceived`.
 
-        Events: `PdoLengthError` for a wrong length; `FrameIgnored` if the bytes are no valid value (a time of 25 hours).
+        Events: `PdoLengthUnexpected` for a wrong length; `FrameIgnored` if the bytes are no valid value (a time of 25 hours).
         """
         if not self.enabled or self.key is None:
             return
@@ -284,7 +284,9 @@ class PdoConsumer(Machine):
     def _report_length(self, received: int, emcy_code: int) -> None:
         assert self.key is not None
         self.out.events.append(
-            PdoLengthError(self.node_id, self.number, self.key, self.mapping.byte_length, received, emcy_code, self.out.timestamp)
+            PdoLengthUnexpected(
+                self.node_id, self.number, self.key, self.mapping.byte_length, received, emcy_code, self.out.timestamp
+            )
         )
 
     def _forget(self) -> None:

@@ -41,7 +41,7 @@ from canopen_proto.dictionary import Access, Direction, ObjectDictionary, Values
 from canopen_proto.frame import MAX_NODE_ID, Frame, RoutingKey, frame_for_key
 from canopen_proto.machine import NEVER, Event, FrameIgnored, LocalProtocolError, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import Mux, index_of, mux, subindex_of
-from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthError
+from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED, PdoLengthUnexpected
 from canopen_proto.pdo.mapping import number_at
 from canopen_proto.pdo.producer import PdoNotSent
 
@@ -217,7 +217,7 @@ class MpdoConsumer(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         """Write the value of an MPDO to its object.
 
-        Events: MpdoReceived; MpdoNotProcessed; PdoLengthError for less than eight bytes; FrameIgnored for the wrong mode.
+        Events: MpdoReceived; MpdoNotProcessed; PdoLengthUnexpected for less than eight bytes; FrameIgnored for the wrong mode.
         CiA 301 v4.2.0, 7.2.3
         """
         if not self.enabled:
@@ -279,8 +279,8 @@ class MpdoListener(Machine):
     def receive(self, frame: Frame, now: Time) -> None:
         """Take the value of an MPDO of this node. An MPDO of another producer on the same CAN-ID is ignored.
 
-        Events: MpdoReceived; PdoLengthError for less than eight bytes; FrameIgnored for the other address mode, and for an object
-        that is not in the node's dictionary or that no TPDO can carry.
+        Events: MpdoReceived; PdoLengthUnexpected for less than eight bytes; FrameIgnored for the other address mode, and for an
+        object that is not in the node's dictionary or that no TPDO can carry.
         """
         key, data = frame.key, frame.data
         number = next(each for each, its_key in self._keys.items() if its_key == key)
@@ -304,11 +304,11 @@ class MpdoListener(Machine):
 
 
 def _is_whole(receiver: MpdoConsumer | MpdoListener, number: int, key: RoutingKey, data: bytes) -> bool:
-    """Return whether an MPDO has eight bytes at least; report PdoLengthError if not."""
+    """Return whether an MPDO has eight bytes at least; report PdoLengthUnexpected if not."""
     is_whole = len(data) >= MPDO.size
     if not is_whole:
         code, stamp = EMCY_PDO_NOT_PROCESSED, receiver.out.timestamp
-        receiver.out.events.append(PdoLengthError(receiver.node_id, number, key, MPDO.size, len(data), code, stamp))
+        receiver.out.events.append(PdoLengthUnexpected(receiver.node_id, number, key, MPDO.size, len(data), code, stamp))
     return is_whole
 
 

@@ -12,7 +12,7 @@ manager/, drives/axis/.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from canopen_proto.procedures.objects import UnexpectedLength as UnexpectedLength
+    from canopen_proto.procedures.objects import UnexpectedLengthError as UnexpectedLengthError
     from canopen_proto.procedures.objects import read as read
     from canopen_proto.procedures.objects import read_if_present as read_if_present
     from canopen_proto.procedures.objects import read_int as read_int
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from canopen_proto.procedures.steps import Cancelled as Cancelled
     from canopen_proto.procedures.steps import Procedure as Procedure
     from canopen_proto.procedures.steps import ProcedureError as ProcedureError
-    from canopen_proto.procedures.steps import SdoFailed as SdoFailed
-    from canopen_proto.procedures.steps import StepTimeout as StepTimeout
+    from canopen_proto.procedures.steps import SdoTransferError as SdoTransferError
+    from canopen_proto.procedures.steps import StepTimeoutError as StepTimeoutError
     from canopen_proto.procedures.steps import act as act
     from canopen_proto.procedures.steps import all_of as all_of
     from canopen_proto.procedures.steps import ask_for_time as ask_for_time
@@ -40,10 +40,10 @@ else:
     __getattr__, __dir__, __all__ = lazy_names(
         globals(),
         {
-            "canopen_proto.procedures.objects": "UnexpectedLength read read_if_present read_int write",
+            "canopen_proto.procedures.objects": "UnexpectedLengthError read read_if_present read_int write",
             "canopen_proto.procedures.runner": "ProcedureCancelled ProcedureFailed ProcedureFinished Runner",
             "canopen_proto.procedures.steps": (
-                "Cancelled Procedure ProcedureError SdoFailed StepTimeout act all_of ask_for_time current_time sleep "
+                "Cancelled Procedure ProcedureError SdoTransferError StepTimeoutError act all_of ask_for_time current_time sleep "
                 "wait_for_event"
             ),
             "canopen_proto.procedures.streams": "download_stream upload_stream",

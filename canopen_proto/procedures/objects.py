@@ -8,7 +8,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, ObjectDictionary, Variable
 from canopen_proto.machine import Outbox, Outcome, RequestId, Time
-from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoFailed
+from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoTransferError
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
 ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
@@ -35,26 +35,26 @@ class ObjectAccess(Protocol):
         """See RemoteNode."""
 
 
-class UnexpectedLength(ProcedureError):
+class UnexpectedLengthError(ProcedureError):
     """A node sent an object whose length does not fit its type."""
 
 
 def read(node: ObjectAccess, key: Key) -> Procedure[Value]:
-    """Read an object by SDO; return its value, and keep it in `node.values`. Raises SdoFailed, UnexpectedLength."""
+    """Read an object by SDO; return its value, and keep it in `node.values`. Raises SdoTransferError, UnexpectedLengthError."""
     variable = node.dictionary.variable(key)
     outcome: Outcome = yield Request(node, lambda now, urgent: node.read(variable, now, urgent=urgent))
     if isinstance(outcome, SdoUploaded):
         return value_of(node, variable, outcome)
     assert isinstance(outcome, SdoAborted)
-    raise SdoFailed(outcome, "reading")
+    raise SdoTransferError(outcome, "reading")
 
 
 def value_of(node: ObjectAccess, variable: Variable, uploaded: SdoUploaded) -> Value:
-    """Return the value that an upload of this object brought. Raises UnexpectedLength."""
+    """Return the value that an upload of this object brought. Raises UnexpectedLengthError."""
     try:
         return variable.decode(uploaded.data)
     except ValueRangeError as error:
-        raise UnexpectedLength(f"node {node.node_id}: {error}; is it described by another device's dictionary?") from error
+        raise UnexpectedLengthError(f"node {node.node_id}: {error}; is it described by another device's dictionary?") from error
 
 
 def read_int(node: ObjectAccess, key: Key) -> Procedure[int]:
@@ -65,19 +65,20 @@ def read_int(node: ObjectAccess, key: Key) -> Procedure[int]:
 
 
 def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
-    """Read an object; return None if the dictionary or the device does not have it. Raises SdoFailed for any other abort."""
+    """Read an object; return None if the dictionary or the device does not have it. Raises SdoTransferError for any other
+    abort."""
     if key not in node.dictionary:
         return None
     try:
         return (yield from read(node, key))
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.abort_code in ABSENT:
             return None
         raise
 
 
 def write(node: ObjectAccess, key: Key, value: Value, *, urgent: bool = False) -> Procedure[None]:
-    """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoFailed.
+    """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoTransferError.
 
     urgent: it goes before all queued requests of the node, and does not wait for a late answer; the writes of a clean-up always
     do. Raises LocalProtocolError or ValueRangeError, with nothing sent, if the dictionary forbids the write.
@@ -85,4 +86,4 @@ def write(node: ObjectAccess, key: Key, value: Value, *, urgent: bool = False) -
     outcome: Outcome = yield Request(node, lambda now, is_urgent: node.write(key, value, now, urgent=urgent or is_urgent))
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
-        raise SdoFailed(outcome, "writing")
+        raise SdoTransferError(outcome, "writing")

@@ -69,7 +69,7 @@ class ProcedureCancelled(Outcome):
         self.clean_up_error = clean_up_error
 
 
-class CleanUpTimeout(ProcedureError):
+class CleanUpTimeoutError(ProcedureError):
     """The clean-up of a cancelled procedure did not end in time (CLEAN_UP_TIME) and was given up."""
 
 
@@ -338,7 +338,7 @@ class Runner(Machine):
         self._drop_step(task, now)
         task.active = True  # so that the end of its children does not resume it
         self._give_up_children(task, now)
-        error: Exception = CleanUpTimeout(
+        error: Exception = CleanUpTimeoutError(
             f"the clean-up did not end within {(now - task.cancelled_at) / 1e9:g} s and was given up"
         )
         try:

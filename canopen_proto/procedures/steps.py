@@ -42,11 +42,11 @@ class ProcedureError(Exception):
     """A procedure failed. The message says what failed, what was seen, and what to try."""
 
 
-class StepTimeout(ProcedureError):
+class StepTimeoutError(ProcedureError):
     """An awaited event or state did not come in time."""
 
 
-class SdoFailed(ProcedureError):
+class SdoTransferError(ProcedureError):
     """An SDO transfer of the procedure ended with an abort, ours or the node's. Fields: those of SdoAborted.
 
     not_confirmed: a write that may have been executed; it is never sent again automatically. attempt: "reading" or "writing".
@@ -191,10 +191,10 @@ def ask_for_time(duration: Time) -> Procedure[None]:
 def wait_for_event(
     source: Machine, kind: type[E], timeout: Time, what: str, match: Callable[[E], bool] | None = None
 ) -> Procedure[E]:
-    """Wait for an event of this kind from source's network; return it. After `timeout` ns, StepTimeout names `what`."""
+    """Wait for an event of this kind from source's network; return it. After `timeout` ns, StepTimeoutError names `what`."""
     result = yield Wait(timeout, source, lambda report: isinstance(report, kind) and (match is None or match(report)))
     if not isinstance(result, kind):
-        raise StepTimeout(f"{what} did not come within {timeout / 1e9:g} s")
+        raise StepTimeoutError(f"{what} did not come within {timeout / 1e9:g} s")
     return result
 
 
@@ -206,19 +206,20 @@ def all_of(*procedures: Procedure[T]) -> Procedure[list[T]]:
 
 
 def upload(client: SdoClient, index: int, subindex: int = 0, *, block: Block = False) -> Procedure[bytes]:
-    """Read an object by SDO; return its bytes. Raises SdoFailed. block: see `Block`. For very large objects use streams.py."""
+    """Read an object by SDO; return its bytes. Raises SdoTransferError. block: see `Block`. For very large objects use
+    streams.py."""
     outcome: Outcome = yield Request(client, lambda now, urgent: client.upload(index, subindex, now, urgent=urgent, block=block))
     if isinstance(outcome, SdoUploaded):
         return outcome.data
     assert isinstance(outcome, SdoAborted)
-    raise SdoFailed(outcome, "reading")
+    raise SdoTransferError(outcome, "reading")
 
 
 def download(client: SdoClient, index: int, subindex: int, data: Buffer, *, block: Block = False) -> Procedure[None]:
-    """Write an object by SDO; return when the node has confirmed it. Raises SdoFailed. block: see `Block`."""
+    """Write an object by SDO; return when the node has confirmed it. Raises SdoTransferError. block: see `Block`."""
     outcome: Outcome = yield Request(
         client, lambda now, urgent: client.download(index, subindex, data, now, urgent=urgent, block=block)
     )
     if not isinstance(outcome, SdoDownloaded):
         assert isinstance(outcome, SdoAborted)
-        raise SdoFailed(outcome, "writing")
+        raise SdoTransferError(outcome, "writing")

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from canopen_proto.machine import LocalProtocolError, Outcome, Time
-from canopen_proto.procedures.steps import Procedure, Request, SdoFailed, download, upload
+from canopen_proto.procedures.steps import Procedure, Request, SdoTransferError, download, upload
 from canopen_proto.sdo.block_client import lacks_blocks
 from canopen_proto.sdo.client import AUTO_BLOCK, Block, SdoClient
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoProgress, SdoStreamUploaded
@@ -27,7 +27,8 @@ def upload_stream(
 ) -> Procedure[int]:
     """Read an object piece by piece: call `take(piece)` for each, in order. Return their total size in bytes.
 
-    Do not trust the pieces before it has returned: the checksum comes last. Raises SdoFailed. block: see this module's text.
+    Do not trust the pieces before it has returned: the checksum comes last. Raises SdoTransferError. block: see this module's
+    text.
     """
     pieces = 0
 
@@ -46,7 +47,7 @@ def upload_stream(
             return outcome.size
         assert isinstance(outcome, SdoAborted)
         if block is True or pieces or not lacks_blocks(outcome):
-            raise SdoFailed(outcome, "reading")
+            raise SdoTransferError(outcome, "reading")
     data = yield from upload(client, index, subindex)
     take(data)
     return len(data)
@@ -63,8 +64,8 @@ def download_stream(
 ) -> Procedure[None]:
     """Write an object from pieces of any size; return when the node has confirmed the whole.
 
-    size: of the whole in bytes, if known; servers may insist on it. Raises SdoFailed; LocalProtocolError if the pieces have more
-    or fewer bytes. block: see this module's text.
+    size: of the whole in bytes, if known; servers may insist on it. Raises SdoTransferError; LocalProtocolError if the pieces
+    have more or fewer bytes. block: see this module's text.
     """
     feeder = Feeder(client, pieces, size)
     goes_in_blocks = client.serves_blocks and (size is None or size > AUTO_BLOCK) if block == "auto" else block
@@ -78,7 +79,7 @@ def download_stream(
             return
         assert isinstance(outcome, SdoAborted)
         if block is True or feeder.has_begun or not lacks_blocks(outcome):
-            raise SdoFailed(outcome, "writing")
+            raise SdoTransferError(outcome, "writing")
     yield from download(client, index, subindex, feeder.whole())
 
 

@@ -42,9 +42,9 @@ def with_configured(
     $NODEID stays so. file_info: for the new file (its name, its author and date: the core has no clock); None: that of the old
     file. A DCF made of an EDS names that EDS in LastEDS.
 
-    Raises ObjectNotFound for a mux that the dictionary does not have, ValueRangeError where a value does not fit its object, and
-    LocalProtocolError if neither argument nor description has a node-ID. Limits are not checked: a device may hold a value that
-    its EDS does not allow.
+    Raises ObjectNotFoundError for a mux that the dictionary does not have, ValueRangeError where a value does not fit its object,
+    and LocalProtocolError if neither argument nor description has a node-ID. Limits are not checked: a device may hold a value
+    that its EDS does not allow.
     """
     commissioning = commissioning or description.commissioning
     if commissioning is None or commissioning.node_id is None:
@@ -64,7 +64,7 @@ def with_configured(
 
 
 def configure(dictionary: ObjectDictionary, values: Mapping[Mux, Value], node_id: int) -> ObjectDictionary:
-    """Return the dictionary with these values, by mux, as its configured values. Raises ObjectNotFound, ValueRangeError."""
+    """Return the dictionary with these values, by mux, as its configured values. Raises ObjectNotFoundError, ValueRangeError."""
     changed: dict[int, dict[int, Variable]] = {}
     for key, value in values.items():
         variable = dictionary.variable(split_mux(key))

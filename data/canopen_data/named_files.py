@@ -13,7 +13,7 @@ from canopen_data.findings import Severity
 from canopen_data.reading import read_description
 
 
-class UnusableFile(DataError):
+class UnusableFileError(DataError):
     """A file that a user named cannot be used. For the fields see Explained."""
 
     def __init__(self, failed: str, code: str = "CO330", *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
@@ -44,7 +44,7 @@ def open_description(path: str, encoding: str = "", connected: tuple[int, ...] =
     """Read a device's own file, however many faults it has. encoding: of its text, "" for a guess. connected: see
     `read_description`.
 
-    Raises DataError if it cannot be read, UnusableFile if it describes no object.
+    Raises DataError if it cannot be read, UnusableFileError if it describes no object.
     """
     data = read_file(path)
     description = read_description(data, path, encoding=encoding, connected=connected)
@@ -53,7 +53,7 @@ def open_description(path: str, encoding: str = "", connected: tuple[int, ...] =
         seen = f"{len(data)} bytes"
         if first is not None:
             seen = f"line {first.line}: {first.message}" if first.line else first.message
-        raise UnusableFile(
+        raise UnusableFileError(
             f"{path} describes no object",
             "CO301",
             seen=seen,
@@ -64,12 +64,12 @@ def open_description(path: str, encoding: str = "", connected: tuple[int, ...] =
 
 
 def read_text(path: Path) -> str:
-    """Return a text of at most MAX_FILE_SIZE bytes. Raises UnusableFile."""
+    """Return a text of at most MAX_FILE_SIZE bytes. Raises UnusableFileError."""
     try:
         if path.stat().st_size > MAX_FILE_SIZE:
-            raise UnusableFile(f"{path} has more than {MAX_FILE_SIZE} bytes", cause="it is another file")
+            raise UnusableFileError(f"{path} has more than {MAX_FILE_SIZE} bytes", cause="it is another file")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise UnusableFile(f"{path} is not UTF-8 text", seen=str(error)) from None
+        raise UnusableFileError(f"{path} is not UTF-8 text", seen=str(error)) from None
     except OSError as error:
-        raise UnusableFile(f"cannot read {path}: {error.strerror or error}", tries=("check the path",)) from None
+        raise UnusableFileError(f"cannot read {path}: {error.strerror or error}", tries=("check the path",)) from None

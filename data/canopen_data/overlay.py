@@ -39,7 +39,7 @@ from typing import Any, Final, TypeGuard
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_data.toml_file import parse_toml
 from canopen_proto.datatypes import is_integer, is_number
-from canopen_proto.dictionary.model import Constant, NotInDictionary, ObjectDictionary, Variable, did_you_mean
+from canopen_proto.dictionary.model import Constant, NotInDictionaryError, ObjectDictionary, Variable, did_you_mean
 from canopen_proto.multiplexer import Mux
 
 _FIELDS: Final = ("aliases", "unit", "factor", "description", "values", "bits")
@@ -81,7 +81,7 @@ def lay_tables_over(
         path = _path("objects", key)
         try:
             variable = dictionary.variable(key)
-        except NotInDictionary as error:
+        except NotInDictionaryError as error:
             reading.warn(path, str(error))
             continue
         before = variables.get(variable.mux, variable)

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final, TypeAlias, TypeVar
 
-from canopen_check.expectations import LateOrEarly, Notes, NotInTime
+from canopen_check.expectations import Notes, NotInTimeError, TimingError
 from canopen_check.probe import FrameHeard, RawProbe
 from canopen_data.description import DeviceDescription
 from canopen_proto.abort import AbortOrigin
@@ -47,8 +47,8 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtMaster, NmtState
 from canopen_proto.procedures.steps import (
     Procedure,
-    SdoFailed,
-    StepTimeout,
+    SdoTransferError,
+    StepTimeoutError,
     act,
     current_time,
     download,
@@ -57,7 +57,7 @@ from canopen_proto.procedures.steps import (
     wait_for_event,
 )
 from canopen_proto.sdo.client import SdoClient
-from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
+from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 ANSWER_TIME: Final = 1 * SECOND
 BOOT_TIME: Final = 5 * SECOND
@@ -227,7 +227,7 @@ class Bench:
         data = heard.frame.data
         state = STATE_OF_BYTE[data[0]] if len(data) == 1 else None
         if state is None:
-            raise Violation(f"{heard.frame} shows no NMT state")
+            raise ViolationError(f"{heard.frame} shows no NMT state")
         return state
 
     def expect_state(self, expected: NmtState, when: str) -> Procedure[None]:
@@ -261,18 +261,19 @@ class Bench:
         self.lateness = max(self.lateness, now - due)
 
     def next_frame(self, key: RoutingKey, timeout: Time, what: str) -> Procedure[FrameHeard]:
-        """Return the next frame with a routing key to which the probe listens. Raises NotInTime, naming `what`; timeout: ns."""
+        """Return the next frame with a routing key to which the probe listens. Raises NotInTimeError, naming `what`; timeout:
+        ns."""
         begin = yield from current_time()
         while (heard := self.probe.take(key)) is None:  # a frame may have been taken before the news of it came
             left = begin + timeout - (yield from current_time())
             try:
                 yield from wait_for_event(self.probe, FrameHeard, max(left, 0), what, lambda report: report.frame.key == key)
-            except StepTimeout:
+            except StepTimeoutError:
                 yield from self._look_at_the_clock(begin + timeout)
                 late = self.probe.take(key)  # it came while we were late
                 if late is not None:
                     return late
-                raise NotInTime(f"{what} did not come within {timeout / SECOND:g} s", timeout) from None
+                raise NotInTimeError(f"{what} did not come within {timeout / SECOND:g} s", timeout) from None
         return heard
 
     def frames_within(self, key: RoutingKey, duration: Time) -> Procedure[list[FrameHeard]]:
@@ -284,7 +285,7 @@ class Bench:
     def expect_period(self, key: RoutingKey, duration: Time, period: Time, what: str) -> Procedure[list[FrameHeard]]:
         """Listen for `duration` ns and check that frames with this routing key come once per period; return the frames.
 
-        The time from the first frame to the last is measured: it is known better than our listening time. Raises LateOrEarly.
+        The time from the first frame to the last is measured: it is known better than our listening time. Raises TimingError.
         """
         begin = yield from current_time()
         heard = yield from self.frames_within(key, duration)
@@ -292,24 +293,24 @@ class Bench:
         return heard
 
     def check_period(self, heard: Sequence[FrameHeard], begin: Time, end: Time, period: Time, what: str) -> None:
-        """Check that the frames heard from `begin` to `end` came once per period. Raises LateOrEarly."""
+        """Check that the frames heard from `begin` to `end` came once per period. Raises TimingError."""
         wanted = f"the period is {period / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
         seen = f"{what} came {len(heard)} times in {(end - begin) / SECOND:.3g} s"
         if len(heard) < 2:
-            raise LateOrEarly(f"{seen}; {wanted}")
+            raise TimingError(f"{seen}; {wanted}")
         first, last = heard[0].at, heard[-1].at
         average = (last - first) / (len(heard) - 1)
         if abs(average - period) > period * PERIOD_TOLERANCE:
-            raise LateOrEarly(f"{seen}, one each {average / MILLISECOND:.1f} ms; {wanted}")
+            raise TimingError(f"{seen}, one each {average / MILLISECOND:.1f} ms; {wanted}")
         pause = max(first - begin, end - last)
         if pause > 2 * period:
-            raise LateOrEarly(f"{seen}, and then not for {pause / MILLISECOND:.0f} ms; {wanted}")
+            raise TimingError(f"{seen}, and then not for {pause / MILLISECOND:.0f} ms; {wanted}")
 
     def expect_silence(self, key: RoutingKey, duration: Time, what: str) -> Procedure[None]:
         """Check that no frame with this routing key comes within `duration` ns."""
         heard = yield from self.frames_within(key, duration)
         if heard:
-            raise Violation(f"{what}: {heard[0].frame} came")
+            raise ViolationError(f"{what}: {heard[0].frame} came")
 
     def sync(self, counter: int | None = None) -> Procedure[None]:
         """Send a SYNC, and give the device time to react."""
@@ -333,12 +334,12 @@ class Bench:
     # ---- objects by SDO ----
 
     def transfer(self, procedure: Procedure[T]) -> Procedure[T]:
-        """Carry out an SDO transfer. Raises SdoFailed; NotInTime if there is no answer."""
+        """Carry out an SDO transfer. Raises SdoTransferError; NotInTimeError if there is no answer."""
         try:
             return (yield from procedure)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is AbortOrigin.TIMEOUT:
-                raise NotInTime(str(failed), self.sdo.timeout) from failed
+                raise NotInTimeError(str(failed), self.sdo.timeout) from failed
             raise
 
     def read(self, index: int, subindex: int = 0) -> Procedure[bytes]:
@@ -357,26 +358,28 @@ class Bench:
         """Return the bytes of an unsigned number, with the object's width in the dictionary."""
         variable = self.variable(index, subindex)
         if variable.size is None or value.bit_length() > 8 * variable.size:
-            raise Violation(f"{variable.label} is a {variable.data_type.name}, which does not hold the number {value}")
+            raise ViolationError(f"{variable.label} is a {variable.data_type.name}, which does not hold the number {value}")
         return value.to_bytes(variable.size, "little")
 
     def refusal_of_read(self, index: int, subindex: int) -> Procedure[int | None]:
-        """Read an object; return the abort code of a refusal, None if it is not refused. Raises NotInTime without an answer."""
+        """Read an object; return the abort code of a refusal, None if it is not refused. Raises NotInTimeError without an
+        answer."""
         try:
             yield from self.transfer(upload(self.sdo, index, subindex))
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             return _code_of_peer(failed)
         return None
 
     def refusal_of_write(self, index: int, subindex: int, value: int | bytes) -> Procedure[int | None]:
-        """Write an object; return the abort code of a refusal, None if it is not refused. Raises NotInTime without an answer.
+        """Write an object; return the abort code of a refusal, None if it is not refused. Raises NotInTimeError without an
+        answer.
 
         value: bytes as they are, or a number with the width in the dictionary.
         """
         data = value if isinstance(value, bytes) else self.encode(index, subindex, value)
         try:
             yield from self.transfer(download(self.sdo, index, subindex, data))
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             return _code_of_peer(failed)
         return None
 
@@ -410,7 +413,7 @@ def _encoded(variable: Variable, value: Value) -> bytes | None:
         return None
 
 
-def _code_of_peer(failed: SdoFailed) -> int:
+def _code_of_peer(failed: SdoTransferError) -> int:
     if failed.origin is not AbortOrigin.PEER:
         raise failed
     return failed.abort_code

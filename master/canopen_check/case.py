@@ -4,7 +4,7 @@ A case is a procedure that tests one point of a device and says whether the devi
 in one of these ways:
 
     it returns                 passed, if no failure was noted; the returned text is shown to people, such as "101 heartbeats"
-    Violation                  failed: the device did what it must not, or did not do what it must
+    ViolationError             failed: the device did what it must not, or did not do what it must
     any other ProcedureError   failed too: the device did not answer, or refused what it has to accept
     NotApplicable              the device does not have the subject of the case
 
@@ -23,8 +23,8 @@ from typing import Final, TypeAlias, TypeVar
 
 from canopen_check.bench import Bench
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
-from canopen_proto.verdict import NotApplicable, Result, Verdict, Violation
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
+from canopen_proto.verdict import NotApplicable, Result, Verdict, ViolationError
 
 T = TypeVar("T")
 
@@ -94,10 +94,10 @@ def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[obj
         count += 1
         try:
             yield from look(item)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.PEER:
                 raise
             bench.notes.fail(failed)
-        except Violation as violation:
+        except ViolationError as violation:
             bench.notes.fail(violation)
     return count

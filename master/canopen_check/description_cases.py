@@ -13,7 +13,7 @@ from canopen_check.case import Case
 from canopen_data.checks import check
 from canopen_data.findings import Severity
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.verdict import Violation, does_not_apply
+from canopen_proto.verdict import ViolationError, does_not_apply
 
 
 def check_file(bench: Bench) -> Procedure[str]:
@@ -24,7 +24,7 @@ def check_file(bench: Bench) -> Procedure[str]:
     found = [*bench.description.findings, *check(bench.description)]
     for each in found:
         if each.severity is Severity.ERROR:
-            bench.notes.fail(Violation(str(each)))
+            bench.notes.fail(ViolationError(str(each)))
     warnings = sum(1 for each in found if each.severity is Severity.WARNING)
     return f"{warnings} warning{'' if warnings == 1 else 's'}" if warnings else ""
 

@@ -31,8 +31,8 @@ from canopen_proto.dictionary import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.download_order import NO_DOWNLOAD
 from canopen_proto.indices import COMMUNICATION_AREA, ERROR_REGISTER, MANUFACTURER_AREA, MANUFACTURER_STATUS_REGISTER
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.procedures.steps import Procedure, SdoFailed
-from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
+from canopen_proto.procedures.steps import Procedure, SdoTransferError
+from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 FIRST_OF_MAKER: Final = 0x2000
 """The first index after the communication area."""
@@ -91,9 +91,9 @@ def expect_defaults(bench: Bench, variables: Iterable[Variable]) -> Procedure[st
 
 
 def _name(bench: Bench, variable: Variable, seen: bytes) -> NoReturn:
-    """Raise Violation for an object with another value than its default."""
+    """Raise ViolationError for an object with another value than its default."""
     bench.wrong_defaults[variable.mux] = seen
-    raise Violation(f"{variable.label} is {seen.hex(' ') or 'nothing'}, not {(bench.content_of(variable) or b'').hex(' ')}")
+    raise ViolationError(f"{variable.label} is {seen.hex(' ') or 'nothing'}, not {(bench.content_of(variable) or b'').hex(' ')}")
 
 
 def change_settings(bench: Bench) -> Procedure[list[tuple[Variable, bytes]]]:
@@ -130,7 +130,7 @@ def _read(bench: Bench, variable: Variable) -> Procedure[None]:
     """Read an object. There may be no data at the moment (an entry of the error history)."""
     try:
         content = yield from bench.read(variable.index, variable.subindex)
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.abort_code in (AbortCode.NO_DATA, AbortCode.GENERAL_ERROR):
             return
         raise

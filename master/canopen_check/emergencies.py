@@ -9,7 +9,7 @@ from canopen_check.bench import Bench
 from canopen_check.probe import FrameHeard
 from canopen_proto.machine import Time
 from canopen_proto.procedures.steps import Procedure, current_time
-from canopen_proto.verdict import Violation, expect_equal
+from canopen_proto.verdict import ViolationError, expect_equal
 
 
 def code_of(message: bytes) -> int:
@@ -23,7 +23,7 @@ def errors_heard(bench: Bench) -> list[FrameHeard]:
 
 
 def next_error(bench: Bench, timeout: Time, what: str) -> Procedure[FrameHeard]:
-    """Return the next message about an error. Raises NotInTime, which names `what`; timeout: ns."""
+    """Return the next message about an error. Raises NotInTimeError, which names `what`; timeout: ns."""
     end = (yield from current_time()) + timeout
     while True:
         left = max(end - (yield from current_time()), 0)
@@ -38,4 +38,4 @@ def expect_no_error(bench: Bench, duration: Time, what: str) -> Procedure[None]:
     bench.probe.listen_also(bench.emcy_key)
     yield from bench.sleep(duration)
     for each in errors_heard(bench):
-        raise Violation(f"{what}: {each.frame} came")
+        raise ViolationError(f"{what}: {each.frame} came")

@@ -6,8 +6,8 @@ many objects and goes on with the next, so that the verdict names all of them.
 `Bench.notes` takes three degrees: a failure; a remark, if the standard leaves the behaviour open; and a violation of the standard
 that CiA's own tool does not check (`Notes.beyond`), which is a remark unless the test is strict.
 
-Two failures depend on time: `LateOrEarly` and `NotInTime`. They are remarks if our own process was so late that this may be the
-cause. All others are certain.
+Two failures depend on time: `TimingError` and `NotInTimeError`. They are remarks if our own process was so late that this may be
+the cause. All others are certain.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Final
 
 from canopen_proto.abort import AbortCode, text_of
 from canopen_proto.machine import MILLISECOND, NEVER, Time
-from canopen_proto.procedures.steps import ProcedureError, StepTimeout
-from canopen_proto.verdict import Result, Verdict, Violation
+from canopen_proto.procedures.steps import ProcedureError, StepTimeoutError
+from canopen_proto.verdict import Result, Verdict, ViolationError
 
 LATE: Final = 20 * MILLISECOND
 """If our process is later than this, it cannot call others late: a fifth of the shortest period that is measured."""
@@ -26,13 +26,13 @@ LATE_PART: Final = 5
 """If our process is late by less than a fifth of a wait, this does not explain why nothing came."""
 
 
-class LateOrEarly(Violation):
+class TimingError(ViolationError):
     """The device did something at the wrong time, or too often, or not often enough. Our own lateness may look the same."""
 
     excuse: Time = LATE
 
 
-class NotInTime(StepTimeout):
+class NotInTimeError(StepTimeoutError):
     """A frame or an answer did not come. excuse: if our own lateness (ns) is as large, it may not be the device's fault."""
 
     def __init__(self, message: str, waited: Time) -> None:
@@ -58,7 +58,7 @@ class Notes:
 
     def fail(self, failure: ProcedureError) -> None:
         """Note a failure and go on. The same one is noted once."""
-        noted = str(failure), failure.excuse if isinstance(failure, LateOrEarly | NotInTime) else NEVER
+        noted = str(failure), failure.excuse if isinstance(failure, TimingError | NotInTimeError) else NEVER
         if noted not in self.failures:
             self.failures.append(noted)
 
@@ -70,7 +70,7 @@ class Notes:
     def beyond(self, condition: bool, otherwise: str) -> None:
         """If the condition does not hold, note a violation of the standard that CiA's tool accepts."""
         if not condition and self.strict:
-            self.fail(Violation(otherwise))
+            self.fail(ViolationError(otherwise))
         elif not condition:
             self.remark(otherwise)
 
@@ -95,12 +95,13 @@ class Notes:
 
 
 def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: str) -> None:
-    """Go on if an access was refused with one of these codes, else raise Violation. abort_code: None if it was not refused."""
+    """Go on if an access was refused with one of these codes, else raise ViolationError. abort_code: None if it was not
+    refused."""
     codes = " or ".join(f"0x{code:08X}" for code in valid)
     if abort_code is None:
-        raise Violation(f"{what} was not refused; abort {codes} expected")
+        raise ViolationError(f"{what} was not refused; abort {codes} expected")
     if abort_code not in valid:
-        raise Violation(f"{what} was refused with 0x{abort_code:08X} ({text_of(abort_code)}), not with {codes}")
+        raise ViolationError(f"{what} was refused with 0x{abort_code:08X} ({text_of(abort_code)}), not with {codes}")
 
 
 def _summary(lines: tuple[str, ...]) -> str:

@@ -11,7 +11,7 @@ from typing import Final
 from canopen_check.bench import ANSWER_TIME, PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_heard, expect_no_error, next_error
-from canopen_check.expectations import LateOrEarly
+from canopen_check.expectations import TimingError
 from canopen_check.heartbeat_cases import EMCY_CONNECTION_LOST, check_not_early, highest
 from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
 from canopen_proto import indices
@@ -105,7 +105,7 @@ def life_guarding(bench: Bench) -> Procedure[None]:
         yield from bench.sleep(PERIOD)
     for each in errors_heard(bench):
         asked = f"the device was asked each {PERIOD // MILLISECOND} ms, its life time is {PERIOD * FACTOR // MILLISECOND} ms"
-        raise LateOrEarly(f"{asked}, and an emergency message came: {each.frame}")
+        raise TimingError(f"{asked}, and an emergency message came: {each.frame}")
     begin = yield from current_time()  # the device hears the request after this time, however late we are
     yield from request(bench)
     life_time = PERIOD * FACTOR

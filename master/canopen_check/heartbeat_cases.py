@@ -8,7 +8,7 @@ from typing import Final
 from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Case
 from canopen_check.emergencies import code_of, errors_heard, expect_no_error, next_error
-from canopen_check.expectations import LateOrEarly, expect_refusal
+from canopen_check.expectations import TimingError, expect_refusal
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, RoutingKey
@@ -16,7 +16,7 @@ from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.steps import Procedure, current_time
-from canopen_proto.verdict import Violation, does_not_apply, expect_equal
+from canopen_proto.verdict import ViolationError, does_not_apply, expect_equal
 
 CONSUMER: Final = indices.CONSUMER_HEARTBEAT_TIME
 PRODUCER: Final = indices.PRODUCER_HEARTBEAT_TIME
@@ -115,15 +115,15 @@ def monitor_in_time(bench: Bench) -> Procedure[str]:
         yield from bench.sleep(MONITORED // 2)
     sent = f"heartbeats came each {MONITORED // 2 // MILLISECOND} ms, the consumer time is {MONITORED // MILLISECOND} ms"
     for each in errors_heard(bench):
-        raise LateOrEarly(f"{sent}, and an emergency message came too: {each.frame}")
+        raise TimingError(f"{sent}, and an emergency message came too: {each.frame}")
     return f"{len(monitored)} entries"
 
 
 def check_not_early(after: Time, time: Time, what: str) -> None:
-    """Check that something that is due after `time` did not come much earlier. Raises LateOrEarly."""
+    """Check that something that is due after `time` did not come much earlier. Raises TimingError."""
     if after < time * (1 - PERIOD_TOLERANCE):
         wanted = f"the time is {time / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
-        raise LateOrEarly(f"{what} after {after / MILLISECOND:.0f} ms; {wanted}")
+        raise TimingError(f"{what} after {after / MILLISECOND:.0f} ms; {wanted}")
 
 
 def expect_lost(bench: Bench, node_id: int) -> Procedure[None]:
@@ -166,7 +166,7 @@ def monitor_after_reset(bench: Bench) -> Procedure[None]:
     yield from bench.write(CONSUMER, first, _entry(node_id, MONITORED))
     yield from expect_lost(bench, node_id)
     if not bench.probe.take_all(bench.error_control_key):
-        raise Violation("the device's own heartbeat did not come meanwhile")
+        raise ViolationError("the device's own heartbeat did not come meanwhile")
 
 
 _MONITORING: Final = (CONSUMER, COB_ID_EMERGENCY)

@@ -38,7 +38,7 @@ from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
+from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
 
@@ -104,7 +104,7 @@ def in_state(bench: Bench, state: NmtState, pdo: Pdo, look: Look) -> Procedure[s
     bench.probe.listen_also(key_of(bench, pdo))
     try:
         remark = yield from look(bench, pdo, state is NmtState.OPERATIONAL)
-    except Violation:
+    except ViolationError:
         yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)
         raise
     yield from bench.command(NmtCommand.ENTER_PRE_OPERATIONAL)

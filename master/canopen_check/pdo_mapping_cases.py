@@ -36,7 +36,7 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.mapping import LAST_DUMMY_INDEX, MAX_BITS, MAX_ENTRIES
 from canopen_proto.pdo.settings import COB_ID
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.verdict import Violation, does_not_apply, expect
+from canopen_proto.verdict import ViolationError, does_not_apply, expect
 
 BOTH: Final = (Direction.RPDO, Direction.TPDO)
 OTHER: Final = {Direction.RPDO: Direction.TPDO, Direction.TPDO: Direction.RPDO}
@@ -69,7 +69,7 @@ def default_mappings(bench: Bench) -> Procedure[str]:
             entry = yield from bench.number(pdo.mapping, subindex)
             try:
                 _check_entry(bench, pdo, entry)
-            except Violation as violation:
+            except ViolationError as violation:
                 bench.notes.fail(violation)
             bits += mapped(entry)[2]
             count += 1
@@ -85,7 +85,7 @@ def _check_entry(bench: Bench, pdo: Pdo, entry: int) -> None:
         return
     variable = bench.dictionary.get(index, subindex)
     if variable is None:
-        raise Violation(f"{pdo} carries 0x{index:04X}:{subindex:02X}, which is not in the dictionary")
+        raise ViolationError(f"{pdo} carries 0x{index:04X}:{subindex:02X}, which is not in the dictionary")
     may = variable.pdo_mappable and variable.access not in INTO[OTHER[pdo.direction]]
     expect(may, f"{pdo} carries {variable.label}, which is {variable.access} or not mappable")
     expect(variable.bit_length is None or 0 < bits <= variable.bit_length, f"{pdo} carries {variable.label} with {bits} bits")
@@ -118,7 +118,7 @@ def new_mapping(bench: Bench) -> Procedure[str]:
         if refusal is None:
             refusal = yield from create(bench, pdo)
         if refusal is not None:
-            raise Violation(f"{pdo} refused a correct mapping (0x{entry:08X}) with 0x{refusal:08X}")
+            raise ViolationError(f"{pdo} refused a correct mapping (0x{entry:08X}) with 0x{refusal:08X}")
         yield from bench.expect_number(pdo.mapping, 0, 1, "with a new mapping")
         yield from bench.expect_number(pdo.mapping, 1, entry, "with a new mapping")
 
@@ -207,7 +207,7 @@ def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: 
         if valid:
             expect_refusal(refusal, valid, what)
         elif refusal is not None:
-            raise Violation(f"{what} was refused with 0x{refusal:08X}")
+            raise ViolationError(f"{what} was refused with 0x{refusal:08X}")
 
     yield from for_each(bench, pdos, look)
     return f"{variable.label} in {len(pdos)} PDOs"

@@ -29,7 +29,7 @@ from canopen_proto.sdo.codec import (
     announced_size,
     unused_at_end,
 )
-from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
+from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 
 def _expect_initiated(response: bytes, expected: SdoFrame, index: int, subindex: int) -> None:
@@ -57,7 +57,7 @@ def receive_sub_block(bench: Bench) -> Procedure[tuple[bytes, int, bool]]:
     for sequence in range(1, MAX_BLOCK_SIZE + 1):
         segment = yield from answer(bench, f"segment {sequence} of a block")
         if segment[0] == ABORT:  # no segment has the number 0
-            raise Violation(f"segment {sequence} did not come, but abort 0x{abort_code_in(segment):08X}")
+            raise ViolationError(f"segment {sequence} did not come, but abort 0x{abort_code_in(segment):08X}")
         expect_equal(segment[0] & SEQUENCE, sequence, "the sequence number of a segment")
         content += segment[1:]
         if segment[0] & FINAL:

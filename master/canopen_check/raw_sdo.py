@@ -27,7 +27,7 @@ from canopen_proto.sdo.codec import (
     segment,
     segment_data,
 )
-from canopen_proto.verdict import Violation, expect, expect_equal
+from canopen_proto.verdict import ViolationError, expect, expect_equal
 
 MAX_SEGMENTS: Final = 1 << 12
 """The most segments of one upload: if the server never sends the last one, the case ends."""
@@ -71,7 +71,7 @@ def expect_response(response: bytes, expected: SdoFrame, what: str, place: tuple
     """
     code = abort_code_in(response)
     if code is not None:
-        raise Violation(f"{what} was answered by abort 0x{code:08X}")
+        raise ViolationError(f"{what} was answered by abort 0x{code:08X}")
     expect(RESPONSES[response[0]] is expected, f"{what} was answered by the command byte 0x{response[0]:02X}")
     if place is not None:
         expect_equal(response[1:4], multiplexer(*place), f"the object that {response.hex(' ')} names")
@@ -86,7 +86,7 @@ def initiate_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes]
 
 def segmented_upload(bench: Bench, index: int, subindex: int) -> Procedure[bytes]:
     """Do a whole upload in segments; return the data. Checks toggle, counts and announced size; an expedited answer is a
-    Violation."""
+    ViolationError."""
     response = yield from initiate_upload(bench, index, subindex)
     place = f"0x{index:04X}:{subindex:02X}"
     expect(expedited_data(response) is None, f"{place} came with an expedited transfer")
@@ -108,7 +108,7 @@ def upload_segments(bench: Bench) -> Procedure[bytes]:
         if response[0] & LAST:
             return content
         toggle ^= TOGGLE
-    raise Violation(f"no last segment came among {MAX_SEGMENTS}")
+    raise ViolationError(f"no last segment came among {MAX_SEGMENTS}")
 
 
 def segmented_download(bench: Bench, index: int, subindex: int, content: bytes) -> Procedure[None]:

@@ -31,7 +31,7 @@ from canopen_proto.indices import GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DE
 from canopen_proto.pdo.settings import EVENT_TIMER, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import INITIATE_UPLOAD, TOGGLE, UPLOAD_SEGMENT, expedited_data
-from canopen_proto.verdict import Violation, does_not_apply, expect, expect_equal
+from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 READ_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.READ_ONLY, AbortCode.GENERAL_ERROR)
 WRITE_ONLY: Final = (AbortCode.UNSUPPORTED_ACCESS, AbortCode.WRITE_ONLY, AbortCode.GENERAL_ERROR)
@@ -106,7 +106,7 @@ def read_expedited(bench: Bench) -> Procedure[None]:
     """2.1: the device type comes in one frame, with its four bytes and its own multiplexer."""
     content = expedited_data((yield from initiate_upload(bench, DEVICE_TYPE, 0)))
     if content is None:
-        raise Violation("0x1000:00 came with a segmented transfer")
+        raise ViolationError("0x1000:00 came with a segmented transfer")
     expect_equal(len(content), 4, "the number of bytes of 0x1000:00")
     holds(bench, bench.variable(DEVICE_TYPE), content, "expedited")
 
@@ -134,7 +134,7 @@ def read_and_write(bench: Bench) -> Procedure[str]:
         for written in (ANY_TIME.to_bytes(len(before), "little"), before):
             refusal = yield from bench.refusal_of_write(*place, written)
             if refusal is not None:
-                raise Violation(f"{variable.label} = {written.hex(' ')} was refused with 0x{refusal:08X}")
+                raise ViolationError(f"{variable.label} = {written.hex(' ')} was refused with 0x{refusal:08X}")
             expect_equal((yield from bench.read(*place)), written, f"{variable.label}, read back,")
 
     count = yield from for_each(bench, chosen, look)
@@ -153,7 +153,7 @@ def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Proced
     place = place_of(variable.index)
     is_tied = place is not None or variable.index == SYNC_OVERFLOW
     if not (is_tied and refusal in (*NOT_NOW, AbortCode.INVALID_VALUE)):
-        raise Violation(f"writing its own value to {variable.label} was refused with 0x{refusal:08X}")
+        raise ViolationError(f"writing its own value to {variable.label} was refused with 0x{refusal:08X}")
 
 
 def write_device_type(bench: Bench) -> Procedure[None]:

@@ -27,7 +27,7 @@ from canopen_proto.parameter_storage import ON_COMMAND, RESTORE, SIGNATURES, STO
 from canopen_proto.pdo.settings import COB_ID, place_of
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.channels import FURTHER_SERVERS, TO_CLIENT, TO_SERVER
-from canopen_proto.verdict import Violation, does_not_apply, expect_equal
+from canopen_proto.verdict import ViolationError, does_not_apply, expect_equal
 
 VERIFY: Final = indices.VERIFY_CONFIGURATION
 
@@ -72,7 +72,7 @@ def save(bench: Bench, subindex: int = ALL) -> Procedure[None]:
     yield from _check_able(bench, STORE, subindex)
     refusal = yield from _sign(bench, STORE, subindex, SIGNATURES[STORE])
     if refusal is not None:
-        raise Violation(f"saving by 0x1010:{subindex:02X} was refused with 0x{refusal:08X}")
+        raise ViolationError(f"saving by 0x1010:{subindex:02X} was refused with 0x{refusal:08X}")
 
 
 def wrong_signature(index: int, subindex: int, bench: Bench) -> Procedure[None]:
@@ -113,7 +113,7 @@ def restore(subindex: int, bench: Bench) -> Procedure[str]:
     yield from save(bench, subindex)
     refusal = yield from _sign(bench, RESTORE, subindex, SIGNATURES[RESTORE])
     if refusal is not None:
-        raise Violation(f"loading by 0x1011:{subindex:02X} was refused with 0x{refusal:08X}")
+        raise ViolationError(f"loading by 0x1011:{subindex:02X} was refused with 0x{refusal:08X}")
     yield from bench.reset()
     seen = yield from bench.read(*place)
     expect_equal(seen, bench.restored_content_of(variable), f"restored by 0x1011:{subindex:02X}, {variable.label}")

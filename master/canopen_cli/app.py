@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from canopen_cli.shared.importing import LibraryMissing, importing
+from canopen_cli.shared.importing import LibraryMissingError, importing
 from canopen_cli.shared.lazy import LazyGroup
 from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.problem import NO_ROOM, ExitCode, Problem, usage
+from canopen_cli.shared.problem import NO_ROOM, CommandError, ExitCode, usage
 from canopen_cli.shared.streams import open_closed_streams, put_lost_terminal_to_rest, put_to_rest
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def cli() -> None:
 def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None = None) -> int:
     """Run the command line and return its exit status. arguments: by default those of this process. clock: trio's, for tests.
 
-    Raises LibraryMissing.
+    Raises LibraryMissingError.
     """
     settings = Settings(clock=clock)
     asks_json = "--json" in (sys.argv if arguments is None else arguments)
@@ -96,7 +96,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     except SystemExit as ended:  # click met a closed pipe, and has silenced stdout; or it completed words for a shell (0)
         return CLOSED_PIPE if ended.code else ExitCode.OK
     except (click.Abort, KeyboardInterrupt):
-        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
+        return _show(settings, CommandError(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
     except click.exceptions.NoArgsIsHelpError as no_arguments:
         if asks_json:
             command = "canopen" if no_arguments.ctx is None else no_arguments.ctx.command_path
@@ -104,10 +104,10 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
             return _show(settings, usage("CO001", f"{command}: no command was named", tries=(f"{command} --help",)))
         click.echo(no_arguments.format_message(), err=True)
         return ExitCode.USAGE
-    except LibraryMissing:
+    except LibraryMissingError:
         raise  # perhaps rich, which makes the screens
     except Exception as error:  # noqa: BLE001 - the last place: whatever it is becomes one screen
-        if isinstance(error, click.UsageError | Problem) and asks_json:
+        if isinstance(error, click.UsageError | CommandError) and asks_json:
             settings.json = True  # click failed before it read this option
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             put_to_rest(sys.stdout)
@@ -117,14 +117,14 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     except BaseExceptionGroup as group:  # trio reports a Ctrl-C like this if nothing has begun yet
         if group.subgroup(KeyboardInterrupt) is None:
             raise
-        return _show(settings, Problem(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
+        return _show(settings, CommandError(ExitCode.INTERRUPTED, "CO132", "interrupted by Ctrl-C"))
     if settings.late is not None:
         return _show(settings, settings.late)
     status = result if isinstance(result, int) else ExitCode.OK
     return _last_words(settings, lambda screen: screen.finish(), status) if settings.notes else status
 
 
-def _show(settings: Settings, problem: Problem) -> int:
+def _show(settings: Settings, problem: CommandError) -> int:
     if settings.late is not None and settings.late is not problem:
         problem.also.append(f"{settings.late.failed}: {settings.late.seen}")
     return _last_words(settings, lambda screen: screen.problem(problem.on_bus(*settings.typed_bus())), problem.exit_code)

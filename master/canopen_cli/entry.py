@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 
-from canopen_cli.shared.importing import LibraryMissing, importing
+from canopen_cli.shared.importing import LibraryMissingError, importing
 
 CANNOT_OPEN = 3
 
@@ -16,14 +16,14 @@ def main() -> int:
         with importing():
             from canopen_cli.app import main as run
         return run()
-    except LibraryMissing as missing:
+    except LibraryMissingError as missing:
         print(_document(missing) if "--json" in sys.argv else f"canopen: {missing}", file=sys.stderr)
         return CANNOT_OPEN
 
 
-def _document(missing: LibraryMissing) -> str:
+def _document(missing: LibraryMissingError) -> str:
     failed, _, step = str(missing).partition("\nTry: ")
-    from canopen_cli.shared.problem import ExitCode, Problem
+    from canopen_cli.shared.problem import CommandError, ExitCode
 
-    problem = Problem(ExitCode.CANNOT_OPEN, "", failed, tries=(step,))
+    problem = CommandError(ExitCode.CANNOT_OPEN, "", failed, tries=(step,))
     return json.dumps({**problem.as_json(), "notes": []})

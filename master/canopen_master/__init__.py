@@ -13,28 +13,28 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from canopen_master.errors import BusError as BusError
     from canopen_master.errors import ChainError as ChainError
-    from canopen_master.errors import ChainFault as ChainFault
+    from canopen_master.errors import ChainFaultError as ChainFaultError
     from canopen_master.errors import ChainFileError as ChainFileError
-    from canopen_master.errors import ChainHalted as ChainHalted
-    from canopen_master.errors import HaltNotConfirmed as HaltNotConfirmed
-    from canopen_master.errors import MasterClosed as MasterClosed
+    from canopen_master.errors import ChainHaltedError as ChainHaltedError
+    from canopen_master.errors import HaltNotConfirmedError as HaltNotConfirmedError
+    from canopen_master.errors import MasterClosedError as MasterClosedError
     from canopen_master.errors import MasterError as MasterError
-    from canopen_master.errors import MotionReplaced as MotionReplaced
+    from canopen_master.errors import MotionReplacedError as MotionReplacedError
     from canopen_master.errors import NodeError as NodeError
-    from canopen_master.errors import NodeSilent as NodeSilent
-    from canopen_master.errors import PackageMissing as PackageMissing
-    from canopen_master.errors import PathRefused as PathRefused
-    from canopen_master.errors import PlanRefused as PlanRefused
-    from canopen_master.errors import RealtimeRefused as RealtimeRefused
-    from canopen_master.errors import SdoContested as SdoContested
+    from canopen_master.errors import NodeSilentError as NodeSilentError
+    from canopen_master.errors import PackageMissingError as PackageMissingError
+    from canopen_master.errors import PathRefusedError as PathRefusedError
+    from canopen_master.errors import PlanRefusedError as PlanRefusedError
+    from canopen_master.errors import RealtimeRefusedError as RealtimeRefusedError
+    from canopen_master.errors import SdoContestedError as SdoContestedError
     from canopen_master.errors import SdoError as SdoError
-    from canopen_master.errors import SdoGivenUp as SdoGivenUp
-    from canopen_master.errors import SdoNotConfirmed as SdoNotConfirmed
-    from canopen_master.errors import SdoRefused as SdoRefused
-    from canopen_master.errors import SdoTimeout as SdoTimeout
-    from canopen_master.errors import SetPointRefused as SetPointRefused
-    from canopen_master.errors import UnexpectedAnswer as UnexpectedAnswer
-    from canopen_master.errors import UnknownChain as UnknownChain
+    from canopen_master.errors import SdoGivenUpError as SdoGivenUpError
+    from canopen_master.errors import SdoNotConfirmedError as SdoNotConfirmedError
+    from canopen_master.errors import SdoRefusedError as SdoRefusedError
+    from canopen_master.errors import SdoTimeoutError as SdoTimeoutError
+    from canopen_master.errors import SetPointRefusedError as SetPointRefusedError
+    from canopen_master.errors import UnexpectedAnswerError as UnexpectedAnswerError
+    from canopen_master.errors import UnknownChainError as UnknownChainError
     from canopen_master.master import Master as Master
     from canopen_master.motion.chain import Chain as Chain
     from canopen_master.motion.chain import ChainSettings as ChainSettings
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     from canopen_master.simulation.host import powerballs as powerballs
     from canopen_master.simulation.host import simulate as simulate
     from canopen_master.simulation.host import standard_drives as standard_drives
-    from canopen_master.watchdog import NodeIdTaken as NodeIdTaken
+    from canopen_master.watchdog import NodeIdTakenError as NodeIdTakenError
     from canopen_master.watchdog import NotHeld as NotHeld
     from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL as SCHUNK_POWERBALL
     from canopen_proto.drives.axis.axis import AxisSettings as AxisSettings
@@ -84,12 +84,12 @@ else:
         {
             "canopen_master.participant.bus": "BusChanged FramesLost FramesNotSent",
             "canopen_master.errors": (
-                "BusError ChainError ChainFault ChainFileError ChainHalted HaltNotConfirmed MasterClosed MasterError "
-                "MotionReplaced NodeError NodeSilent PackageMissing PathRefused PlanRefused RealtimeRefused SdoContested "
-                "SdoError SdoGivenUp SdoNotConfirmed SdoRefused SdoTimeout "
-                "SetPointRefused UnexpectedAnswer UnknownChain"
+                "BusError ChainError ChainFaultError ChainFileError ChainHaltedError HaltNotConfirmedError MasterClosedError "
+                "MasterError MotionReplacedError NodeError NodeSilentError PackageMissingError PathRefusedError "
+                "PlanRefusedError RealtimeRefusedError SdoContestedError SdoError SdoGivenUpError SdoNotConfirmedError "
+                "SdoRefusedError SdoTimeoutError SetPointRefusedError UnexpectedAnswerError UnknownChainError"
             ),
-            "canopen_master.watchdog": "NodeIdTaken NotHeld",
+            "canopen_master.watchdog": "NodeIdTakenError NotHeld",
             "canopen_master.master": "Master",
             "canopen_master.motion.chain": "Chain ChainSettings ChainState",
             "canopen_master.motion.chain_file": "ChainDescription JointDescription parse_chains read_chains",

@@ -12,7 +12,7 @@ def assemble(master: Master, machine: MachineFile, dictionaries: Dictionaries | 
     """Make the nodes, joints and chains of a machine, in `master.nodes`, `master.joints` and `master.chains`.
 
     A node that has a file and is no joint exchanges its PDOs (`Node.keep_pdos`). Raises DataError, DictionaryError for a file
-    that cannot be used, UnknownChain for a bus that this master does not have.
+    that cannot be used, UnknownChainError for a bus that this master does not have.
     """
     files = Dictionaries(machine, master.dictionary) if dictionaries is None else dictionaries
     for bus in machine.buses.values():

@@ -77,7 +77,7 @@ class DriveCommissioning:
 
     @property
     def axis(self) -> Axis:
-        """The axis. Raises NotInDictionary if what describes the node lacks an object of a drive."""
+        """The axis. Raises NotInDictionaryError if what describes the node lacks an object of a drive."""
         if self._device is None:
             # Its scale is chosen later, so that it is not refused for lack of one
             given = replace(self.settings, counts_per_unit=self.settings.counts_per_unit or 1.0)
@@ -99,7 +99,7 @@ class DriveCommissioning:
     # ---- nothing moves ----
 
     async def look(self) -> DriveView:
-        """Return what the drive shows. Raises NodeIsNoDrive."""
+        """Return what the drive shows. Raises NodeIsNoDriveError."""
         return await self._run(look_at_drive(self.node.remote, self.settings))
 
     async def reset_fault(self) -> DriveView:

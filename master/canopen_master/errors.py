@@ -4,8 +4,9 @@ Each says, on one screen, what failed (node, object, value), what was seen, the 
 try next. `str(error)` is that screen; the fields are for programs. The codes are those of the command line: CO1xx the bus, CO2xx
 SDO, CO3xx files and names, CO4xx drives.
 
-A wrong call raises an error of the core instead, and nothing is sent: `ObjectNotFound` for an unknown name, `ValueRangeError` for
-a value that does not fit, `LocalProtocolError` for a node-ID of 200. A procedure that you wrote raises its own errors.
+A wrong call raises an error of the core instead, and nothing is sent: `ObjectNotFoundError` for an unknown name,
+`ValueRangeError` for a value that does not fit, `LocalProtocolError` for a node-ID of 200. A procedure that you wrote raises its
+own errors.
 """
 
 from __future__ import annotations
@@ -64,11 +65,11 @@ class MasterError(Explained, Exception):
     """A command failed; see this module's text, and Explained for the fields."""
 
 
-class RealtimeRefused(MasterError):
+class RealtimeRefusedError(MasterError):
     """The operating system does not give what `Realtime(required=True)` asks for; the master was not opened."""
 
 
-class DeviceRefused(MasterError, ValueError):
+class DeviceRefusedError(MasterError, ValueError):
     """A simulated device cannot be made as its entry says: its node-ID is not known, or another one has it; a value does not
     fit."""
 
@@ -76,14 +77,14 @@ class DeviceRefused(MasterError, ValueError):
         super().__init__(SIMULATED_DEVICE, failed, seen=seen, tries=tries)
 
 
-class DemonstrationRefused(MasterError, ValueError):
+class DemonstrationRefusedError(MasterError, ValueError):
     """A demonstration cannot be shown with these joints: one has no scale, or does not turn."""
 
     def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
         super().__init__(DEMONSTRATION_REFUSED, failed, seen=seen, tries=tries)
 
 
-class NotADrive(MasterError, ValueError):
+class NoDriveInFileError(MasterError, ValueError):
     """A file describes no drive by CiA 402 that could move."""
 
     def __init__(self, failed: str, *tries: str) -> None:
@@ -100,7 +101,7 @@ class BusError(MasterError):
         self.__cause__ = error
 
 
-class MasterClosed(MasterError):
+class MasterClosedError(MasterError):
     """The `async with open_master(...)` block is over, or ending: the master takes no new commands."""
 
     def __init__(self) -> None:
@@ -108,7 +109,7 @@ class MasterClosed(MasterError):
         super().__init__(MASTER_CLOSED, "the master is closed", cause=cause, tries=("open it again",))
 
 
-class HaltNotConfirmed(MasterError):
+class HaltNotConfirmedError(MasterError):
     """The master was left, and at least one drive that was enabled did not confirm that it stands."""
 
 
@@ -123,11 +124,11 @@ class NodeError(MasterError):
         self.bus = bus
 
 
-class NodeSilent(NodeError, TimeoutError):
+class NodeSilentError(NodeError, TimeoutError):
     """A node did not boot in time, or did not send an expected frame in time."""
 
 
-class NodeIsNoDrive(NodeError):
+class NodeIsNoDriveError(NodeError):
     """A node has no statusword of CiA 402, or none of the axis that was meant. statusword: its index there."""
 
     def __init__(self, node_id: int, axis: int, statusword: int) -> None:
@@ -148,31 +149,31 @@ class SdoError(NodeError):
         self.abort_code = aborted.abort_code
 
 
-class SdoTimeout(SdoError, TimeoutError):
+class SdoTimeoutError(SdoError, TimeoutError):
     """The node did not answer."""
 
 
-class SdoRefused(SdoError):
+class SdoRefusedError(SdoError):
     """The node answered with an abort."""
 
 
-class SdoGivenUp(SdoError):
+class SdoGivenUpError(SdoError):
     """We ended the transfer: the node was reset or lost during it, or its answer was not valid."""
 
 
-class SdoContested(SdoGivenUp):
+class SdoContestedError(SdoGivenUpError):
     """Another SDO client uses the node's channel: what the node did, or answered, cannot be told apart from its requests."""
 
 
-class SdoNotConfirmed(SdoTimeout, SdoGivenUp):
+class SdoNotConfirmedError(SdoTimeoutError, SdoGivenUpError):
     """A whole write was sent, but neither confirmed nor refused: it may have been executed. The master never sends it again.
 
-    An `except` for SdoTimeout or SdoGivenUp catches it too; `code` says which of the two it was (CO201, CO203), or that another
-    client disturbed it (CO206).
+    An `except` for SdoTimeoutError or SdoGivenUpError catches it too; `code` says which of the two it was (CO201, CO203), or that
+    another client disturbed it (CO206).
     """
 
 
-class UnexpectedAnswer(NodeError, ValueError):
+class UnexpectedAnswerError(NodeError, ValueError):
     """A node sent an object whose length is not that of its type."""
 
 
@@ -191,13 +192,13 @@ class ChainFileError(MasterError, ValueError):
         )
 
 
-class UnknownChain(MasterError, KeyError):
+class UnknownChainError(MasterError, KeyError):
     """No chain, joint or bus has this name."""
 
     __str__ = MasterError.__str__  # KeyError would show the arguments
 
 
-class SetPointRefused(MasterError, ValueError):
+class SetPointRefusedError(MasterError, ValueError):
     """Set-points were refused. None of them is sent; the ones before stay. joint: the joint refused, "" for all."""
 
     def __init__(self, failed: str, joint: str, seen: str, tries: Iterable[str] = ()) -> None:
@@ -217,7 +218,7 @@ def wrong_values(values: object, joints: int) -> str:
     return ""
 
 
-class PathRefused(SetPointRefused):
+class PathRefusedError(SetPointRefusedError):
     """A path was refused as a whole: nothing of it is followed. joint: by its name, "" for all.
 
     time: of the path, in s. kind: "position", "speed", "acceleration" or "jerk". value: the path's; limit: the one it exceeds.
@@ -243,7 +244,7 @@ class PathRefused(SetPointRefused):
         self.limit = limit
 
 
-class PlanRefused(MasterError, ValueError):
+class PlanRefusedError(MasterError, ValueError):
     """A motion cannot be planned, or a target cannot be taken. joint: its number, counted from 0; None for all joints.
 
     value: the value that was asked for. limit: the limit that refuses it. None where there is no such number.
@@ -278,7 +279,7 @@ def with_names(text: str, joints: Sequence[str]) -> str:
 _JOINT = re.compile(r"\b[Jj]oint ([0-9]+)\b")
 
 
-class PackageMissing(MasterError, ImportError):
+class PackageMissingError(MasterError, ImportError):
     """A Python package that only this task needs is not installed. package: its name. extra: ours that brings it."""
 
     def __init__(self, package: str, extra: str, task: str, error: ImportError) -> None:
@@ -311,15 +312,15 @@ class ChainError(MasterError):
         self.joint = joint
 
 
-class ChainHalted(ChainError):
+class ChainHaltedError(ChainError):
     """The chain was halted (by `halt`, or because no set-points came), and follows no set-points until it is started again."""
 
 
-class MotionReplaced(ChainError):
+class MotionReplacedError(ChainError):
     """The motion did not come to its end: another one took over from where it was."""
 
 
-class ChainFault(ChainError):
+class ChainFaultError(ChainError):
     """A joint failed, and with it its whole chain was stopped.
 
     node_id, bus: of the joint. state, statusword: of its drive at that time. error_code: 0x603F; 0 if it is not known. emcy: the
@@ -374,7 +375,7 @@ def sdo_error(
     if aborted.origin is AbortOrigin.TIMEOUT and aborted.abort_code != AbortCode.CANNOT_TRANSFER:
         failed = f"{who} did not answer {place} in {(aborted.waited or node.sdo.timeout) / SECOND:g} s{hint}"
         seen, cause, tries = sdo_silence(network, node, now)
-        silent = SdoNotConfirmed if aborted.not_confirmed else SdoTimeout
+        silent = SdoNotConfirmedError if aborted.not_confirmed else SdoTimeoutError
         return silent(NO_ANSWER, aborted, bus, failed, seen, cause, tries)
     if aborted.origin is AbortOrigin.PEER and not aborted.not_confirmed:
         cause, tries = _REASONS.get(aborted.abort_code, ("", ()))
@@ -384,12 +385,12 @@ def sdo_error(
             tries = (f"check the object in {node.dictionary.source or 'the dictionary'}",)
         if node.dictionary.get(aborted.index, aborted.subindex) is None:
             cause = cause.partition(", though our dictionary")[0]
-        return SdoRefused(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
+        return SdoRefusedError(REFUSED, aborted, bus, f"{who} refused {place}", code_text, cause, tries)
     if aborted.origin is AbortOrigin.CONTESTED:
-        contested = SdoNotConfirmed if aborted.not_confirmed else SdoContested
+        contested = SdoNotConfirmedError if aborted.not_confirmed else SdoContestedError
         seen = f"another SDO client {aborted.others_doing}"
         return contested(CONTESTED, aborted, bus, f"{place} of {who} was disturbed{hint}", seen, _CONTESTED[0], _CONTESTED[1:])
-    given_up = SdoNotConfirmed if aborted.not_confirmed else SdoGivenUp
+    given_up = SdoNotConfirmedError if aborted.not_confirmed else SdoGivenUpError
     is_peers = aborted.origin is AbortOrigin.PEER
     cause = "its answer to the last frame was lost" if is_peers else _OWN_REASONS.get(aborted.abort_code, "")
     return given_up(GIVEN_UP, aborted, bus, f"{place} of {who} was given up{hint}", code_text, cause, ())

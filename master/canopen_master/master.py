@@ -161,8 +161,8 @@ class Master(Participant):
     ) -> Chain:
         """Make the chain of a description. axes: the settings of all joints, or by joint; by default as in `device`.
 
-        Raises UnknownChain if the description names a bus that this master does not have, LocalProtocolError for a drive that is
-        in use with other settings, and for a name that another chain has.
+        Raises UnknownChainError if the description names a bus that this master does not have, LocalProtocolError for a drive
+        that is in use with other settings, and for a name that another chain has.
         """
         if description.name in self.chains:
             raise LocalProtocolError(f"this master has a chain {description.name!r} already")

@@ -10,7 +10,7 @@ from typing import TypeVar
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilent, SdoError, UnexpectedAnswer
+from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilentError, SdoError, UnexpectedAnswerError
 from canopen_master.node_pdos import NodePdos
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant
@@ -48,8 +48,8 @@ class Node(Peer):
     that this master has used so far (`Master.device`), by number.
 
     Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing use SDO. If
-    the task is cancelled, the transfer is aborted on the bus. Raises ObjectNotFound for an unknown name, SdoTimeout, SdoRefused,
-    SdoGivenUp, SdoNotConfirmed (of writes), BusError, MasterClosed.
+    the task is cancelled, the transfer is aborted on the bus. Raises ObjectNotFoundError for an unknown name, SdoTimeoutError,
+    SdoRefusedError, SdoGivenUpError, SdoNotConfirmedError (of writes), BusError, MasterClosedError.
 
     block: whether to use block transfer: False; True (the transfer fails if the device has none); or "auto", if it pays and the
     device has it.
@@ -100,7 +100,7 @@ class Node(Peer):
     # ---- objects ----
 
     async def read(self, key: Key, *, block: Block = False) -> Value:
-        """Read the value of an object. Raises UnexpectedAnswer if its length is not that of the object's type."""
+        """Read the value of an object. Raises UnexpectedAnswerError if its length is not that of the object's type."""
         variable = self.dictionary.variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
@@ -128,10 +128,10 @@ class Node(Peer):
     async def write(self, key: Key, value: Value, *, block: Block = False) -> None:
         """Write a value, or a constant by its name; return when the device has confirmed it.
 
-        Raises ValueRangeError, ConstantNotFound, LocalProtocolError (read-only), with nothing sent, if the dictionary forbids it.
-        After SdoNotConfirmed, or if cancelled, the write may have been executed nevertheless. It is never repeated by itself.
-        Before a controlword that enables operation, the master takes hold of the drive (watchdog.py). Raises NodeIdTaken or
-        NotHeldError, with nothing sent, if it cannot.
+        Raises ValueRangeError, ConstantNotFoundError, LocalProtocolError (read-only), with nothing sent, if the dictionary
+        forbids it. After SdoNotConfirmedError, or if cancelled, the write may have been executed nevertheless. It is never
+        repeated by itself. Before a controlword that enables operation, the master takes hold of the drive (watchdog.py). Raises
+        NodeIdTakenError or NotHeldError, with nothing sent, if it cannot.
         """
         variable, meant, _ = self.remote.encode(key, value)
         async with self._commanding(variable.mux, meant):
@@ -220,7 +220,7 @@ class Node(Peer):
     async def exchange_pdos(self) -> tuple[PdoDifference, ...]:
         """Wait until the PDOs are exchanged (`keep_pdos`); return how the device's PDOs differ from those of its file.
 
-        Raises SdoFailed if the device does not answer, StrangePdo, UnexpectedLength.
+        Raises SdoTransferError if the device does not answer, InvalidPdoError, UnexpectedLengthError.
         """
         self.keep_pdos()
         assert self._pdos is not None
@@ -263,7 +263,7 @@ class Node(Peer):
 
         axis: of the node, 0 for its first one.
 
-        Commands that enable a drive do so by themselves; call this before you send controlwords by RPDO. Raises NodeIdTaken,
+        Commands that enable a drive do so by themselves; call this before you send controlwords by RPDO. Raises NodeIdTakenError,
         NotHeldError.
         """
         await self._participant.run(self._watchdogs.hold(self, axis))
@@ -272,7 +272,7 @@ class Node(Peer):
         """Start the node (NMT, to Operational). If its file is known, wait before until its PDOs are exchanged, so that none is
         missed.
 
-        Raises as `exchange_pdos`, with nothing sent; BusError, MasterClosed.
+        Raises as `exchange_pdos`, with nothing sent; BusError, MasterClosedError.
         """
         if self._pdos is not None:
             await self._pdos.wait()
@@ -298,18 +298,18 @@ class Node(Peer):
         await self._participant.nmt(command, self.node_id, bus=self.bus)
 
     async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
-        """Reset the node and wait for its boot-up frame. Raises NodeSilent after `timeout` seconds."""
+        """Reset the node and wait for its boot-up frame. Raises NodeSilentError after `timeout` seconds."""
         with self.events(NodeBooted) as boots:
             await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
             await self._first_of(boots, timeout, "did not boot after a reset")
 
     async def wait_for_boot(self, timeout: float = BOOT_TIME) -> None:
-        """Wait for the next boot-up frame. Raises NodeSilent after `timeout` seconds."""
+        """Wait for the next boot-up frame. Raises NodeSilentError after `timeout` seconds."""
         with self.events(NodeBooted) as boots:
             await self._first_of(boots, timeout, "did not boot")
 
     async def wait_for_heartbeat(self, timeout: float) -> NmtState:
-        """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilent after `timeout` seconds."""
+        """Wait for the next heartbeat, and return the state that it shows. Raises NodeSilentError after `timeout` seconds."""
         with self.events(HeartbeatReceived) as heartbeats:
             return (await self._first_of(heartbeats, timeout, "sent no heartbeat")).state
 
@@ -368,8 +368,8 @@ class Node(Peer):
         assert isinstance(outcome, SdoAborted)
         raise self.error_of(outcome, "reading")
 
-    def _unexpected(self, variable: Variable, uploaded: SdoUploaded, error: ValueRangeError) -> UnexpectedAnswer:
-        return UnexpectedAnswer(
+    def _unexpected(self, variable: Variable, uploaded: SdoUploaded, error: ValueRangeError) -> UnexpectedAnswerError:
+        return UnexpectedAnswerError(
             UNEXPECTED_ANSWER,
             self.node_id,
             self.bus,
@@ -394,4 +394,4 @@ class Node(Peer):
         failed = f"node {self.node_id} {missed} within {timeout:g} s"
         cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"
         known = missing_frame(self.network, self.remote, self.now(), cause, (), pdo=False)
-        raise NodeSilent(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())
+        raise NodeSilentError(NOT_HEARD, self.node_id, self.bus, failed, **known._asdict())

@@ -49,9 +49,10 @@ class NodePdos:
         self._exchanging.take_back()
 
     async def wait(self) -> None:
-        """Wait until the PDOs are exchanged. Raises the reason if they cannot be: SdoFailed, UnexpectedLength, StrangePdo.
+        """Wait until the PDOs are exchanged. Raises the reason if they cannot be: SdoTransferError, UnexpectedLengthError,
+        InvalidPdoError.
 
-        Raises BusError or MasterClosed if that ended the exchange.
+        Raises BusError or MasterClosedError if that ended the exchange.
         """
         await self._exchanging.ended()
         self._participant.check_open()

@@ -5,7 +5,7 @@ new commands, cancels all procedures, halts every drive that is enabled, and wai
 most, or up to BRAKING_TIME for a drive that answers and still slows down. Chains that move along a path first brake on it, for
 LONGEST_STOP at most; drives that no chain leads do not wait for that. Only then do its tasks end and its transports close.
 The tasks are shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. If a
-drive did not confirm that it stands, HaltNotConfirmed is raised, or a note is added to the exception under way.
+drive did not confirm that it stands, HaltNotConfirmedError is raised, or a note is added to the exception under way.
 
 Another Ctrl-C on the way out only shortens it to SHUTDOWN_TIME. trio raises it in the main task, which only waits there; the
 halts are sent by a task of their own. The KeyboardInterrupt leaves the block when the way out is over.
@@ -29,7 +29,7 @@ import trio
 from trio.lowlevel import enable_ki_protection
 
 from canopen_master.assembly import assemble
-from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmed, RealtimeRefused
+from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmedError, RealtimeRefusedError
 from canopen_master.machine_file import MachineFile, read_machine
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.plain_text import clean
@@ -77,8 +77,8 @@ def open_master(
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the
     file says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file.
 
-    Entering the block raises BusError if a bus cannot be opened, RealtimeRefused for `Realtime(required=True)`. On leaving it,
-    see this module's text.
+    Entering the block raises BusError if a bus cannot be opened, RealtimeRefusedError for `Realtime(required=True)`. On leaving
+    it, see this module's text.
     """
     if isinstance(machine, str | Path):
         machine = read_machine(machine)
@@ -197,7 +197,8 @@ class MasterSession:
         return self._nursery.cancel_scope.cancel_called
 
     def _ask_for_realtime(self) -> Grant | None:
-        """Ask for what is wanted, and say what was given; it is given back when the session closes. Raises RealtimeRefused."""
+        """Ask for what is wanted, and say what was given; it is given back when the session closes. Raises
+        RealtimeRefusedError."""
         if self._realtime is None:
             return None
         grant = Grant(self._realtime)
@@ -212,7 +213,7 @@ class MasterSession:
             failed = f"the operating system does not give {', '.join(each.name for each in grant.refused)}"
             seen = "; ".join(each.refusal for each in grant.refused)
             tries = tuple(dict.fromkeys(each.remedy for each in grant.refused if each.remedy))
-            raise RealtimeRefused(REALTIME_REFUSED, failed, seen=seen, tries=(*tries, "canopen doctor"))
+            raise RealtimeRefusedError(REALTIME_REFUSED, failed, seen=seen, tries=(*tries, "canopen doctor"))
         return grant
 
     async def _open(self) -> tuple[dict[str, Transport], dict[str, str]]:
@@ -272,8 +273,8 @@ def _is_cancelled(error: BaseException) -> bool:
     return isinstance(error, trio.Cancelled)
 
 
-def _not_confirmed(problems: str) -> HaltNotConfirmed:
-    return HaltNotConfirmed(
+def _not_confirmed(problems: str) -> HaltNotConfirmedError:
+    return HaltNotConfirmedError(
         HALT_NOT_CONFIRMED,
         "the master was left, but not every drive confirmed that it stands",
         seen=problems,

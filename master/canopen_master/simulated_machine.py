@@ -48,7 +48,7 @@ def devices_of_machine(
 def drives_of_machine(machine: MachineFile, *, defaults: bool = False) -> dict[str, DriveFile]:
     """Return the files of a machine's joints, by their names; joints without a file are left out. defaults: as of `drive_of`.
 
-    Raises DataError, DictionaryError for a file that cannot be used, NotADrive.
+    Raises DataError, DictionaryError for a file that cannot be used, NoDriveInFileError.
     """
     dictionaries = Dictionaries(machine)
     made = {}

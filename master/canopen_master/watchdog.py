@@ -34,7 +34,7 @@ from canopen_master.plain_text import clean
 from canopen_proto.drives.axis.watchdog import Hold, Watchdog, not_held, release, take_hold
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, current_time, sleep
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, act, current_time, sleep
 
 LOGGER: Final = logging.getLogger("canopen_master")
 LOOK: Final = 10 * MILLISECOND
@@ -57,7 +57,7 @@ class NotHeld(Event):
         self.reason = reason
 
 
-class NodeIdTaken(ProcedureError):
+class NodeIdTakenError(ProcedureError):
     """Another node has the node-ID under which the master would send its heartbeat; nothing was enabled."""
 
 
@@ -83,7 +83,7 @@ class Watchdogs:
         """Have the drive on an axis of a node watch over this master. If it should do so already, its objects are read once more:
         its boot-up may have been lost. Ends with the next heartbeat, within one period after that.
 
-        A drive that does not answer counts as one that cannot watch. Raises NodeIdTaken; NotHeldError as `required` says.
+        A drive that does not answer counts as one that cannot watch. Raises NodeIdTakenError; NotHeldError as `required` says.
         """
         settings = self.settings
         if settings is None:
@@ -106,7 +106,7 @@ class Watchdogs:
                 hold.gap = f"it booted {TRIES} times while it was told to watch"
                 if settings.required:
                     raise not_held(hold)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             hold.gap = str(failed)
             if settings.required:
                 raise not_held(hold) from failed
@@ -173,13 +173,13 @@ class Watchdogs:
         return hold
 
     def _check_node_id(self, bus: Bus, settings: Watchdog) -> Procedure[None]:
-        """Raise NodeIdTaken if another node has our node-ID."""
+        """Raise NodeIdTakenError if another node has our node-ID."""
         yield from sleep(max(0, self._opened_at + PERIODS_HEARD * settings.period - (yield from current_time())))
         node_id, heard = settings.node_id, bus.network.heard(settings.node_id)
         if heard.time is None or heard.service is None:
             return
         age = ((yield from current_time()) - heard.time) / SECOND
-        raise NodeIdTaken(
+        raise NodeIdTakenError(
             f"this master cannot send its heartbeat as node {node_id} on {bus.name}, so no drive was enabled: "
             f"another node {node_id} was heard {age:.2g} s ago ({heard.service.value}). "
             "Try: another node-ID for the master, by --master-id or open_master(..., watchdog=Watchdog(node_id=...))"

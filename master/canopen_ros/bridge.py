@@ -232,7 +232,7 @@ class Samples:
 async def open_bridge(parameters: NodeParameters, *, wall: Callable[[], int] = time.time_ns) -> AsyncIterator[Bridge]:
     """Open the master of a machine, and the simulated devices if `simulate` is set; see this module's text.
 
-    Raises BusError if a bus cannot be opened; on leaving the block HaltNotConfirmed if a drive did not show that it stands.
+    Raises BusError if a bus cannot be opened; on leaving the block HaltNotConfirmedError if a drive did not show that it stands.
     """
     machine = on_virtual_buses(parameters.machine) if parameters.simulate else parameters.machine
     failure: BaseException | None = None

@@ -24,7 +24,7 @@ from typing import Final
 
 import trio
 
-from canopen_master.errors import ChainError, SetPointRefused
+from canopen_master.errors import ChainError, SetPointRefusedError
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.chain_errors import not_now
 from canopen_master.motion.chain_view import ChainState
@@ -34,7 +34,7 @@ from canopen_proto.drives.cia402.modes import short_name
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
 from canopen_ros.goal_motion import GoalMotion, Tell
-from canopen_ros.goals import START, GoalCode, GoalOutcome, GoalRefused, GoalResult, TrajectoryGoal, checked
+from canopen_ros.goals import START, GoalCode, GoalOutcome, GoalRefusedError, GoalResult, TrajectoryGoal, checked
 from canopen_ros.names import COMMANDS, MODE_SERVICES, OTHER_MODES
 from canopen_ros.reply import COMMAND_ERRORS, Reply, text_of
 from canopen_ros.samples import is_unit_missing, si_per_unit
@@ -321,11 +321,11 @@ class ChainBridge:
             self._nursery.start_soon(self._streaming.run)
 
     def _check_speeds(self, velocities: Sequence[float], values: Sequence[float]) -> None:
-        """Raise SetPointRefused for a velocity beyond the limit of its joint. values: the same in rad/s or m/s."""
+        """Raise SetPointRefusedError for a velocity beyond the limit of its joint. values: the same in rad/s or m/s."""
         for name, velocity, value, limits in zip(self.joints, velocities, values, self.chain.path_limits, strict=True):
             if limits.speed is not None and abs(velocity) > limits.speed * (1 + ROUNDED):
                 limit = abs(value) * limits.speed / abs(velocity)
-                raise SetPointRefused(f"the velocity of {name} is beyond its limit of {limit:.6g}", name, f"{value:.6g}")
+                raise SetPointRefusedError(f"the velocity of {name} is beyond its limit of {limit:.6g}", name, f"{value:.6g}")
 
     def _is_refused(self, source: MotionSource, error: ChainError | None) -> bool:
         """Return whether a source is not taken over; tell so, once."""
@@ -337,29 +337,32 @@ class ChainBridge:
         self._report(self.name, text_of(error, self.name), False)
 
     def _in_units(self, kind: str, values: Sequence[float]) -> list[float]:
-        """Return values in the joints' own units. Raises SetPointRefused for a wrong count, and for what is no finite number."""
+        """Return values in the joints' own units. Raises SetPointRefusedError for a wrong count, and for what is no finite
+        number."""
         if len(values) != len(self.joints):
             failed = f"{len(values)} values of {kind} were given, not {len(self.joints)}"
-            raise SetPointRefused(failed, "", f"the joints are {', '.join(self.joints)}")
+            raise SetPointRefusedError(failed, "", f"the joints are {', '.join(self.joints)}")
         for name, value in zip(self.joints, values, strict=True):
             if not math.isfinite(value):
-                raise SetPointRefused(f"the {kind} of {name} is no finite number", name, f"{value!r}")
+                raise SetPointRefusedError(f"the {kind} of {name} is no finite number", name, f"{value!r}")
         return [value / scale for value, scale in zip(values, self._scales(), strict=True)]
 
     def _targets(self, names: Sequence[str], values: Sequence[float]) -> dict[int, float]:
         """Return values in the joints' own units, by the places of the joints."""
         if len(names) != len(values):
-            raise SetPointRefused(f"{len(values)} values were given for {len(names)} joints", "", f"the joints are {list(names)}")
+            raise SetPointRefusedError(
+                f"{len(values)} values were given for {len(names)} joints", "", f"the joints are {list(names)}"
+            )
         scales = self._scales()
         targets: dict[int, float] = {}
         for name, value in zip(names, values, strict=True):
             if name not in self.joints:
-                raise SetPointRefused(f"there is no joint {name!r}", name, f"the joints are {', '.join(self.joints)}")
+                raise SetPointRefusedError(f"there is no joint {name!r}", name, f"the joints are {', '.join(self.joints)}")
             place = self.joints.index(name)
             if place in targets:
-                raise SetPointRefused(f"joint {name!r} is named twice", name, f"{list(names)}")
+                raise SetPointRefusedError(f"joint {name!r} is named twice", name, f"{list(names)}")
             if not math.isfinite(value):
-                raise SetPointRefused(f"the value of {name} is no finite number", name, f"{value!r}")
+                raise SetPointRefusedError(f"the value of {name} is no finite number", name, f"{value!r}")
             targets[place] = value / scales[place]
         return targets
 
@@ -391,7 +394,7 @@ class ChainBridge:
         try:
             self._require_movable("follow a trajectory")
             points, scales = checked(goal, self.joints, self._wall()), self._scales()
-        except (GoalRefused, *COMMAND_ERRORS):
+        except (GoalRefusedError, *COMMAND_ERRORS):
             return None
         if not points:
             return None
@@ -413,7 +416,7 @@ class ChainBridge:
             motion = GoalMotion(
                 self.chain, goal, self._scales(), self.goal_time, self.start_tolerance, partial(self._require_movable, what)
             )
-        except GoalRefused as refused:
+        except GoalRefusedError as refused:
             return GoalResult(refused.code, str(refused), GoalOutcome.REJECTED)
         except COMMAND_ERRORS as error:
             return GoalResult(GoalCode.INVALID_GOAL, text_of(error, self.name), GoalOutcome.REJECTED)

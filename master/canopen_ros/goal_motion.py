@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import trio
 
-from canopen_master.errors import MotionReplaced, PlanRefused, SetPointRefused
+from canopen_master.errors import MotionReplacedError, PlanRefusedError, SetPointRefusedError
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.path_motion import Motion
 from canopen_proto.drives.axis.following_error import LAG
@@ -16,7 +16,7 @@ from canopen_ros.goals import (
     Feedback,
     GoalCode,
     GoalOutcome,
-    GoalRefused,
+    GoalRefusedError,
     GoalResult,
     JointPoint,
     Tolerance,
@@ -99,12 +99,12 @@ class GoalMotion:
         try:
             self._check()  # a halt may have come since the goal did
             await chain.follow(make)
-        except GoalRefused as refused:
+        except GoalRefusedError as refused:
             return GoalResult(refused.code, str(refused), GoalOutcome.REJECTED)
-        except (SetPointRefused, PlanRefused, PathError) as error:
+        except (SetPointRefusedError, PlanRefusedError, PathError) as error:
             outcome = GoalOutcome.ABORTED if self.has_begun else GoalOutcome.REJECTED
             return GoalResult(GoalCode.INVALID_GOAL, text_of(error, chain.name), outcome)
-        except MotionReplaced:
+        except MotionReplacedError:
             return GoalResult(GoalCode.INVALID_GOAL, "another motion took over, from where this one was", GoalOutcome.PREEMPTED)
         except COMMAND_ERRORS as error:
             if not self.has_begun:

@@ -117,7 +117,7 @@ class Feedback(NamedTuple):
     error: TrajectoryPoint
 
 
-class GoalRefused(Exception):
+class GoalRefusedError(Exception):
     """A goal cannot be followed. code: why."""
 
     def __init__(self, code: GoalCode, text: str) -> None:
@@ -137,7 +137,7 @@ class JointPoint(NamedTuple):
 def checked(goal: TrajectoryGoal, names: Sequence[str], now: int) -> list[JointPoint]:
     """Return the points of a goal from now on, in the order of the chain. names: of its joints. now: ns since 1970.
 
-    Raises GoalRefused, with the joint, the time and the value where there are such.
+    Raises GoalRefusedError, with the joint, the time and the value where there are such.
     """
     order = _order(goal.joint_names, names)
     for tolerance in (*goal.path_tolerance, *goal.goal_tolerance):
@@ -158,7 +158,7 @@ def checked(goal: TrajectoryGoal, names: Sequence[str], now: int) -> list[JointP
     if points and late > LATE:
         if late > points[-1].time:
             text = f"the trajectory ended {late - points[-1].time:.3g} s ago: it starts {late:.3g} s in the past"
-            raise GoalRefused(GoalCode.OLD_HEADER_TIMESTAMP, text)
+            raise GoalRefusedError(GoalCode.OLD_HEADER_TIMESTAMP, text)
         points = [point._replace(time=point.time - late) for point in points if point.time > late]
     return points
 
@@ -169,7 +169,7 @@ def path_of(
     """Return the path of a goal, in the joints' own units. start: where the joints are and how they move, in these units.
 
     scales: radians, or metres, in one unit of each joint. tolerance: how far, in these, a joint may be off a first point at time
-    0. Raises GoalRefused; PathError for values that make no path.
+    0. Raises GoalRefusedError; PathError for values that make no path.
     """
     first = points[0]
     if first.time <= 0.0:
@@ -240,9 +240,9 @@ def _order(joint_names: Sequence[str], names: Sequence[str]) -> list[int]:
     for number, name in enumerate(joint_names):
         if name not in names:
             text = f"there is no joint {name!r}{did_you_mean(name, names)}; the joints are {', '.join(names)}"
-            raise GoalRefused(GoalCode.INVALID_JOINTS, text)
+            raise GoalRefusedError(GoalCode.INVALID_JOINTS, text)
         if name in joint_names[:number]:
-            raise GoalRefused(GoalCode.INVALID_JOINTS, f"joint {name!r} is named twice")
+            raise GoalRefusedError(GoalCode.INVALID_JOINTS, f"joint {name!r} is named twice")
     return [names.index(name) for name in joint_names]
 
 
@@ -255,7 +255,9 @@ def _placed(values: Sequence[float], order: Sequence[int], count: int) -> list[f
 
 def _check_tolerance(tolerance: Tolerance, names: Sequence[str]) -> None:
     if tolerance.joint not in names:
-        raise GoalRefused(GoalCode.INVALID_JOINTS, f"a tolerance is for {tolerance.joint!r}; the joints are {', '.join(names)}")
+        raise GoalRefusedError(
+            GoalCode.INVALID_JOINTS, f"a tolerance is for {tolerance.joint!r}; the joints are {', '.join(names)}"
+        )
     for kind in ("position", "velocity", "acceleration"):
         value: float = getattr(tolerance, kind)
         if not math.isfinite(value) or (value < 0 and value != NO_LIMIT):
@@ -267,7 +269,7 @@ def _check_tolerance(tolerance: Tolerance, names: Sequence[str]) -> None:
 def _check_points(goal: TrajectoryGoal) -> None:
     names, points = goal.joint_names, goal.points
     if points and not names:
-        raise GoalRefused(GoalCode.INVALID_JOINTS, "the goal names no joints")
+        raise GoalRefusedError(GoalCode.INVALID_JOINTS, "the goal names no joints")
     before = -math.inf
     for number, point in enumerate(points):
         time = point.time_from_start
@@ -292,5 +294,5 @@ def _check_points(goal: TrajectoryGoal) -> None:
             raise _invalid(f"{name} does not rest at the end, at {before:g} s: its velocity is {value:.6g}. Try: 0 there")
 
 
-def _invalid(text: str) -> GoalRefused:
-    return GoalRefused(GoalCode.INVALID_GOAL, text)
+def _invalid(text: str) -> GoalRefusedError:
+    return GoalRefusedError(GoalCode.INVALID_GOAL, text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from canopen_master.errors import CHAIN_NOT_READY, UNKNOWN_CHAIN, ChainError, UnknownChain
+from canopen_master.errors import CHAIN_NOT_READY, UNKNOWN_CHAIN, ChainError, UnknownChainError
 from canopen_master.master import Master
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
@@ -81,7 +81,7 @@ def _node_of(master: Master, name: str) -> Node:
     known = {**joints, **master.nodes}
     if name not in known:
         failed = f"there is no node or joint {name!r}{did_you_mean(name, known)}"
-        raise UnknownChain(UNKNOWN_CHAIN, failed, seen=f"there are {', '.join(known)}")
+        raise UnknownChainError(UNKNOWN_CHAIN, failed, seen=f"there are {', '.join(known)}")
     return known[name]
 
 

@@ -94,7 +94,7 @@ class ParameterError(MasterError, ValueError):
         super().__init__(BAD_PARAMETERS, problems[0], also=problems[1:], tries=("docs/ros.md lists the parameters",))
 
 
-class NoMachine(ParameterError):
+class NoMachineError(ParameterError):
     """There is neither a machine file nor a chain description."""
 
     def __init__(self) -> None:
@@ -118,7 +118,8 @@ class NodeParameters:
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> NodeParameters:
-        """Return the parameters that a mapping gives. Raises ParameterError with all problems, NoMachine without a machine."""
+        """Return the parameters that a mapping gives. Raises ParameterError with all problems, NoMachineError without a
+        machine."""
         tables = _nested(values)
         problems: list[str] = []
         problems += [f"there is no parameter {key!r}{did_you_mean(key, PARAMETERS)}" for key in tables if key not in PARAMETERS]
@@ -217,9 +218,9 @@ def _locators(value: object, problems: list[str]) -> dict[str, str]:
 
 
 def _chains(value: object, problems: list[str]) -> tuple[ChainDescription, ...] | None:
-    """Return the chains of a text, of rows, or of a file. Raises NoMachine if there is nothing."""
+    """Return the chains of a text, of rows, or of a file. Raises NoMachineError if there is nothing."""
     if value in (None, "", [], ()):
-        raise NoMachine
+        raise NoMachineError
     try:
         if isinstance(value, str):
             return read_chains(value) if len(value.split()) == 1 else parse_chains(value)

@@ -22,7 +22,7 @@ from typing import Any, Final, TypeVar, TypeVarTuple, Unpack
 
 import trio
 
-from canopen_master.errors import MasterClosed
+from canopen_master.errors import MasterClosedError
 
 T = TypeVar("T")
 Args = TypeVarTuple("Args")
@@ -49,23 +49,23 @@ class Portal:
         """Start an async function in trio's thread; return a Future of its result. May be called in any thread.
 
         A Future that is cancelled before its function begins never runs it. Once the portal is closed, or closes while the
-        function runs, the Future has MasterClosed.
+        function runs, the Future has MasterClosedError.
         """
         future: Future[T] = Future()
         with self._lock:
             if self._is_closed:
-                future.set_exception(MasterClosed())
+                future.set_exception(MasterClosedError())
                 return future
             self._open.add(future)
         try:
             self._token.run_sync_soon(self._start, function, args, future)
         except trio.RunFinishedError:
-            self._end(future, error=MasterClosed())
+            self._end(future, error=MasterClosedError())
         return future
 
     def call(self, function: Callable[[Unpack[Args]], Awaitable[T]], *args: *Args) -> T:
         """Run an async function in trio's thread, and wait for its result. Not for trio's thread itself. Raises its error, or
-        MasterClosed."""
+        MasterClosedError."""
         return self.submit(function, *args).result()
 
     def post(self, function: Callable[[Unpack[Args]], object], *args: *Args) -> None:
@@ -90,7 +90,7 @@ class Portal:
     def settle(self) -> None:
         """Give the Futures that are left over their error, once nothing runs any more."""
         for future in tuple(self._open):
-            self._end(future, error=MasterClosed())
+            self._end(future, error=MasterClosedError())
 
     def _call(self, function: Callable[..., object], args: tuple[Any, ...]) -> None:
         if not self._is_closed:
@@ -106,7 +106,7 @@ class Portal:
         except Exception as error:  # noqa: BLE001 - the caller's thread gets it
             self._end(future, error=error)
         except BaseException:
-            self._end(future, error=MasterClosed())
+            self._end(future, error=MasterClosedError())
             raise
         else:
             self._end(future, result)

@@ -8,7 +8,7 @@ from typing import Final
 
 import trio
 
-from canopen_master.errors import MotionReplaced
+from canopen_master.errors import MotionReplacedError
 from canopen_master.motion.chain import Chain
 from canopen_master.motion.target_motion import Jog, Targets
 from canopen_master.trajectories.point_to_point import MARGIN
@@ -58,7 +58,7 @@ class _TopicMotion:
             with self._scope:
                 self._check()  # a halt may have come since the message did
                 await self._move()
-        except MotionReplaced:
+        except MotionReplacedError:
             return
         except COMMAND_ERRORS as error:
             self._report(error)

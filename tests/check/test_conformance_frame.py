@@ -10,8 +10,8 @@ from canopen_check.catalogue import BY_NUMBER, CASES, run_all, table
 from canopen_check.probe import MAX_HEARD, RawProbe
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Outbox
-from canopen_proto.procedures.steps import Procedure, StepTimeout, act
-from canopen_proto.verdict import NotApplicable, Result, Violation, expect_equal
+from canopen_proto.procedures.steps import Procedure, StepTimeoutError, act
+from canopen_proto.verdict import NotApplicable, Result, ViolationError, expect_equal
 from tests.check.conformance_rig import Site
 from tests.core.full_device import full_device
 
@@ -55,8 +55,8 @@ def test_how_a_case_ends() -> None:
     site = Site()
     assert site.run(ends(None)).result is Result.PASSED
     assert site.run(ends("fine")).reason == "fine"
-    assert site.run(ends(Violation("wrong"))).result is Result.FAILED
-    assert site.run(ends(StepTimeout("late"))).reason == "late"
+    assert site.run(ends(ViolationError("wrong"))).result is Result.FAILED
+    assert site.run(ends(StepTimeoutError("late"))).reason == "late"
     assert site.run(ends(NotApplicable("none"))).result is Result.NOT_APPLICABLE
 
 
@@ -86,7 +86,7 @@ def test_values_are_shown_so_that_people_can_read_them() -> None:
     ):
         try:
             expect_equal(seen, expected, "x")
-        except Violation as violation:
+        except ViolationError as violation:
             assert str(violation) == said
 
 

@@ -15,7 +15,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.steps import Procedure
-from canopen_proto.verdict import Result, Verdict, Violation
+from canopen_proto.verdict import Result, Verdict, ViolationError
 from tests.check.conformance_rig import Fault, Site
 from tests.examples import examples
 
@@ -136,7 +136,7 @@ def wrong_and(look: str) -> Case:
 
     def body(bench: Bench) -> Procedure[None]:
         if look.startswith("wrong, "):
-            bench.notes.fail(Violation("0x2000:00 was not refused"))
+            bench.notes.fail(ViolationError("0x2000:00 was not refused"))
         if look.endswith("boot-up"):
             yield from bench.await_boot_up()
         elif look.endswith("answer"):

@@ -15,7 +15,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.verdict import Result, Violation
+from canopen_proto.verdict import Result, ViolationError
 from tests.check.conformance_rig import Fault, Site, check_caught, refused, verdict_of
 from tests.check.faulty_nodes import BusyWhenOperational, CountsStarts, Inverting, KeepsCommunication
 from tests.core.full_device import LIMITED, PRIVATE, SECRET, SETTING, TYPED, full_device
@@ -158,6 +158,6 @@ def test_a_wrong_value_is_named_once() -> None:
 def test_one_failure_is_noted_once() -> None:
     notes = Notes()
     for _ in range(3):
-        notes.fail(Violation("the same"))
-    notes.fail(Violation("another"))
+        notes.fail(ViolationError("the same"))
+    notes.fail(ViolationError("another"))
     assert notes.verdict(0).failures == ("the same", "another")

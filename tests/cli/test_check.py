@@ -16,7 +16,7 @@ import trio
 from canopen_check.catalogue import CASES
 from canopen_cli.node.check_report import CheckReport, write_junit
 from canopen_cli.shared import session
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_data.describing import describe
 from canopen_data.descriptions import load_description, read_file
 from canopen_data.eds.writer import write_eds
@@ -313,7 +313,7 @@ def test_junit(run: Run, world: World) -> None:
 
 def test_a_report_that_cannot_be_written_is_told(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     Path("report.xml").mkdir()
-    with pytest.raises(Problem, match="cannot write"):
+    with pytest.raises(CommandError, match="cannot write"):
         write_junit("report.xml", CheckReport(5, 0))
 
 

@@ -19,7 +19,7 @@ from trio.testing import MockClock
 from canopen_cli.live.clocks import StampClock
 from canopen_cli.live.source import AHEAD, BATCH, INPUT, Heard, LiveSource, open_live_source
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.problem import Problem
+from canopen_cli.shared.problem import CommandError
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_transports import BusState, BusStateChanged, open_transport
@@ -78,7 +78,7 @@ def test_all_of_a_damaged_file_that_can_be_read_comes_before_the_error(tmp_path:
 
 @pytest.mark.parametrize("bus", ["", "virtual:x"])
 def test_a_name_that_is_no_file_may_be_a_bus(bus: str, tmp_path: Path) -> None:
-    with pytest.raises(Problem) as refused:
+    with pytest.raises(CommandError) as refused:
         in_virtual_time(lambda: everything(tmp_path / "can0", bus=bus))
     assert refused.value.tries[0].startswith(f"-b {tmp_path / 'can0'}")
 

@@ -8,7 +8,7 @@ import pytest
 
 from canopen_cli.lss.set import read_table
 from canopen_cli.shared import questions
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.simulation import serving
 from canopen_proto.lss.slave import LssSlave
 from tests.cli.cli_support import Run
@@ -156,7 +156,7 @@ def test_set_bitrate_shows_the_order_and_switches(run: Run) -> None:
 def test_tables_that_are_none(tmp_path: Path, text: str) -> None:
     table = tmp_path / "nodes.csv"
     table.write_text(text)
-    with pytest.raises(Problem):
+    with pytest.raises(CommandError):
         read_table(table)
 
 

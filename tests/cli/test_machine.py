@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from canopen_cli.shared import session
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master import ChainState, Master
 from canopen_master.demonstration import run as demonstration
 from canopen_master.machine_file import parse_machine
@@ -157,7 +157,7 @@ def test_the_next_command_asks_the_same_bus(run: Run, cell: str) -> None:
     done = run("read", "9", "statusword", "-m", cell, "-b", "right")
     assert done.status == ExitCode.NO_ANSWER
     assert "canopen scan -m cell.toml -b right" in done.err
-    problem = Problem(ExitCode.NO_ANSWER, "CO201", "x", tries=("canopen info 5    (what it is)",))
+    problem = CommandError(ExitCode.NO_ANSWER, "CO201", "x", tries=("canopen info 5    (what it is)",))
     assert problem.on_bus(None, "a b.toml").tries == ("canopen info 5 -m 'a b.toml'    (what it is)",)
 
 

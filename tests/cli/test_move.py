@@ -15,7 +15,7 @@ import pytest
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
 from canopen_master import read_record
-from canopen_master.errors import PlanRefused
+from canopen_master.errors import PlanRefusedError
 from canopen_master.simulation.serving import SimulatedDevices
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
@@ -126,7 +126,7 @@ def test_what_is_beyond_a_limit_is_refused_before_it_moves(
 
 def test_what_is_refused_when_the_drives_have_power_has_another_status(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     async def refuse(*_: object) -> None:
-        raise PlanRefused("it cannot be planned", seen="nothing")
+        raise PlanRefusedError("it cannot be planned", seen="nothing")
 
     monkeypatch.setattr("canopen_cli.motion.move.legs_of", refuse)
     assert run(*DEMO, "--to", "1,1,1,1,1,1").status == ExitCode.DRIVE_FAULT

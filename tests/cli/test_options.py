@@ -6,11 +6,11 @@ import click
 import pytest
 
 from canopen_cli.shared.options import Duration, Fault, NodeIds, Settings, node_id_of
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.values import as_json, hex_text, parse_value, value_text
 from canopen_data import load_dictionary
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import ConstantNotFound, Object, ObjectDictionary, Variable
+from canopen_proto.dictionary import ConstantNotFoundError, Object, ObjectDictionary, Variable
 
 
 @pytest.mark.parametrize(("text", "node_id"), [("16", 16), ("0x10", 16), ("0X7f", 127), (" 5 ", 5), ("007", 7)])
@@ -30,7 +30,7 @@ def test_node_ids_are_decimal_and_hexadecimal_with_0x(text: str, node_id: int) -
     ],
 )
 def test_impossible_node_ids(text: str, failed: str, hint: str) -> None:
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CommandError) as caught:
         node_id_of(text)
     assert (caught.value.exit_code, caught.value.code) == (ExitCode.USAGE, "CO120")
     assert failed in caught.value.failed
@@ -44,7 +44,7 @@ def test_lists_of_node_ids(text: str, ids: tuple[int, ...]) -> None:
 
 
 def test_a_list_that_runs_backwards() -> None:
-    with pytest.raises(Problem, match="runs backwards") as caught:
+    with pytest.raises(CommandError, match="runs backwards") as caught:
         NodeIds().convert("8-3", None, None)
     assert caught.value.tries == ("3-8",)
 
@@ -80,7 +80,7 @@ def test_a_fault_is_a_node_and_a_time() -> None:
 
 def test_a_bus_has_to_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CANOPEN_BUS", raising=False)
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CommandError) as caught:
         Settings().required_bus()
     assert caught.value.exit_code is ExitCode.USAGE
     assert any("-b demo" in each for each in caught.value.tries)
@@ -123,13 +123,13 @@ def test_constants_by_name() -> None:
     dictionary, _ = load_dictionary()
     controlword = dictionary.variable("controlword")
     assert parse_value(dictionary, controlword, "sm_shutdown") == 6
-    with pytest.raises(ConstantNotFound, match="sm_shutdown"):
+    with pytest.raises(ConstantNotFoundError, match="sm_shutdown"):
         parse_value(dictionary, controlword, "sm_shutdwn")
 
 
 @pytest.mark.parametrize("data_type", [DataType.OCTET_STRING, DataType.TIME_OF_DAY])
 def test_what_cannot_be_meant(data_type: DataType) -> None:
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CommandError) as caught:
         parse_value(dictionary_of(data_type), variable(data_type), "xyz")
     assert caught.value.code == "CO304"
 

@@ -19,26 +19,26 @@ import trio
 from canopen_cli import entry
 from canopen_cli.app import main
 from canopen_cli.shared.failures import in_words_of_files, problem_of
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import notes_of
 from canopen_cli.shared.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
-from canopen_data.named_files import UnusableFile
+from canopen_data.named_files import UnusableFileError
 from canopen_master import errors
-from canopen_master.claims.channel_claim import ChannelTaken
+from canopen_master.claims.channel_claim import ChannelTakenError
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.set_point_check import FASTER, NO_SCALE
 from canopen_master.simulation.hooks import ScriptError
 from canopen_master.simulation.parameter_keeper import StateFileError
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.drives.axis import DriveInFault, HomingFailed, ModeUnsupported
+from canopen_proto.drives.axis import DriveInFaultError, HomingError, ModeUnsupportedError
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.machine import LocalProtocolError, Outbox
-from canopen_proto.manager.programs.download import ProgramDownload, ProgramDownloadFailed
-from canopen_proto.procedures.objects import UnexpectedLength
-from canopen_proto.procedures.steps import ProcedureError, SdoFailed
+from canopen_proto.manager.programs.download import ProgramDownload, ProgramDownloadError
+from canopen_proto.procedures.objects import UnexpectedLengthError
+from canopen_proto.procedures.steps import ProcedureError, SdoTransferError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
@@ -62,40 +62,40 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (TransportError("CO110", "x", "nothing acknowledged our frames"), ExitCode.BUS_FAULT, "CO110"),
         (errors.BusError("x", TransportError("CO111", "x", "the bus is gone")), ExitCode.BUS_FAULT, "CO111"),
         (LogFileError("cannot read x", "no such file", "", ()), ExitCode.BAD_FILE, "CO342"),
-        (errors.NodeSilent("CO210", 5, "x", "node 5 did not boot"), ExitCode.NO_ANSWER, "CO210"),
-        (errors.UnexpectedAnswer("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
-        (ChannelTaken("CO208", 5, "x", "another program uses it"), ExitCode.SDO_ABORT, "CO208"),
+        (errors.NodeSilentError("CO210", 5, "x", "node 5 did not boot"), ExitCode.NO_ANSWER, "CO210"),
+        (errors.UnexpectedAnswerError("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
+        (ChannelTakenError("CO208", 5, "x", "another program uses it"), ExitCode.SDO_ABORT, "CO208"),
         (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
-        (errors.UnknownChain("CO322", "no chain"), ExitCode.USAGE, "CO322"),
-        (errors.PlanRefused("joint 1 cannot go to 95", joint=1, value=95.0, limit=90.0), ExitCode.USAGE, "CO323"),
-        (errors.PackageMissing("ruckig", "motion", "planning", ImportError("No module")), ExitCode.USAGE, "CO141"),
+        (errors.UnknownChainError("CO322", "no chain"), ExitCode.USAGE, "CO322"),
+        (errors.PlanRefusedError("joint 1 cannot go to 95", joint=1, value=95.0, limit=90.0), ExitCode.USAGE, "CO323"),
+        (errors.PackageMissingError("ruckig", "motion", "planning", ImportError("No module")), ExitCode.USAGE, "CO141"),
         (errors.ChainError("CO401", "arm", "could not home"), ExitCode.DRIVE_FAULT, "CO401"),
         (errors.ChainError("CO404", "arm", "is not ready"), ExitCode.DRIVE_FAULT, "CO404"),
-        (errors.ChainHalted("CO403", "arm", "it was halted"), ExitCode.DRIVE_FAULT, "CO403"),
+        (errors.ChainHaltedError("CO403", "arm", "it was halted"), ExitCode.DRIVE_FAULT, "CO403"),
         (errors.ChainError(errors.NO_ANSWER, "arm", "no answer"), ExitCode.NO_ANSWER, "CO201"),
         (errors.ChainError(errors.REFUSED, "arm", "refused"), ExitCode.SDO_ABORT, "CO202"),
         (errors.ChainError(errors.GIVEN_UP, "arm", "given up"), ExitCode.SDO_ABORT, "CO203"),
-        (errors.HaltNotConfirmed("CO131", "one may move"), ExitCode.DRIVE_FAULT, "CO131"),
-        (SdoFailed(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
-        (SdoFailed(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),
-        (SdoFailed(aborted(AbortOrigin.LOCAL), "reading"), ExitCode.SDO_ABORT, "CO203"),
-        (SdoFailed(aborted(AbortOrigin.CONTESTED), "reading"), ExitCode.SDO_ABORT, "CO206"),
-        (SdoFailed(aborted(AbortOrigin.TIMEOUT, AbortCode.CANNOT_TRANSFER), "reading"), ExitCode.SDO_ABORT, "CO203"),
-        (UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1"), ExitCode.SDO_ABORT, "CO204"),
-        (DriveInFault(AXIS, "is in fault", reason="x", remedy="reset it"), ExitCode.DRIVE_FAULT, "CO402"),
-        (HomingFailed(AXIS, "reports a homing error"), ExitCode.DRIVE_FAULT, "CO406"),
-        (ModeUnsupported(AXIS, "does not support it"), ExitCode.DRIVE_FAULT, "CO405"),
+        (errors.HaltNotConfirmedError("CO131", "one may move"), ExitCode.DRIVE_FAULT, "CO131"),
+        (SdoTransferError(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
+        (SdoTransferError(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),
+        (SdoTransferError(aborted(AbortOrigin.LOCAL), "reading"), ExitCode.SDO_ABORT, "CO203"),
+        (SdoTransferError(aborted(AbortOrigin.CONTESTED), "reading"), ExitCode.SDO_ABORT, "CO206"),
+        (SdoTransferError(aborted(AbortOrigin.TIMEOUT, AbortCode.CANNOT_TRANSFER), "reading"), ExitCode.SDO_ABORT, "CO203"),
+        (UnexpectedLengthError("node 5: 0x1A00:00 came with 3 bytes, not 1"), ExitCode.SDO_ABORT, "CO204"),
+        (DriveInFaultError(AXIS, "is in fault", reason="x", remedy="reset it"), ExitCode.DRIVE_FAULT, "CO402"),
+        (HomingError(AXIS, "reports a homing error"), ExitCode.DRIVE_FAULT, "CO406"),
+        (ModeUnsupportedError(AXIS, "does not support it"), ExitCode.DRIVE_FAULT, "CO405"),
         (ProcedureError("drive 5 did not: x"), ExitCode.DRIVE_FAULT, "CO407"),
-        (ProgramDownloadFailed(5, ProgramDownload(1), "secured"), ExitCode.DRIVE_FAULT, "CO214"),
-        (ProgramDownloadFailed(5, ProgramDownload(1), "other", is_mismatch=True), ExitCode.VERIFY_MISMATCH, "CO214"),
-        (ProgramDownloadFailed(5, ProgramDownload(1), "silent", is_silent=True), ExitCode.NO_ANSWER, "CO214"),
+        (ProgramDownloadError(5, ProgramDownload(1), "secured"), ExitCode.DRIVE_FAULT, "CO214"),
+        (ProgramDownloadError(5, ProgramDownload(1), "other", is_mismatch=True), ExitCode.VERIFY_MISMATCH, "CO214"),
+        (ProgramDownloadError(5, ProgramDownload(1), "silent", is_silent=True), ExitCode.NO_ANSWER, "CO214"),
         (DataError("there is no file", "name another"), ExitCode.BAD_FILE, "CO330"),
         (RecordError("CO344", "cannot read the recording x"), ExitCode.BAD_FILE, "CO344"),
-        (UnusableFile("x.eds describes no object", "CO301"), ExitCode.BAD_FILE, "CO301"),
-        (errors.DeviceRefused("which node-ID is x.eds to have?"), ExitCode.USAGE, "CO127"),
-        (errors.DemonstrationRefused("joint1 cannot swing by an angle"), ExitCode.USAGE, "CO123"),
-        (errors.NodeIsNoDrive(5, 0, 0x6041), ExitCode.SDO_ABORT, "CO408"),
-        (errors.NotADrive("x.eds is no drive"), ExitCode.BAD_FILE, "CO332"),
+        (UnusableFileError("x.eds describes no object", "CO301"), ExitCode.BAD_FILE, "CO301"),
+        (errors.DeviceRefusedError("which node-ID is x.eds to have?"), ExitCode.USAGE, "CO127"),
+        (errors.DemonstrationRefusedError("joint1 cannot swing by an angle"), ExitCode.USAGE, "CO123"),
+        (errors.NodeIsNoDriveError(5, 0, 0x6041), ExitCode.SDO_ABORT, "CO408"),
+        (errors.NoDriveInFileError("x.eds is no drive"), ExitCode.BAD_FILE, "CO332"),
         (ScriptError("animate.py:3", "ZeroDivisionError"), ExitCode.BAD_FILE, "CO331"),
         (StateFileError(Path("state.json"), "it is not JSON"), ExitCode.BAD_FILE, "CO333"),
         (ValueRangeError("too large"), ExitCode.USAGE, "CO304"),
@@ -117,14 +117,14 @@ def test_each_error_has_its_status(error: Exception, status: ExitCode, code: str
 
 def test_a_chain_error_knows_what_its_cause_knows() -> None:
     error = errors.ChainError(errors.REFUSED, "arm", "joint1 refused")
-    error.__cause__ = SdoFailed(aborted(AbortOrigin.PEER), "reading")
+    error.__cause__ = SdoTransferError(aborted(AbortOrigin.PEER), "reading")
     problem = problem_of(error)
     assert (problem.node, problem.index, problem.subindex, problem.abort) == (5, 0x6041, 0, AbortCode.READ_ONLY)
 
 
 def test_a_chain_error_has_the_status_of_its_cause() -> None:
     error = errors.ChainError(errors.CHAIN_FAILED, "arm", "chain arm could not initialise: joint1")
-    error.__cause__ = UnexpectedLength("node 5: 0x1A00:00 came with 3 bytes, not 1")
+    error.__cause__ = UnexpectedLengthError("node 5: 0x1A00:00 came with 3 bytes, not 1")
     problem = problem_of(error)
     assert (problem.exit_code, problem.code) == (ExitCode.SDO_ABORT, "CO204")
 
@@ -138,7 +138,7 @@ def test_notes_are_told_too() -> None:
 
 
 def test_of_several_errors_the_one_that_is_not_ours_comes_first() -> None:
-    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveInFault(AXIS, "is in fault")])])
+    group = ExceptionGroup("", [ZeroDivisionError("oops"), ExceptionGroup("", [DriveInFaultError(AXIS, "is in fault")])])
     problem = problem_of(group)
     assert problem.code == "CO402"
     assert "CO900" in problem.also[0]
@@ -156,7 +156,7 @@ def test_on_a_terminal_the_lines_are_wrapped_and_hang(
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "60")
-    problem = Problem(ExitCode.NO_ANSWER, "CO201", "node 5 [0x05] did not answer", seen="word " * 30, tries=("this", "that"))
+    problem = CommandError(ExitCode.NO_ANSWER, "CO201", "node 5 [0x05] did not answer", seen="word " * 30, tries=("this", "that"))
     Screen(color=False).problem(problem)
     lines = capsys.readouterr().err.splitlines()
     assert max(map(len, lines)) <= 90  # with its escapes
@@ -334,9 +334,9 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
             signal.raise_signal(signal.SIGINT)
             await trio.sleep(5)
         finally:
-            raise DriveInFault(AXIS, "is in fault", reason="it burns", remedy="water")
+            raise DriveInFaultError(AXIS, "is in fault", reason="it burns", remedy="water")
 
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CommandError) as caught:
         run(Settings(), Screen(), command)
     problem = caught.value
     assert problem.exit_code is ExitCode.INTERRUPTED
@@ -366,5 +366,5 @@ def test_an_error_beside_the_interruption_is_told(tmp_path: Path, capsys: pytest
 )
 def test_advice_for_programs_is_told_in_the_words_of_the_machine_file(words: str, others: str) -> None:
     assert in_words_of_files(words) == others
-    problem = problem_of(errors.SetPointRefused("a set-point was refused", "", words, (words,)))
+    problem = problem_of(errors.SetPointRefusedError("a set-point was refused", "", words, (words,)))
     assert (problem.seen, tuple(problem.tries)) == (others, (others,))

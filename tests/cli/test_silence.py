@@ -11,7 +11,7 @@ import trio
 
 from canopen_cli.shared import session
 from canopen_cli.shared.failures import advice, problem_of
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_master.silence import LONGER, SCAN
@@ -163,13 +163,13 @@ def test_a_scan_on_a_bus_without_nodes(run: Run, monkeypatch: pytest.MonkeyPatch
     ],
 )
 def test_the_bus_of_the_user_stands_in_what_is_advised(step: str, typed: str) -> None:
-    problem = Problem(ExitCode.NO_ANSWER, "CO201", "no answer", tries=(step,))
+    problem = CommandError(ExitCode.NO_ANSWER, "CO201", "no answer", tries=(step,))
     assert problem.on_bus(None).tries == (step,)
     assert problem.on_bus("can0").tries == (typed,)
 
 
 def test_a_bus_with_a_blank_is_quoted() -> None:
-    problem = Problem(ExitCode.NO_ANSWER, "CO201", "no answer", tries=("canopen scan",))
+    problem = CommandError(ExitCode.NO_ANSWER, "CO201", "no answer", tries=("canopen scan",))
     assert problem.on_bus("a b").tries == ("canopen scan -b 'a b'",)
 
 
@@ -189,7 +189,7 @@ def test_advice_to_programs_and_to_people() -> None:
 
 
 def test_a_note_on_a_problem_is_told_once() -> None:
-    problem = Problem(ExitCode.NO_ANSWER, "CO201", "no answer")
+    problem = CommandError(ExitCode.NO_ANSWER, "CO201", "no answer")
     problem.add_note("not confirmed to stand: joint1")
     for _ in range(2):
         assert problem_of(problem).also == ["not confirmed to stand: joint1"]

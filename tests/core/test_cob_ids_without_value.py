@@ -16,7 +16,7 @@ from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import Outbox
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.pdo.configure import StrangePdo, check_rpdo
+from canopen_proto.pdo.configure import InvalidPdoError, check_rpdo
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.pdo.slots import described_pdos, slots_of
 from canopen_proto.remote_node import RemoteNode
@@ -98,5 +98,5 @@ def test_no_rpdo_is_sent_on_a_can_id_of_another_service(cob_id: int) -> None:
     node = RemoteNode(Outbox(), 5, ObjectDictionary([]))
     check_rpdo(node, PdoSettings(1, Direction.TPDO, cob_id, 1, ()))
     check_rpdo(node, PdoSettings(1, Direction.RPDO, 0x205, 1, ()))
-    with pytest.raises(StrangePdo, match=f"COB-ID 0x{cob_id:X} has a CAN-ID that no PDO may have; nothing is sent there"):
+    with pytest.raises(InvalidPdoError, match=f"COB-ID 0x{cob_id:X} has a CAN-ID that no PDO may have; nothing is sent there"):
         check_rpdo(node, PdoSettings(1, Direction.RPDO, cob_id, 1, ()))

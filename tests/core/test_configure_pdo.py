@@ -16,11 +16,11 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox, Outcome, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand
-from canopen_proto.pdo.configure import PdoRefused, StrangePdo, configure_pdo, define_pdo, read_pdo, use_device_pdo
+from canopen_proto.pdo.configure import InvalidPdoError, PdoRefusedError, configure_pdo, define_pdo, read_pdo, use_device_pdo
 from canopen_proto.pdo.settings import PdoSettings
-from canopen_proto.procedures.objects import UnexpectedLength
+from canopen_proto.procedures.objects import UnexpectedLengthError
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure, SdoFailed
+from canopen_proto.procedures.steps import Procedure, SdoTransferError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.server import PENDING, Pending
 from tests.core.bus import Bus
@@ -214,7 +214,7 @@ def test_use_device_pdo_that_maps_what_our_dictionary_lacks() -> None:
     bench.master.detach(bench.remote)
     bench.master.attach(remote)
     error = bench.error(use_device_pdo(remote, Direction.RPDO, 1))
-    assert isinstance(error, StrangePdo)
+    assert isinstance(error, InvalidPdoError)
     assert "0x2001:00 is not in the dictionary" in str(error)
 
 
@@ -226,7 +226,7 @@ def test_a_refusal_at_any_step_puts_the_old_settings_back(step: int) -> None:
     bench = Bench()
     bench.device.refuse = lambda count: AbortCode.LOCAL_CONTROL if count == step else None
     error = bench.error(configure_pdo(bench.remote, NEW))
-    assert isinstance(error, PdoRefused)
+    assert isinstance(error, PdoRefusedError)
     assert (error.step, error.restored) == (step, True)
     assert f"RPDO 1 of node 5 could not be set up: step {step} of 7 (0x" in str(error)
     assert "abort 0x08000021" in str(error)
@@ -249,7 +249,7 @@ def test_a_step_that_was_executed_but_not_answered_is_undone_too(step: int) -> N
     bench = Bench()
     bench.device.forget_to_answer = lambda count: count == step
     error = bench.error(configure_pdo(bench.remote, NEW))
-    assert isinstance(error, PdoRefused)
+    assert isinstance(error, PdoRefusedError)
     assert (error.step, error.restored) == (step, True)
     assert "did not answer" in str(error)
     assert bench.parameters() == standing(OLD)
@@ -261,7 +261,7 @@ def test_where_the_old_settings_can_not_be_put_back_it_is_told_and_the_pdo_is_no
     bench = Bench()
     bench.device.refuse = lambda count: AbortCode.HARDWARE_ERROR if count in (step, step + later) else None
     error = bench.error(configure_pdo(bench.remote, NEW))
-    assert isinstance(error, PdoRefused)
+    assert isinstance(error, PdoRefusedError)
     assert (error.step, error.restored) == (step, False)
     assert "and its old settings could not be put back: node 5 refused writing" in str(error)
     cob_id = bench.device.values.store[0x140001]
@@ -276,14 +276,14 @@ def test_a_device_that_falls_silent_is_told_of() -> None:
     bench.bus.detach(bench.bus.machines[1])
     outcome = bench.outcome()
     assert isinstance(outcome, ProcedureFailed)
-    assert isinstance(outcome.error, PdoRefused)
+    assert isinstance(outcome.error, PdoRefusedError)
     assert not outcome.error.restored
 
 
 def test_a_mapping_that_the_device_refuses_by_its_rules() -> None:
     bench = Bench()
     error = bench.error(configure_pdo(bench.remote, PdoSettings(1, Direction.RPDO, 0x205, 255, (0x20000010,))))  # an input
-    assert isinstance(error, PdoRefused)
+    assert isinstance(error, PdoRefusedError)
     assert "step 3 of 6 (0x1600:01 = 0x20000010)" in str(error)
     assert "abort 0x06040041" in str(error)
     assert bench.parameters() == standing(OLD)
@@ -298,7 +298,7 @@ def test_a_full_queue_is_a_failed_step() -> None:
     bench.remote.sdo.max_queue = 0
     outcome = bench.outcome()
     assert isinstance(outcome, ProcedureFailed)
-    assert isinstance(outcome.error, PdoRefused)
+    assert isinstance(outcome.error, PdoRefusedError)
     assert not outcome.error.restored
     assert "requests are waiting already" in str(outcome.error)
 
@@ -313,7 +313,7 @@ def test_the_times_are_written_before_the_pdo_is_created_and_put_back() -> None:
     bench.device.writes = 0
     bench.device.refuse = lambda count: AbortCode.LOCAL_CONTROL if count == 8 else None  # the last one: its times are written
     error = bench.error(configure_pdo(bench.remote, replace(wanted, inhibit_time=0, event_time=0)))
-    assert isinstance(error, PdoRefused)
+    assert isinstance(error, PdoRefusedError)
     assert (error.step, error.restored) == (8, True)
     assert (bench.device.values.store[0x180003], bench.device.values.store[0x180005]) == (50, 1000)
 
@@ -341,7 +341,7 @@ def with_variable(index: int, subindex: int, data_type: DataType, default: Value
 def test_a_length_that_is_not_the_objects(dictionary: ObjectDictionary, text: str) -> None:
     bench = Bench(dictionary)
     error = bench.error(configure_pdo(bench.remote, NEW))
-    assert isinstance(error, UnexpectedLength)
+    assert isinstance(error, UnexpectedLengthError)
     assert text in str(error)
     assert bench.downloads() == []
 
@@ -349,7 +349,7 @@ def test_a_length_that_is_not_the_objects(dictionary: ObjectDictionary, text: st
 def test_more_entries_than_a_pdo_has_are_not_read() -> None:
     bench = Bench(with_variable(0x1600, 0, DataType.UNSIGNED8, 0xFE))  # an MPDO
     error = bench.error(configure_pdo(bench.remote, NEW))
-    assert isinstance(error, StrangePdo)
+    assert isinstance(error, InvalidPdoError)
     assert "a PDO of node 5 makes no sense: RPDO 1: 254 mapped objects; a PDO has 64 at most" in str(error)
     assert len(bench.bus.trace()) == 6
     assert bench.downloads() == []
@@ -358,7 +358,7 @@ def test_more_entries_than_a_pdo_has_are_not_read() -> None:
 def test_a_pdo_that_the_device_does_not_have() -> None:
     bench = Bench()
     error = bench.error(read_pdo(bench.remote, Direction.RPDO, 3))
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert error.abort_code == AbortCode.NO_SUCH_OBJECT
 
 
@@ -400,6 +400,6 @@ def test_where_a_cancel_can_not_put_the_old_settings_back_it_is_told() -> None:
     bench.master.cancel(request_id, bench.bus.now)
     outcome = bench.outcome()
     assert isinstance(outcome, ProcedureCancelled)
-    assert isinstance(outcome.clean_up_error, PdoRefused)
+    assert isinstance(outcome.clean_up_error, PdoRefusedError)
     assert "setting RPDO 1 of node 5 up was cancelled, and its old settings could not be put back" in str(outcome.clean_up_error)
     assert not outcome.clean_up_error.restored

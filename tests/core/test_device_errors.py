@@ -9,7 +9,7 @@ from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.procedures.steps import SdoFailed, download
+from canopen_proto.procedures.steps import SdoTransferError, download
 from canopen_proto.simulation.drive.settings import Shape
 from tests.core.devices import LIMITED, Pair, io_device
 from tests.drives.rig import Rig
@@ -60,7 +60,7 @@ def test_a_client_cannot_make_a_device_flood_the_bus_with_sync(period: int, acce
     error = getattr(ended, "error", None)
     assert (error is None) is accepted
     if error is not None:
-        assert isinstance(error, SdoFailed)
+        assert isinstance(error, SdoTransferError)
         assert error.abort_code == AbortCode.INVALID_VALUE
 
 

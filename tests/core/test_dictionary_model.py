@@ -12,18 +12,18 @@ from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import (
     Access,
     Constant,
-    ConstantNotFound,
+    ConstantNotFoundError,
     Direction,
     Filler,
     Key,
     Message,
-    NotInDictionary,
+    NotInDictionaryError,
     Object,
     ObjectDictionary,
-    ObjectNotFound,
+    ObjectNotFoundError,
     ObjectType,
     PdoDescription,
-    PdoNotFound,
+    PdoNotFoundError,
     Variable,
 )
 from canopen_proto.machine import LocalProtocolError
@@ -107,7 +107,7 @@ def test_every_kind_of_key(dictionary: ObjectDictionary, key: Key, variable: Var
     ],
 )
 def test_a_key_that_is_not_there(dictionary: ObjectDictionary, key: Key, text: str) -> None:
-    with pytest.raises(ObjectNotFound) as caught:
+    with pytest.raises(ObjectNotFoundError) as caught:
         dictionary.variable(key)
     assert str(caught.value).partition("; there are")[0] == text
     assert key not in dictionary
@@ -120,7 +120,7 @@ def test_any_key_gives_a_variable_or_object_not_found(key: Key) -> None:
     dictionary = ObjectDictionary([Object.of("statusword", [STATUSWORD])])
     try:
         assert dictionary.variable(key) is STATUSWORD
-    except ObjectNotFound:
+    except ObjectNotFoundError:
         assert key not in dictionary
 
 
@@ -188,11 +188,11 @@ def test_what_a_caller_means(dictionary: ObjectDictionary) -> None:
     assert dictionary.value_from("controlword", "sm_shutdown") == 6
     assert dictionary.value_from("controlword", 7) == 7
     assert dictionary.value_from("manufacturer_device_name", "sm_shutdown") == "sm_shutdown"
-    with pytest.raises(ConstantNotFound, match=r"^controlword \(0x6040:00\) has no constant 'sm_shutdwn'; did you mean sm_"):
+    with pytest.raises(ConstantNotFoundError, match=r"^controlword \(0x6040:00\) has no constant 'sm_shutdwn'; did you mean sm_"):
         dictionary.value_from("controlword", "sm_shutdwn")
-    with pytest.raises(ConstantNotFound, match=r"no constant 'zzz'; there are sm_shutdown, start_homing, enable_ip_mode$"):
+    with pytest.raises(ConstantNotFoundError, match=r"no constant 'zzz'; there are sm_shutdown, start_homing, enable_ip_mode$"):
         dictionary.matches("controlword", "zzz", 6)
-    with pytest.raises(ConstantNotFound, match=r"torque_actual_value \(0x6077:00\) has no constant 'x'$"):
+    with pytest.raises(ConstantNotFoundError, match=r"torque_actual_value \(0x6077:00\) has no constant 'x'$"):
         dictionary.constant_value("torque_actual_value", "x")
 
 
@@ -294,7 +294,7 @@ def test_a_field_is_found_by_its_records_name_and_by_its_own_where_that_is_enoug
     both = ObjectDictionary([field_of(0x1800, "TPDO 1"), field_of(0x1801, "TPDO 2")])
     assert both.variable("TPDO 1:COB-ID").mux == 0x180001
     assert both.variable("TPDO 2:COB-ID").mux == 0x180101
-    with pytest.raises(ObjectNotFound, match=r"2 objects have a field 'COB-ID'; say which one, as 'TPDO 1:COB-ID'"):
+    with pytest.raises(ObjectNotFoundError, match=r"2 objects have a field 'COB-ID'; say which one, as 'TPDO 1:COB-ID'"):
         both.variable("COB-ID")
 
 
@@ -311,9 +311,9 @@ def test_pdo_descriptions(dictionary: ObjectDictionary) -> None:
     assert RPDO.bit_length == 64
     assert RPDO.can_id(12) == 0x20C
     assert dictionary.fillers == {"notused16": FILLER}
-    with pytest.raises(PdoNotFound, match="PDO 'schunk_default_tPDO' is not .*did you mean schunk_default_rPDO"):
+    with pytest.raises(PdoNotFoundError, match="PDO 'schunk_default_tPDO' is not .*did you mean schunk_default_rPDO"):
         dictionary.pdo("schunk_default_tPDO")
-    assert issubclass(PdoNotFound, NotInDictionary)
+    assert issubclass(PdoNotFoundError, NotInDictionaryError)
 
 
 # ---- dictionaries made out of others ----

@@ -6,7 +6,7 @@ import pytest
 
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, ObjectDictionary, ObjectNotFound, ObjectType
+from canopen_proto.dictionary import Access, ObjectDictionary, ObjectNotFoundError, ObjectType
 from canopen_proto.dictionary.standard import STANDARD, find_standard, standard_object, standard_variable
 
 
@@ -55,7 +55,7 @@ def test_spot_values(index: int, subindex: int, name: str, data_type: DataType, 
 )
 def test_what_no_standard_knows(where: tuple[int, int]) -> None:
     assert find_standard(*where) is None
-    with pytest.raises(ObjectNotFound, match="is no object of CiA 301 or CiA 402"):
+    with pytest.raises(ObjectNotFoundError, match="is no object of CiA 301 or CiA 402"):
         standard_variable(*where)
 
 
@@ -135,7 +135,7 @@ def test_pdo_parameters() -> None:
 
 def test_what_cannot_be_built() -> None:
     for index, highest in ((0x2000, None), (0x1018, 5), (0x1600, 65)):
-        with pytest.raises(ObjectNotFound):
+        with pytest.raises(ObjectNotFoundError):
             standard_object(index, highest=highest)
 
 

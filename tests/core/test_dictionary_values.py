@@ -8,10 +8,10 @@ from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import (
     Access,
     Constant,
-    ConstantNotFound,
+    ConstantNotFoundError,
     Object,
     ObjectDictionary,
-    ObjectNotFound,
+    ObjectNotFoundError,
     Values,
     Variable,
 )
@@ -77,9 +77,9 @@ def test_a_refused_write_changes_nothing() -> None:
         values.write("target_position", 1001)
     with pytest.raises(ValueRangeError, match=r"controlword \(0x6040:00\): 65536 is outside 0\.\.65535"):
         values.write("controlword", 0x10000)
-    with pytest.raises(ConstantNotFound):
+    with pytest.raises(ConstantNotFoundError):
         values.write("controlword", "sm_start")
-    with pytest.raises(ObjectNotFound):
+    with pytest.raises(ObjectNotFoundError):
         values.write("status", 0)
     assert values.store == before
 
@@ -88,7 +88,7 @@ def test_unchecked_access_by_mux() -> None:
     values = Values(DICTIONARY)
     values[0x607A00] = 5000
     assert values[0x607A00] == 5000 == values.read("target_position")
-    with pytest.raises(ObjectNotFound, match="object 0x6041:00 is not in the dictionary"):
+    with pytest.raises(ObjectNotFoundError, match="object 0x6041:00 is not in the dictionary"):
         values[0x604100] = 1
     with pytest.raises(KeyError):
         values[0x604100]
@@ -97,9 +97,9 @@ def test_unchecked_access_by_mux() -> None:
 def test_a_pseudo_object_is_no_memory() -> None:
     values = Values(DICTIONARY)
     for access in (lambda: values.read("NMT"), lambda: values.write("NMT", 1)):
-        with pytest.raises(ObjectNotFound, match=r"NMT \(0x0000:00\) is no object of this device"):
+        with pytest.raises(ObjectNotFoundError, match=r"NMT \(0x0000:00\) is no object of this device"):
             access()
-    with pytest.raises(ObjectNotFound, match="0x6099:01"):
+    with pytest.raises(ObjectNotFoundError, match="0x6099:01"):
         values.raw(0x6099, 1)
 
 

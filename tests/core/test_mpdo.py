@@ -12,7 +12,7 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, LocalProtocolError
-from canopen_proto.pdo import MpdoMode, MpdoNotProcessed, MpdoReceived, PdoLengthError, PdoNotSent
+from canopen_proto.pdo import MpdoMode, MpdoNotProcessed, MpdoReceived, PdoLengthUnexpected, PdoNotSent
 from tests.core.device_bench import PRE_OPERATIONAL, RESET_COMMUNICATION, START, SYNC, DeviceBench
 from tests.core.devices import INPUT, LIMITED, OUTPUT, io_device
 
@@ -174,7 +174,7 @@ def test_an_object_that_is_not_there_is_an_emcy(frame: str) -> None:
 def test_a_short_mpdo_is_not_processed(can_id: str) -> None:
     bench = bench_with()
     assert bench.tell(f"{can_id}#85012000070000") == [f"085#108211{3 if can_id == '1C0' else 4:02X}00000000"]
-    (report,) = bench.seen(PdoLengthError)
+    (report,) = bench.seen(PdoLengthUnexpected)
     assert (report.expected, report.received, report.emcy_code) == (8, 7, 0x8210)
     assert bench.node.values.store[OUTPUT << 8] == 0
 

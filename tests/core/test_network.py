@@ -10,7 +10,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtoc
 from canopen_proto.network import MAX_UNDRAINED_EVENTS, EventsDropped, Network
 from canopen_proto.nmt import NmtCommand, NmtCommandSent, NmtMaster
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure, Request, StepTimeout, Wait, act, sleep, wait_for_event
+from canopen_proto.procedures.steps import Procedure, Request, StepTimeoutError, Wait, act, sleep, wait_for_event
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived, SyncSent
 from tests.core.machines import Alarm, Answered, Box, Clerk, Heard, Rang, Withdrawn
 
@@ -402,5 +402,5 @@ def test_a_procedure_times_out_by_the_networks_deadline() -> None:
     network.handle_timeout(5 * MILLISECOND)
     (failed,) = network.drain(5 * MILLISECOND)[1]
     assert isinstance(failed, ProcedureFailed)
-    assert isinstance(failed.error, StepTimeout)
+    assert isinstance(failed.error, StepTimeoutError)
     assert str(failed.error) == "the frame did not come within 0.005 s"

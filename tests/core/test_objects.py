@@ -6,12 +6,12 @@ from typing import Any
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import NotInDictionary, Object, ObjectDictionary, Variable
+from canopen_proto.dictionary import NotInDictionaryError, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.machine import LocalProtocolError, Outcome
-from canopen_proto.procedures.objects import UnexpectedLength, read, read_if_present, read_int, write
+from canopen_proto.procedures.objects import UnexpectedLengthError, read, read_if_present, read_int, write
 from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure, SdoFailed
+from canopen_proto.procedures.steps import Procedure, SdoTransferError
 from canopen_proto.remote_node import RemoteNode
 from tests.core.devices import LIMITED, OUTPUT, Pair, io_device
 
@@ -49,7 +49,7 @@ def test_read_and_write() -> None:
 def test_what_the_dictionary_forbids_ends_the_procedure_and_nothing_is_sent() -> None:
     pair = Pair()
     assert isinstance(error_of(pair, write(pair.remote, "input", 1)), LocalProtocolError)
-    assert isinstance(error_of(pair, read(pair.remote, "inputt")), NotInDictionary)
+    assert isinstance(error_of(pair, read(pair.remote, "inputt")), NotInDictionaryError)
     assert pair.bus.trace() == []
 
 
@@ -60,11 +60,11 @@ def test_what_the_device_refuses() -> None:
     pair.master.detach(pair.remote)
     pair.master.attach(remote)
     error = error_of(pair, read(remote, 0x1008))
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert (error.abort_code, error.origin) == (AbortCode.NO_SUCH_OBJECT, AbortOrigin.PEER)
     assert str(error) == ("node 5 refused reading 0x1008:00: abort 0x06020000, object does not exist in the object dictionary")
     error = error_of(pair, write(remote, (0x1010, 1), 0x65766173))
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert "refused writing 0x1010:01" in str(error)
     assert result_of(pair, read_if_present(remote, 0x1008)) is None
 
@@ -80,7 +80,7 @@ def test_read_if_present_hides_no_other_failure() -> None:
     pair = Pair()
     pair.bus.detach(pair.device)
     error = error_of(pair, read_if_present(pair.remote, "limited"))
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert error.origin is AbortOrigin.TIMEOUT
     assert str(error) == "node 5 did not answer reading 0x2002:00"
     assert "it may have been executed" in str(error_of(pair, write(pair.remote, "limited", 11)))
@@ -93,5 +93,5 @@ def test_a_length_that_is_not_the_objects() -> None:
     pair.master.detach(pair.remote)
     pair.master.attach(remote)
     error = error_of(pair, read(remote, "limited"))
-    assert isinstance(error, UnexpectedLength)
+    assert isinstance(error, UnexpectedLengthError)
     assert "is it described by another device's dictionary?" in str(error)

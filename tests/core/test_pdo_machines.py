@@ -12,7 +12,7 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Filler, PdoDescription, Variable
 from canopen_proto.frame import EXTENDED, KEY_EXTENDED, Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, FrameIgnored, LocalProtocolError, Outbox
-from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived
+from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthUnexpected, PdoOverdue, PdoReceived
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.pdo.producer import PdoNotSent, PdoPeriodsSkipped, PdoProducer
 from tests.builds import takes_any_type
@@ -106,7 +106,7 @@ def test_a_short_frame_is_not_processed(transmission_type: int) -> None:
     pdo.receive(Frame(KEY, DATA[:7]), 0)
     pdo.on_sync(None, 1)
     assert pdo.store == {}
-    assert pdo.out.events == [PdoLengthError(12, 1, KEY, 8, 7, 0x8210, None)]
+    assert pdo.out.events == [PdoLengthUnexpected(12, 1, KEY, 8, 7, 0x8210, None)]
 
 
 @pytest.mark.parametrize("transmission_type", [1, 255])
@@ -115,7 +115,7 @@ def test_of_a_long_frame_the_mapped_bytes_are_used(transmission_type: int) -> No
     pdo.receive(Frame(KEY, DATA), 0)
     pdo.on_sync(None, 1)
     assert pdo.store == {0x604100: 0x1237, 0x607700: -2}
-    assert pdo.out.events[0] == PdoLengthError(12, 1, KEY, 4, 8, 0x8220, None)
+    assert pdo.out.events[0] == PdoLengthUnexpected(12, 1, KEY, 4, 8, 0x8220, None)
     assert isinstance(pdo.out.events[1], PdoReceived)
 
 

@@ -15,7 +15,7 @@ from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.frame import REMOTE, Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Outbox
 from canopen_proto.multiplexer import mux
-from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthError, PdoOverdue, PdoReceived, PdoTooLate
+from canopen_proto.pdo.consumer import PdoConsumer, PdoLengthUnexpected, PdoOverdue, PdoReceived, PdoTooLate
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.pdo.producer import PdoNotSent, PdoProducer
 from tests.examples import examples
@@ -310,7 +310,7 @@ class RealReceiver:
                 case PdoReceived(data=data):
                     assert self.pdo.store[PLACE] == data[0]
                     self.log.append((self.now, "taken", data[0]))
-                case PdoLengthError(received=received):
+                case PdoLengthUnexpected(received=received):
                     self.log.append((self.now, "length", received))
                 case PdoTooLate(late=late):
                     self.log.append((self.now, "late", late // MILLISECOND))

@@ -13,7 +13,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.machine import SECOND, LocalProtocolError, Outbox, Outcome, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Cancelled, Procedure, Request, SdoFailed, download, upload
+from canopen_proto.procedures.steps import Cancelled, Procedure, Request, SdoTransferError, download, upload
 from canopen_proto.procedures.streams import download_stream, upload_stream
 from canopen_proto.sdo.block_client import MAX_FED
 from canopen_proto.sdo.client import SdoClient
@@ -126,7 +126,7 @@ def test_our_own_slowness_is_not_called_silence(desk: Desk) -> None:
     desk.wait(desk.sdo.stream_timeout)
     outcome = desk.result(request_id)
     assert isinstance(outcome, SdoAborted)
-    assert "was given up" in str(SdoFailed(outcome, "writing"))
+    assert "was given up" in str(SdoTransferError(outcome, "writing"))
 
 
 def test_what_the_producer_raises_aborts_and_is_raised_as_it_is() -> None:
@@ -200,7 +200,7 @@ def test_a_refusal_is_a_refusal(desk: Desk, block: Any) -> None:
         request_id = desk.run(procedure)
         desk.receive(answer)
         error = desk.result(request_id)
-        assert isinstance(error, SdoFailed)
+        assert isinstance(error, SdoTransferError)
         assert error.origin is AbortOrigin.PEER
         assert not error.not_confirmed
 
@@ -214,7 +214,7 @@ def test_a_lost_initiate_response_is_a_time_out_and_not_a_server_without_blocks(
     bus.attach(pair.server)
     pair.client.timeout = 3 * SECOND
     error = pair.run(download_stream(pair.client, INDEX, 0, [pattern(size)], None if size < 29 else size))
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert (error.abort_code, error.origin) != (AbortCode.INVALID_COMMAND, AbortOrigin.LOCAL)
     assert not any(frame.startswith("60C#2") for frame in bus.trace())
     assert pair.client.serves_blocks
@@ -225,7 +225,7 @@ def test_an_acknowledgement_before_the_initiate_response_is_ignored(desk: Desk) 
     desk.receive("58C#A200020000000000")
     desk.wait(SECOND)
     error = desk.result(request_id)
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert error.origin is AbortOrigin.TIMEOUT
 
 
@@ -233,7 +233,7 @@ def test_a_refusal_in_the_middle_does_not_begin_anew(desk: Desk) -> None:
     request_id = desk.run(download_stream(desk.sdo, 0x2000, 0, [bytes(40)]))
     desk.receive("58C#A400200002000000")
     desk.receive(NO_BLOCKS)
-    assert isinstance(desk.result(request_id), SdoFailed)
+    assert isinstance(desk.result(request_id), SdoTransferError)
     assert not any(frame.startswith("60C#2") for frame in desk.sent)
 
 
@@ -281,12 +281,12 @@ def test_not_confirmed_in_procedures(desk: Desk) -> None:
     desk.sdo.abort_all(0x08000022, desk.now)
     desk.drain()
     error = desk.result(request_id)
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert error.not_confirmed
     assert str(error).endswith(" (not confirmed: it may have been executed)")
     request_id = desk.run(download(desk.sdo, 0x2000, 0, bytes(40)))
     desk.wait(desk.sdo.timeout)
     error = desk.result(request_id)
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert not error.not_confirmed
     assert str(error) == "node 12 did not answer writing 0x2000:00"

@@ -16,7 +16,7 @@ from canopen_proto.procedures.steps import (
     Procedure,
     ProcedureError,
     Request,
-    SdoFailed,
+    SdoTransferError,
     Step,
     Wait,
     act,
@@ -359,7 +359,7 @@ def test_a_refused_transfer_names_node_object_and_reason(desk: Desk) -> None:
     request_id = desk.run(upload(desk.sdo, 0x6041))
     desk.receive("58C#8041600000000206")
     error = desk.result(request_id)
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
     assert str(error).startswith("node 12 refused reading 0x6041:00: abort 0x06020000, ")
     assert (error.node_id, error.index, error.subindex, error.abort_code) == (12, 0x6041, 0, 0x06020000)
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.machine import SECOND, LocalProtocolError, RequestId, Time
-from canopen_proto.procedures.runner import CLEAN_UP_TIME, CleanUpTimeout, ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.runner import (
+    CLEAN_UP_TIME,
+    CleanUpTimeoutError,
+    ProcedureCancelled,
+    ProcedureFailed,
+    ProcedureFinished,
+)
 from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
@@ -129,7 +135,7 @@ def test_cancelling_twice_does_nothing_more(desk: Desk) -> None:
     cancel(desk, request_id)
     assert desk.clerk.log == ["a", "cancel a", "halt!"]
     desk.wait(1)  # counted from the first cancel
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeoutError)
     cancel(desk, request_id)
     assert_idle(desk)
 

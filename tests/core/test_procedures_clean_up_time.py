@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.machine import SECOND
-from canopen_proto.procedures.runner import CLEAN_UP_TIME, CleanUpTimeout
+from canopen_proto.procedures.runner import CLEAN_UP_TIME, CleanUpTimeoutError
 from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, act, all_of, sleep
 from tests.core.desk import Desk, cancel, cancelled, careful
 
@@ -30,7 +30,7 @@ def test_the_time_for_clean_up_is_shared_by_its_steps(desk: Desk) -> None:
     assert desk.outcomes == {}
     desk.wait(CLEAN_UP_TIME // 10)
     error = cancelled(desk, request_id)
-    assert isinstance(error, CleanUpTimeout)
+    assert isinstance(error, CleanUpTimeoutError)
     assert str(error) == "the clean-up did not end within 1 s and was given up"
 
 
@@ -39,7 +39,7 @@ def test_a_dead_node_holds_nobody_up_and_the_halt_is_taken_back(desk: Desk) -> N
     cancel(desk, request_id)
     assert desk.network.next_deadline() == CLEAN_UP_TIME
     desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeoutError)
     assert desk.clerk.log == ["a", "cancel a", "halt!", "cancel halt"]
 
 
@@ -58,7 +58,7 @@ def test_a_parent_whose_children_take_all_the_time_still_does_what_it_can_do_at_
     cancel(desk, request_id)
     desk.wait(CLEAN_UP_TIME)
     assert done == ["halt by PDO"]
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeoutError)
     assert desk.clerk.log[-2:] == ["cancel brake", "cancel brake 2"]
 
 
@@ -66,7 +66,7 @@ def test_a_parent_that_can_do_all_at_once_when_its_children_are_given_up(desk: D
     request_id = desk.run(all_of(all_of(careful(desk, "a", "halt a"))))
     cancel(desk, request_id)
     desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeoutError)
 
 
 def test_a_clean_up_side_by_side_is_given_up_with_all_that_it_runs(desk: Desk) -> None:
@@ -91,7 +91,7 @@ def test_a_clean_up_side_by_side_is_given_up_with_all_that_it_runs(desk: Desk) -
     request_id = desk.run(parent())
     cancel(desk, request_id)
     desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeoutError)
     assert "the parent is closed and not resumed" not in log
 
 
@@ -105,7 +105,7 @@ def test_a_generator_that_waits_in_finally_is_told_and_ended(desk: Desk) -> None
     request_id = desk.run(improper())
     cancel(desk, request_id)  # Cancelled runs the `finally`, which waits: as bad as waiting in `except Cancelled`
     desk.wait(CLEAN_UP_TIME)
-    assert isinstance(cancelled(desk, request_id), CleanUpTimeout)
+    assert isinstance(cancelled(desk, request_id), CleanUpTimeoutError)
 
     def worse() -> Procedure[None]:
         try:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from canopen_proto.machine import SECOND, RequestId, Time
-from canopen_proto.procedures.runner import CLEAN_UP_TIME, CleanUpTimeout, ProcedureCancelled, ProcedureFinished
+from canopen_proto.procedures.runner import CLEAN_UP_TIME, CleanUpTimeoutError, ProcedureCancelled, ProcedureFinished
 from canopen_proto.procedures.steps import Cancelled, Procedure, Request, act, all_of, current_time, sleep, wait_for_event
 from tests.core.desk import Desk, assert_idle, cancel, cancelled
 from tests.core.machines import Heard
@@ -111,7 +111,7 @@ def test_cancelled_at_any_step_with_a_node_that_is_silent_from_then_on(at: int) 
     cancelled_at, moving = rig.desk.now, rig.moving
     cancel(rig.desk, rig.request_id)
     rig.end(answering=False)
-    assert isinstance(cancelled(rig.desk, rig.request_id), CleanUpTimeout) == (moving > 0)
+    assert isinstance(cancelled(rig.desk, rig.request_id), CleanUpTimeoutError) == (moving > 0)
     assert rig.desk.now == cancelled_at + (CLEAN_UP_TIME if moving else 0)
 
 

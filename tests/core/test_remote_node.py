@@ -9,7 +9,7 @@ import pytest
 
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import Constant, Direction, Filler, NotInDictionary, ObjectDictionary, PdoDescription
+from canopen_proto.dictionary import Constant, Direction, Filler, NotInDictionaryError, ObjectDictionary, PdoDescription
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.follower import Follower
 from canopen_proto.frame import KEY_EXTENDED, Frame
@@ -153,9 +153,9 @@ def test_a_value_or_a_constant_is_written_and_the_image_has_it_once_confirmed(va
 @pytest.mark.parametrize(
     ("key", "value", "error", "text"),
     [
-        ("outputt", 1, NotInDictionary, "did you mean output"),
-        ("output", "lampp", NotInDictionary, "did you mean lamp"),
-        (0x2FFF, 1, NotInDictionary, "0x2FFF:00 is not in the dictionary"),
+        ("outputt", 1, NotInDictionaryError, "did you mean output"),
+        ("output", "lampp", NotInDictionaryError, "did you mean lamp"),
+        (0x2FFF, 1, NotInDictionaryError, "0x2FFF:00 is not in the dictionary"),
         ("input", 1, LocalProtocolError, r"input \(0x2000:00\) of node 5 is ro: it cannot be written"),
         ("output", 40_000, ValueRangeError, "output"),
         ("output", 1.5, ValueRangeError, "output"),
@@ -229,7 +229,7 @@ def test_an_object_that_the_dictionary_lacks_is_read_as_bytes() -> None:
     (uploaded,) = bench.seen(SdoUploaded)
     assert uploaded.data == b"\x07"
     assert 0x2FFF01 not in bench.node.values.store
-    with pytest.raises(NotInDictionary):
+    with pytest.raises(NotInDictionaryError):
         bench.node.message_of(uploaded)
 
 

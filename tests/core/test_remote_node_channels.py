@@ -12,7 +12,7 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND, FrameIgnored, LocalProtocolError
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster
-from canopen_proto.pdo import MpdoReceived, PdoLengthError
+from canopen_proto.pdo import MpdoReceived, PdoLengthUnexpected
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from tests.core.bus import Bus
@@ -146,7 +146,7 @@ def test_what_a_node_says_by_mpdo_is_known() -> None:
 def test_a_short_one_is_reported(frame: str) -> None:
     bench = listening()
     bench.tell(frame)
-    (report,) = bench.seen(PdoLengthError)
+    (report,) = bench.seen(PdoLengthUnexpected)
     assert (report.node_id, report.number) == (5, 3)
 
 

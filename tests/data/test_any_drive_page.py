@@ -8,7 +8,7 @@ import pytest
 
 from canopen_data.descriptions import load_description
 from canopen_proto.dictionary import Direction
-from canopen_proto.drives.axis.motion_plan import MODES, MotionPlan, NoMotionPlan, plan_motion
+from canopen_proto.drives.axis.motion_plan import MODES, MotionPlan, NoMotionPlanError, plan_motion
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, short_name
 from canopen_proto.machine import MILLISECOND
@@ -63,7 +63,7 @@ def test_the_table_says_what_the_plan_is(name: str) -> None:
 def test_every_write_of_a_plan_is_one_that_the_device_takes(name: str, wish: Mode | None) -> None:
     try:
         plan = plan_of(name, wish)
-    except NoMotionPlan as refused:
+    except NoMotionPlanError as refused:
         assert wish in (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION)
         assert refused.obstacles[0].reason
     else:

@@ -15,7 +15,7 @@ from canopen_data.configured import (
 )
 from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
 from canopen_proto.datatypes import DataType, ValueRangeError
-from canopen_proto.dictionary import Constant, Object, ObjectDictionary, ObjectNotFound, ObjectType, Variable
+from canopen_proto.dictionary import Constant, Object, ObjectDictionary, ObjectNotFoundError, ObjectType, Variable
 from canopen_proto.dictionary.download_order import settings_of
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, EMCY
 from canopen_proto.machine import LocalProtocolError
@@ -81,7 +81,7 @@ def test_callers_faults() -> None:
         with_configured(EDS, {})
     with pytest.raises(LocalProtocolError, match="128"):
         with_configured(EDS, {}, Commissioning(node_id=128))
-    with pytest.raises(ObjectNotFound, match="0x2000:00"):
+    with pytest.raises(ObjectNotFoundError, match="0x2000:00"):
         with_configured(EDS, {mux(0x2000): 1}, NODE_5)
     with pytest.raises(ValueRangeError, match="heartbeat"):
         with_configured(EDS, {mux(0x1017): 0x10000}, NODE_5)

@@ -11,7 +11,7 @@ from canopen_data import CHAIN_FILES, DICTIONARY_FILES, DataError
 from canopen_data.csv import DictionaryError
 from canopen_data.findings import Severity
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, ConstantNotFound, Direction, Filler, ObjectDictionary
+from canopen_proto.dictionary import Access, ConstantNotFoundError, Direction, Filler, ObjectDictionary
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.drives.cia402.modes import HomingStatus, describe_status
 from canopen_proto.drives.cia402.names import names_in_mode
@@ -223,7 +223,7 @@ def test_errors_in_a_users_file_name_its_path(tmp_path: Path) -> None:
 def test_the_issues_example_by_names(dictionary: ObjectDictionary) -> None:
     assert dictionary.value_from("controlword", "sm_shutdown") == 6
     assert dictionary.matches("statusword", "operation_enable", 0x0637)
-    with pytest.raises(ConstantNotFound, match="has no constant 'operation_enabled'; did you mean operation_enable"):
+    with pytest.raises(ConstantNotFoundError, match="has no constant 'operation_enabled'; did you mean operation_enable"):
         dictionary.matches("statusword", "operation_enabled", 0x0637)
 
 

@@ -81,7 +81,7 @@ def test_without_any_limit_of_the_speed_nothing_is_done_and_the_lower_one_counts
         assert rig.run(procedure) == 0.1
         stands(rig)
     else:
-        with pytest.raises(drive.LimitReached, match=r"is too fast: 0.5\d* per second; the limit is 0.5, by"):
+        with pytest.raises(drive.LimitReachedError, match=r"is too fast: 0.5\d* per second; the limit is 0.5, by"):
             rig.run(procedure)
         stands(rig)
 
@@ -97,7 +97,7 @@ def test_a_limit_of_the_drive_counts_too() -> None:
 @pytest.mark.parametrize("torque", [0.1, -0.1])
 def test_a_limit_of_the_position_stops_it(torque: float, direction: int) -> None:
     rig = rig_of(max_speed=10.0, min_position=-0.3, max_position=0.3, direction=direction)
-    with pytest.raises(drive.LimitReached, match=r"is beyond its limit: .*settings \((max|min)_position\)"):
+    with pytest.raises(drive.LimitReachedError, match=r"is beyond its limit: .*settings \((max|min)_position\)"):
         rig.run(drive.apply_torque(rig.axis, torque, 5 * SECOND))
     stands(rig)
     position = rig.run(drive.read_position(rig.axis))
@@ -109,7 +109,7 @@ def test_without_an_actual_velocity_the_speed_is_taken_from_positions() -> None:
     rig = rig_of(max_speed=0.5)
     described = rig.node.dictionary.objects.items()
     rig.remote.dictionary = ObjectDictionary([each for index, each in described if index != 0x606C])
-    with pytest.raises(drive.LimitReached, match="is too fast: "):
+    with pytest.raises(drive.LimitReachedError, match="is too fast: "):
         rig.run(drive.apply_torque(rig.axis, 0.1, 5 * SECOND))
     stands(rig)
 
@@ -213,14 +213,14 @@ def test_a_fault_and_another_mode_end_it() -> None:
     request = rig.master.run(drive.apply_torque(rig.axis, 0.05, 10 * SECOND), rig.bus.now)
     rig.bus.run(300 * MILLISECOND)
     rig.node.raise_fault(0x2310, rig.bus.now)
-    assert isinstance(rig.outcome(request).error, drive.DriveInFault)  # type: ignore[union-attr]
+    assert isinstance(rig.outcome(request).error, drive.DriveInFaultError)  # type: ignore[union-attr]
 
     rig = rig_of(max_speed=10.0)
     request = rig.master.run(drive.apply_torque(rig.axis, 0.05, 10 * SECOND), rig.bus.now)
     rig.bus.run(300 * MILLISECOND)
     rig.node.values.store[objects.MODES_OF_OPERATION] = Mode.PROFILE_VELOCITY
     rig.drive.written(0x6060, 0, rig.bus.now)
-    assert isinstance(rig.outcome(request).error, drive.ModeLost)  # type: ignore[union-attr]
+    assert isinstance(rig.outcome(request).error, drive.ModeLostError)  # type: ignore[union-attr]
     assert abs(velocity_of(rig)) < 10
 
 
@@ -228,12 +228,12 @@ def test_a_drive_that_has_lost_its_reference_is_not_pushed_within_limits_that_me
     rig = rig_of(max_speed=2.0, max_position=1.0)
     rig.axis.is_homed = True
     rig.axis.is_homed = False
-    with pytest.raises(drive.ReferenceLost):
+    with pytest.raises(drive.ReferenceLostError):
         rig.run(drive.apply_torque(rig.axis, 0.05, SECOND))
 
 
 def test_a_drive_without_the_mode() -> None:
     rig = rig_of(max_speed=2.0)
     rig.node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0xE5
-    with pytest.raises(drive.ModeUnsupported, match="torque"):
+    with pytest.raises(drive.ModeUnsupportedError, match="torque"):
         rig.run(drive.apply_torque(rig.axis, 0.05, SECOND))

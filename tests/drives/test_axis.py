@@ -17,7 +17,7 @@ from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.procedures.objects import write
-from canopen_proto.procedures.steps import ProcedureError, StepTimeout
+from canopen_proto.procedures.steps import ProcedureError, StepTimeoutError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
@@ -165,7 +165,7 @@ def test_an_axis_that_does_not_slow_down_is_told() -> None:
     rig.run(drive.enable(rig.axis))
     rig.run(write(rig.remote, "0x60FF", 10_000))
     rig.bus.run(SECOND)
-    with pytest.raises(StepTimeout, match=r"did not reach standstill after a halt within 2 s"):
+    with pytest.raises(StepTimeoutError, match=r"did not reach standstill after a halt within 2 s"):
         rig.run(drive.halt(rig.axis))  # it shows bit 10, "target velocity reached", all the time
     assert rig.drive._servo.velocity == pytest.approx(10_000)
 
@@ -235,7 +235,7 @@ def test_a_reference_that_was_lost_is_lost_until_the_drive_is_homed_again(start:
     reset(rig)
     assert rig.axis.has_lost_reference
     rig.bus.sent.clear()
-    with pytest.raises(drive.ReferenceLost, match=r"drive 5 has lost its reference: .*keeps_reference"):
+    with pytest.raises(drive.ReferenceLostError, match=r"drive 5 has lost its reference: .*keeps_reference"):
         rig.run(STARTS[start](rig.axis))
     assert not rig.bus.sent
     rig.run(drive.home(rig.axis))

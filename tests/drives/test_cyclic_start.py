@@ -236,7 +236,7 @@ def test_a_drive_that_does_not_show_that_it_follows() -> None:
     rig.sync.stop()
     rig.bus.run(SECOND)
     assert not rig.run(drive.read_statusword(rig.axis)) & 0x1000
-    with pytest.raises(drive.DriveTimeout, match=r"follows command \(bit 12\)"):
+    with pytest.raises(drive.DriveTimeoutError, match=r"follows command \(bit 12\)"):
         rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
     rig.axis.settings = replace(rig.axis.settings, shows_following=False)
     rig.run(drive.start_cyclic_position(rig.axis, CYCLE))
@@ -278,7 +278,7 @@ def test_bounds_that_are_left_halt_it(mode: Mode) -> None:
     request = kept(rig, mode)
     give(rig, mode, 120)
     ended = rig.outcome(request)
-    assert isinstance(ended.error, drive.OutOfBounds)  # type: ignore[union-attr]
+    assert isinstance(ended.error, drive.OutOfBoundsError)  # type: ignore[union-attr]
     assert "is beyond its limit" in str(ended.error)  # type: ignore[union-attr]
     stands_for_good(rig, mode)
 

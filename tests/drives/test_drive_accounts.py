@@ -23,7 +23,7 @@ from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.network import Network
 from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, StepTimeoutError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.settings import Shape
 from tests.drives.rig import CYCLE, Rig
@@ -124,7 +124,7 @@ def told(error: BaseException, obstacle: str, remedy: str) -> None:
     assert error.reason.startswith(obstacle), text
     assert remedy in error.remedy, text
     assert text == f"{error.failed}: {error.reason}; {error.view.describe()}. Try: {error.remedy}"
-    assert error.failed.startswith("drive 5 ") or isinstance(error, SdoFailed)
+    assert error.failed.startswith("drive 5 ") or isinstance(error, SdoTransferError)
     assert len(text) < 800  # ten lines of a terminal
 
 
@@ -199,13 +199,13 @@ def test_what_the_drive_shows_is_named(case: str, operation: str) -> None:
     stubborn = Stubborn(dict(shown), settings)
     error = stubborn.run(OPERATIONS[operation](stubborn.axis))
     told(error, obstacle, remedy)
-    assert isinstance(error, StepTimeout)
+    assert isinstance(error, StepTimeoutError)
 
 
 def test_a_drive_that_shows_nothing_wrong_gets_no_false_reason() -> None:
     stubborn = Stubborn({objects.STATUSWORD: DISABLED})  # it has voltage, and simply does not obey
     error = stubborn.run(drive.enable(stubborn.axis))
-    assert isinstance(error, drive.DriveTimeout)
+    assert isinstance(error, drive.DriveTimeoutError)
     assert (error.reason, error.remedy) == ("", "more time, if it is only slow")
     assert "statusword 0x0250: switch on disabled, voltage enabled, remote; commanded 0x0006 (shutdown)" in str(error)
 
@@ -213,7 +213,7 @@ def test_a_drive_that_shows_nothing_wrong_gets_no_false_reason() -> None:
 def test_a_move_that_takes_longer_than_it_may_gets_no_false_reason() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     rig.axis.settings = SHORT
-    with pytest.raises(drive.DriveTimeout, match="did not reach its target position within 0.1 s: statusword") as caught:
+    with pytest.raises(drive.DriveTimeoutError, match="did not reach its target position within 0.1 s: statusword") as caught:
         rig.run(drive.move_to(rig.axis, 100_000, timeout=100 * MILLISECOND))
     assert (caught.value.reason, caught.value.remedy) == ("", "more time, if it is only slow")
 
@@ -231,7 +231,7 @@ def test_a_refusal_bears_its_abort_code(operation: str) -> None:
     index, what, remedy = REFUSED[operation]
     stubborn = Stubborn({objects.STATUSWORD: DISABLED if index != 0x607A else ENABLED}, refuses={index: AbortCode.DEVICE_STATE})
     error = stubborn.run(OPERATIONS[operation](stubborn.axis))
-    assert isinstance(error, drive.AccessFailed)
+    assert isinstance(error, drive.DriveAccessError)
     assert (error.index, error.abort_code, error.origin) == (index, AbortCode.DEVICE_STATE, AbortOrigin.PEER)
     assert f"node 5 refused {what}: abort 0x08000022" in error.failed
     assert remedy in error.remedy
@@ -242,7 +242,7 @@ def test_a_mode_that_is_not_taken_up_tells_what_0x6060_holds() -> None:
     stubborn = Stubborn({objects.STATUSWORD: ENABLED, objects.MODES_OF_OPERATION_DISPLAY: 1})
     stubborn.follows_mode = False
     error = stubborn.run(select(stubborn.axis))
-    assert isinstance(error, drive.ModeUnsupported)
+    assert isinstance(error, drive.ModeUnsupportedError)
     told(
         error,
         "profile velocity (pv) was selected, but it shows profile position (pp)",
@@ -256,7 +256,7 @@ def test_a_silent_drive(operation: str) -> None:
     stubborn.deaf = True
     error = stubborn.run(OPERATIONS[operation](stubborn.axis))
     told(error, "it is silent", "its power, its cable and its node-ID")
-    assert isinstance(error, SdoFailed)
+    assert isinstance(error, SdoTransferError)
 
 
 @pytest.mark.parametrize("operation", ["enable", "move", "home", "csp"])
@@ -265,7 +265,7 @@ def test_a_fault_bears_its_code_and_the_emergency(operation: str) -> None:
     rig.axis.settings = SHORT
     rig.node.raise_fault(0x8611, rig.bus.now, lasting=True)
     rig.bus.run(MILLISECOND)
-    with pytest.raises(drive.DriveInFault) as caught:
+    with pytest.raises(drive.DriveInFaultError) as caught:
         rig.run(OPERATIONS[operation](rig.axis))
     told(caught.value, "0x8611 following error", "reset the fault")
     assert "error code 0x8611" in str(caught.value)
@@ -276,7 +276,7 @@ def test_a_fault_that_stays_says_so() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     rig.node.raise_fault(0x4310, rig.bus.now, lasting=True)
     rig.bus.run(MILLISECOND)
-    with pytest.raises(drive.DriveInFault, match="that a fault reset did not clear: 0x4310") as caught:
+    with pytest.raises(drive.DriveInFaultError, match="that a fault reset did not clear: 0x4310") as caught:
         rig.run(drive.reset_fault(rig.axis))
     told(caught.value, "0x4310", "find the cause")
 
@@ -307,7 +307,7 @@ def test_a_reference_that_is_lost() -> None:
     rig.run(drive.home(rig.axis))
     rig.axis.is_homed = False
     for operation in (move, csp, ip):
-        with pytest.raises(drive.ReferenceLost) as caught:
+        with pytest.raises(drive.ReferenceLostError) as caught:
             rig.run(operation(rig.axis))
         told(caught.value, "it was homed, and then reset or without power", "home it again")
 
@@ -356,7 +356,7 @@ def test_a_halt_by_another_master() -> None:
 def test_a_shutdown_by_another_master(operation: str) -> None:
     rig, foreign = rig_in_motion()
     error = raised_by(rig, OPERATIONS[operation](rig.axis), lambda: foreign.write(objects.CONTROLWORD, 0x0006))
-    assert isinstance(error, drive.StateLost)
+    assert isinstance(error, drive.StateLostError)
     told(error, "another master commanded 0x0006 (shutdown) ", "end the other master")
 
 
@@ -364,7 +364,7 @@ def test_a_shutdown_by_the_rpdo_of_another_master() -> None:
     rig, _ = rig_in_motion()
     rig.run(use_device_pdo(rig.remote, Direction.RPDO, 1))
     error = raised_by(rig, drive.home(rig.axis), lambda: rig.bus.send("205#0600"))
-    assert isinstance(error, drive.StateLost)
+    assert isinstance(error, drive.StateLostError)
     told(error, "another master commanded 0x0006 (shutdown) ", "end the other master")
     assert error.reason.endswith(" ms ago by RPDO 0x205")
 
@@ -390,7 +390,7 @@ def test_a_pdo_without_a_command_is_nobodys_fault() -> None:
 def test_another_mode_by_another_master() -> None:
     rig, foreign = rig_in_motion()
     error = raised_by(rig, move(rig.axis), lambda: foreign.write(objects.MODES_OF_OPERATION, Mode.PROFILE_VELOCITY))
-    assert isinstance(error, drive.ModeLost)
+    assert isinstance(error, drive.ModeLostError)
     told(error, "another master selected profile velocity (pv) ", "0x6060")
 
 
@@ -400,7 +400,7 @@ def test_an_rpdo_that_does_not_reach_the_drive() -> None:
     entries = Mapping([MappedEntry.of(rig.node.dictionary.variable(objects.CONTROLWORD))])
     rig.remote.add_rpdo(1, 0x3A5, entries, 255)  # type: ignore[arg-type]
     rig.remote.enable_rpdo(1, rig.bus.now)
-    with pytest.raises(drive.DriveTimeout) as caught:
+    with pytest.raises(drive.DriveTimeoutError) as caught:
         rig.run(drive.enable(rig.axis))
     told(caught.value, "its RPDO 1, which carries the controlword, does not reach it: its controlword is 0x0000", "mapping")
 
@@ -413,7 +413,7 @@ def test_a_drive_that_has_left_operational_unheard(halts: bool, word: str) -> No
         rig.run(drive.enable(rig.axis))
     rig.start_sync()
     rig.bus.send("000#8005")
-    with pytest.raises(drive.DriveTimeout) as caught:
+    with pytest.raises(drive.DriveTimeoutError) as caught:
         rig.run(drive.start_interpolation(rig.axis, CYCLE))
     told(
         caught.value, f"its RPDO 1, which carries the controlword, does not reach it: its controlword is {word}", "start it (NMT)"

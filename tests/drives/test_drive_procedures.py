@@ -16,7 +16,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, StepTimeoutError
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from tests.drives.rig import CYCLE, Rig
 
@@ -55,7 +55,7 @@ def test_a_fault_is_reset_by_a_rising_edge_and_only_on_request(shape: Shape) -> 
     rig.run(drive.enable(rig.axis))
     rig.node.raise_fault(0x3220, rig.bus.now)
     rig.bus.run(200 * MILLISECOND)  # what a TPDO said before is too old now
-    with pytest.raises(drive.DriveInFault, match=r"drive 5 is in fault and cannot go to operation enabled.*0x3220"):
+    with pytest.raises(drive.DriveInFaultError, match=r"drive 5 is in fault and cannot go to operation enabled.*0x3220"):
         rig.run(drive.enable(rig.axis))
     rig.bus.sent.clear()
     rig.run(drive.reset_fault(rig.axis))
@@ -68,7 +68,7 @@ def test_a_fault_is_reset_by_a_rising_edge_and_only_on_request(shape: Shape) -> 
 def test_a_fault_whose_cause_stays_is_told() -> None:
     rig = Rig(Shape.STANDARD)
     rig.node.raise_fault(0x3220, rig.bus.now, lasting=True)
-    with pytest.raises(drive.DriveInFault, match="that a fault reset did not clear"):
+    with pytest.raises(drive.DriveInFaultError, match="that a fault reset did not clear"):
         rig.run(drive.reset_fault(rig.axis))
 
 
@@ -96,7 +96,7 @@ def test_homing_of_a_schunk_waives_the_check_of_6502_and_the_method() -> None:
 def test_homing_without_the_mode_writes_nothing() -> None:
     rig = Rig(Shape.STANDARD)
     rig.node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0x01
-    with pytest.raises(drive.ModeUnsupported, match=r"does not support homing.*0x00000001, which is profile position"):
+    with pytest.raises(drive.ModeUnsupportedError, match=r"does not support homing.*0x00000001, which is profile position"):
         rig.run(drive.home(rig.axis))
     assert writes_of(rig, 0x6060) == writes_of(rig, 0x6040) == []
 
@@ -105,7 +105,7 @@ def test_a_homing_error_is_told_and_the_drive_halted() -> None:
     rig = Rig(Shape.STANDARD)
     rig.node.values.store[objects.HOMING_METHOD] = 0
     rig.axis = Axis(rig.remote, AxisSettings(homing_method=None))
-    with pytest.raises(drive.HomingFailed, match="homing error"):
+    with pytest.raises(drive.HomingError, match="homing error"):
         rig.run(drive.home(rig.axis))
     assert not rig.axis.is_homed
     assert not moving(rig)
@@ -114,7 +114,7 @@ def test_a_homing_error_is_told_and_the_drive_halted() -> None:
 def test_a_homing_that_does_not_end_is_halted() -> None:
     rig = Rig(Shape.STANDARD)
     rig.axis = Axis(rig.remote, AxisSettings(homing_method=17, homing_timeout=200 * MILLISECOND))
-    with pytest.raises(StepTimeout, match=r"did not reach the end of homing within 0.2 s"):
+    with pytest.raises(StepTimeoutError, match=r"did not reach the end of homing within 0.2 s"):
         rig.run(drive.home(rig.axis))
     assert writes_of(rig, 0x6040)[-1] & 0x100
     assert not moving(rig)
@@ -129,7 +129,7 @@ def test_a_fault_in_the_middle_of_homing_is_told_with_its_emcy() -> None:
     rig.node.raise_fault(0x2310, rig.bus.now)
     ended = rig.outcome(request)
     assert isinstance(ended, ProcedureFailed)
-    assert isinstance(ended.error, drive.DriveInFault)
+    assert isinstance(ended.error, drive.DriveInFaultError)
     assert "while waiting for the end of homing" in str(ended.error)
     assert "last EMCY 0x2310" in str(ended.error)
 
@@ -153,7 +153,7 @@ def test_interpolation_starts_where_the_drive_stands_and_follows(shape: Shape) -
 def test_interpolation_needs_the_mode() -> None:
     rig = Rig(Shape.STANDARD)
     rig.node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0x21
-    with pytest.raises(drive.ModeUnsupported, match="interpolated position"):
+    with pytest.raises(drive.ModeUnsupportedError, match="interpolated position"):
         rig.run(drive.start_interpolation(rig.axis, CYCLE))
 
 
@@ -225,7 +225,7 @@ def test_profile_position_absolute_and_relative() -> None:
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.5, abs=1e-3)
     rig.run(drive.move_to(rig.axis, -0.2, timeout=20 * SECOND, relative=True))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.3, abs=1e-3)
-    with pytest.raises(StepTimeout, match="its target position"):
+    with pytest.raises(StepTimeoutError, match="its target position"):
         rig.run(drive.move_to(rig.axis, 1.5, timeout=50 * MILLISECOND))
     assert not moving(rig)
 
@@ -273,14 +273,14 @@ def test_quick_stop() -> None:
 def test_a_drive_that_does_not_answer() -> None:
     rig = Rig(Shape.STANDARD)
     rig.bus.detach(rig.device)
-    with pytest.raises(SdoFailed, match=r"node 5 did not answer reading 0x6041:00"):
+    with pytest.raises(SdoTransferError, match=r"node 5 did not answer reading 0x6041:00"):
         rig.run(drive.enable(rig.axis))
 
 
 def test_a_mode_that_the_drive_does_not_take_up() -> None:
     rig = Rig(Shape.STANDARD)
     rig.node.application = PlainMemory()  # it stores what is written, and does nothing
-    with pytest.raises(drive.ModeUnsupported, match="did not take up homing"):
+    with pytest.raises(drive.ModeUnsupportedError, match="did not take up homing"):
         rig.run(drive.set_mode(rig.axis, Mode.HOMING))
 
 
@@ -314,7 +314,7 @@ def test_the_fault_of_a_node_that_falls_silent_is_told_all_the_same() -> None:
     rig.node.raise_fault(0x3220, rig.bus.now)
     rig.bus.run(2 * CYCLE)
     rig.bus.detach(rig.device)
-    with pytest.raises(drive.DriveInFault, match="its error code could not be read: node 5 did not answer"):
+    with pytest.raises(drive.DriveInFaultError, match="its error code could not be read: node 5 did not answer"):
         rig.run(drive.enable(rig.axis))
 
 
@@ -334,14 +334,14 @@ def test_a_schunk_that_stands_unreferenced_has_failed() -> None:
         rig.bus.run(200 * MILLISECOND)
     ended = rig.outcome(request)
     assert isinstance(ended, ProcedureFailed)
-    assert isinstance(ended.error, drive.HomingFailed)
+    assert isinstance(ended.error, drive.HomingError)
     assert "not referenced" in str(ended.error)
 
 
 def test_a_schunk_that_does_not_begin_to_home_has_failed() -> None:
     rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
     schunk_whose_status_is(rig, 0x0237)
-    with pytest.raises(drive.HomingFailed, match=r"did not begin to home within 1 s"):
+    with pytest.raises(drive.HomingError, match=r"did not begin to home within 1 s"):
         rig.run(drive.home(rig.axis))
 
 
@@ -350,7 +350,7 @@ def test_a_halt_that_is_not_confirmed_is_told() -> None:
     schunk_whose_status_is(rig, 0x0237)  # operation enabled, and never at standstill
     rig.remote.values.store[objects.MODES_OF_OPERATION_DISPLAY] = Mode.PROFILE_POSITION
     rig.remote.heard_at[objects.MODES_OF_OPERATION_DISPLAY] = rig.bus.now
-    with pytest.raises(StepTimeout, match="standstill after a halt"):
+    with pytest.raises(StepTimeoutError, match="standstill after a halt"):
         rig.run(drive.halt(rig.axis))
 
 
@@ -363,14 +363,14 @@ def test_a_cancelled_procedure_tells_of_the_halt_that_failed() -> None:
     rig.master.cancel(request, rig.bus.now)
     ended = rig.outcome(request)
     assert isinstance(ended, ProcedureCancelled)
-    assert isinstance(ended.clean_up_error, StepTimeout)
+    assert isinstance(ended.clean_up_error, StepTimeoutError)
 
 
 def test_a_mechanical_block_becomes_a_following_error() -> None:
     rig = Rig(Shape.STANDARD)
     rig.run(drive.home(rig.axis))
     rig.node.block(True, rig.bus.now)
-    with pytest.raises(drive.DriveInFault, match="0x8611"):
+    with pytest.raises(drive.DriveInFaultError, match="0x8611"):
         rig.run(drive.move_to(rig.axis, 1.0, timeout=20 * SECOND))
 
 

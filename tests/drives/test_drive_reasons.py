@@ -16,7 +16,7 @@ from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.steps import SdoFailed, StepTimeout
+from canopen_proto.procedures.steps import SdoTransferError, StepTimeoutError
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from tests.core.object_answers import run_against
 from tests.drives.rig import Rig
@@ -134,7 +134,7 @@ def test_the_order_is_that_of_removal() -> None:
 
 def test_what_does_not_come_in_time_names_the_obstacle() -> None:
     rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(reaction=10 * SECOND))
-    with pytest.raises(StepTimeout, match=r"within 3 s: its power stage has no voltage .*\. Try: look at the motor supply"):
+    with pytest.raises(StepTimeoutError, match=r"within 3 s: its power stage has no voltage .*\. Try: look at the motor supply"):
         rig.run(drive.enable(rig.axis))
     rig = Rig(Shape.STANDARD, pdos=False)
     assert outer_reason(view_of(rig.axis)) is None  # nothing was heard yet
@@ -148,4 +148,4 @@ def test_it_is_read_from_the_drive() -> None:
     view = run_against(told, look_at)
     assert view == DriveView(0x0250, None, 6, -3, None, 0, -5, None, None)
     assert run_against({}, look_at) is None
-    assert isinstance(run_against(told, look_at, abort=None), SdoFailed)
+    assert isinstance(run_against(told, look_at, abort=None), SdoTransferError)

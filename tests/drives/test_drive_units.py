@@ -13,7 +13,7 @@ from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.axis.units import FACTOR_GROUP, DriveUnits, Unit, read_units, units_of
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.multiplexer import Mux, mux
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from canopen_proto.simulation.drive.settings import Shape
 from tests.core.object_answers import run_against
 from tests.drives.rig import Rig
@@ -183,6 +183,6 @@ def test_it_is_read_from_the_drive() -> None:
 
 
 def test_a_drive_that_does_not_answer_is_an_error() -> None:
-    assert isinstance(run_against({}, read_units, abort=None), SdoFailed)
+    assert isinstance(run_against({}, read_units, abort=None), SdoTransferError)
     told = run_against({}, read_units, abort=AbortCode.TIMED_OUT)  # the drive's own abort, not our time-out
     assert isinstance(told, DriveUnits)

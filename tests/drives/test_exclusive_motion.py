@@ -73,7 +73,9 @@ def test_a_second_motion_is_refused_and_the_first_goes_on(second: str) -> None:
     first = rig.master.run(drive.move_to(rig.axis, 0.2, timeout=60 * SECOND), rig.bus.now)
     rig.bus.run(500 * MILLISECOND)
     before = commands(rig)
-    with pytest.raises(drive.AxisBusy, match=f"^drive 5 cannot {second} now: move_to is under way; nothing was sent") as caught:
+    with pytest.raises(
+        drive.AxisBusyError, match=f"^drive 5 cannot {second} now: move_to is under way; nothing was sent"
+    ) as caught:
         rig.run(OTHERS[second](rig.axis))
     assert "wait for its end, or halt the drive first" in str(caught.value)
     assert commands(rig) == before
@@ -89,7 +91,7 @@ def test_a_stop_takes_over_and_the_motion_says_so(motion: str, stop: str) -> Non
     rig.run(STOPS[stop](rig.axis))
     ended = rig.outcome(first)
     assert isinstance(ended, ProcedureFailed)
-    assert isinstance(ended.error, drive.TakenOver)
+    assert isinstance(ended.error, drive.TakenOverError)
     assert str(ended.error).startswith(f"drive 5 was taken from {motion}: {stop} took over")
     rig.bus.run(2 * SECOND)
     here = rig.run(drive.read_position(rig.axis))

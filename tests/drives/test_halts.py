@@ -13,7 +13,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.procedures.objects import write
 from canopen_proto.procedures.runner import CLEAN_UP_TIME, ProcedureCancelled
-from canopen_proto.procedures.steps import Procedure, StepTimeout, sleep
+from canopen_proto.procedures.steps import Procedure, StepTimeoutError, sleep
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.drive import Drive
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
@@ -118,7 +118,7 @@ def test_a_drive_that_goes_on_as_before_is_told_within_reaction_and_halt_time() 
     rig.run(write(rig.remote, "0x60FF", SPEED))
     rig.bus.run(SECOND)
     began = rig.bus.now
-    with pytest.raises(StepTimeout, match="standstill after a halt"):
+    with pytest.raises(StepTimeoutError, match="standstill after a halt"):
         rig.run(drive.halt(rig.axis))
     settings = rig.axis.settings
     assert rig.bus.now - began <= settings.reaction_time + settings.halt_time + 100 * MILLISECOND
@@ -173,7 +173,7 @@ def test_a_drive_that_shows_no_state_is_no_drive_that_stands(hidden: int, monkey
     rig.drive.refresh(rig.bus.now)
     try:
         rig.run(drive.halt(rig.axis))
-    except StepTimeout as unknown:
+    except StepTimeoutError as unknown:
         assert hidden > SECOND
         assert "a statusword that shows a state" in str(unknown)
         assert speed_of(rig) == SPEED

@@ -96,7 +96,7 @@ def test_an_old_homing_error_does_not_fail_the_next_homing(reaction: Time, cycle
     rig = rig_of(Shape.STANDARD, reaction, cycle)
     rig.axis.settings = replace(rig.axis.settings, homing_method=None)
     rig.node.values.store[objects.HOMING_METHOD] = 0  # the drive's own: it has none
-    with pytest.raises(drive.HomingFailed, match="homing error"):
+    with pytest.raises(drive.HomingError, match="homing error"):
         rig.run(drive.home(rig.axis))
     rig.bus.take_events(HomingFinished)
     rig.axis.settings = replace(rig.axis.settings, homing_method=33)
@@ -191,11 +191,11 @@ def test_a_homing_that_did_not_begin_may_still_begin_and_the_next_one_waits_for_
     at_once, late = rig.drive.settings, replace(rig.drive.settings, reaction=4 * SECOND)
     rig.drive.settings = late  # it has got slow since it was enabled
     with pytest.raises(
-        drive.HomingFailed, match=r"did not begin to home within 1 s \(reaction_time\), and may still begin"
+        drive.HomingError, match=r"did not begin to home within 1 s \(reaction_time\), and may still begin"
     ) as told:
         rig.run(drive.home(rig.axis))
     assert "a longer reaction_time in its settings" in told.value.remedy
-    with pytest.raises(drive.DriveTimeout, match=r"within 3 s \(state_timeout\), and may still obey a homing"):
+    with pytest.raises(drive.DriveTimeoutError, match=r"within 3 s \(state_timeout\), and may still obey a homing"):
         rig.run(drive.home(rig.axis))
     rig.drive.settings = at_once
     rig.bus.run(10 * SECOND)

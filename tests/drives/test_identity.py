@@ -13,7 +13,7 @@ from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
@@ -60,7 +60,7 @@ def test_a_drive_that_does_not_answer_is_not_guessed() -> None:
     rig = Rig(Shape.SCHUNK_POWERBALL, pdos=False)
     rig.node.sdo.disable()
     axis = Axis(rig.remote)
-    with pytest.raises(SdoFailed):
+    with pytest.raises(SdoTransferError):
         rig.run(identify(axis))
     assert not axis.is_identified
 

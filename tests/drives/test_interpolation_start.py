@@ -99,7 +99,7 @@ def rig_with_records(start: float = 3_000.0) -> Rig:
 def test_a_sub_mode_that_the_drive_refuses_is_named_and_nothing_moves() -> None:
     rig = rig_with_records()
     rig.start_sync()
-    with pytest.raises(drive.ModeUnsupported, match="refused interpolation sub-mode -2"):
+    with pytest.raises(drive.ModeUnsupportedError, match="refused interpolation sub-mode -2"):
         rig.run(drive.start_interpolation(rig.axis, CYCLE, sub_mode=NoSuch()))
     assert not rig.axis.statusword & 0x1000
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_proto.dictionary import Direction
-from canopen_proto.drives.axis import LimitReached, move_to, start_cyclic_position, start_interpolation
+from canopen_proto.drives.axis import LimitReachedError, move_to, start_cyclic_position, start_interpolation
 from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.drives.axis.controlword import put
 from canopen_proto.drives.axis.reasons import look_at, reasons
@@ -31,7 +31,7 @@ def rig_with_switches(position: float = 0, reaction: int = 0) -> Rig:
 def test_a_move_onto_the_switch_says_so_at_once_and_a_move_away_works(direction: int, name: str) -> None:
     rig = rig_with_switches(reaction=50 * MILLISECOND)
     began = rig.bus.now
-    with pytest.raises(LimitReached, match=f"it stands on its {name} limit switch \\(0x60FD\\).*Try: ") as caught:
+    with pytest.raises(LimitReachedError, match=f"it stands on its {name} limit switch \\(0x60FD\\).*Try: ") as caught:
         rig.run(move_to(rig.axis, direction * 30_000, timeout=60 * SECOND))
     assert rig.bus.now - began < 5 * SECOND
     assert f"not at its target {direction * 30_000}" in str(caught.value)
@@ -40,7 +40,7 @@ def test_a_move_onto_the_switch_says_so_at_once_and_a_move_away_works(direction:
     assert any(f"{name} limit switch" in each.what for each in reasons(view))
     place = rig.drive._servo.position
     assert LIMIT <= place * direction < LIMIT + 1_000
-    with pytest.raises(LimitReached, match=name):  # further: it does not move
+    with pytest.raises(LimitReachedError, match=name):  # further: it does not move
         rig.run(move_to(rig.axis, direction * 30_000, timeout=60 * SECOND))
     assert rig.drive._servo.position == pytest.approx(place, abs=1)
     rig.run(move_to(rig.axis, 0, timeout=60 * SECOND))

@@ -16,7 +16,7 @@ from canopen_proto.drives.trajectory import JointLimits
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureFailed
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from tests.core.object_answers import run_against
@@ -147,7 +147,7 @@ def test_what_may_not_be_read_says_nothing_and_a_drive_that_does_not_answer_is_a
     network.drain(0)
     network.handle_timeout(SECOND)
     (failed,) = (event for event in network.drain(SECOND)[1] if isinstance(event, ProcedureFailed))
-    assert isinstance(failed.error, SdoFailed)
+    assert isinstance(failed.error, SdoTransferError)
 
 
 # ---- what the settings say ----

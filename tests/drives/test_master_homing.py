@@ -9,9 +9,9 @@ import pytest
 
 from canopen_proto.drives.axis import (
     DriveError,
-    HomingFailed,
+    HomingError,
     HomingProgressed,
-    ModeUnsupported,
+    ModeUnsupportedError,
     enable,
     home,
     home_if_needed,
@@ -64,7 +64,7 @@ def test_a_drives_list_decides() -> None:
     for method, name in ((36, "touch probe"), (-3, "the manufacturer's"), (15, "reserved")):
         rig.axis.settings = replace(DEGREES, homing_method=method)
         with pytest.raises(
-            ModeUnsupported, match=rf"drive 5 does not home by method {method}: {name}: its list \(0x60E3\) has 1, 2,"
+            ModeUnsupportedError, match=rf"drive 5 does not home by method {method}: {name}: its list \(0x60E3\) has 1, 2,"
         ):
             rig.run(home(rig.axis))
     assert commanded(rig) == 0  # nothing was sent
@@ -76,14 +76,16 @@ def test_without_a_list_the_table_decides_and_manufacturers_methods_pass() -> No
     assert rig.run(read_homing_methods(rig.remote)) is None
     for method in (16, 36, 99):
         rig.axis.settings = replace(DEGREES, homing_method=method)
-        with pytest.raises(ModeUnsupported, match=r"it has no list of its methods .*; nothing was sent.*canopen home --list"):
+        with pytest.raises(
+            ModeUnsupportedError, match=r"it has no list of its methods .*; nothing was sent.*canopen home --list"
+        ):
             rig.run(home(rig.axis))
     assert commanded(rig) == 0
     rig.axis.settings = replace(DEGREES, homing_method=-2)
     with pytest.raises(Exception, match="0x6098"):  # sent, and refused by this drive
         rig.run(home(rig.axis))
     rig.axis.settings = replace(DEGREES, homing_method=19)
-    with pytest.raises(HomingFailed):  # the table has it; the switch lies behind
+    with pytest.raises(HomingError):  # the table has it; the switch lies behind
         rig.run(home(rig.axis))
 
 
@@ -92,7 +94,7 @@ def test_a_makers_method_is_sent_as_any_other() -> None:
     settings = DriveSettings(position=0, track=TRACK, own_homing=((-5, onto_lower_limit),))
     rig = Rig(Shape.STANDARD, pdos=False, drive=settings)
     rig.axis.settings = replace(DEGREES, homing_method=-5)
-    with pytest.raises(ModeUnsupported):  # not in its list
+    with pytest.raises(ModeUnsupportedError):  # not in its list
         rig.run(home(rig.axis))
     rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0  # a drive without a list
     rig.run(home(rig.axis))
@@ -118,7 +120,7 @@ def test_a_hard_stop_that_is_not_there_is_never_found() -> None:
     rig = Rig(Shape.STANDARD, pdos=False, drive=settings)
     rig.axis.settings = replace(DEGREES, homing_method=-4)
     rig.node.values.store[objects.SUPPORTED_HOMING_METHODS] = 0
-    with pytest.raises(HomingFailed):  # the limit switch comes first
+    with pytest.raises(HomingError):  # the limit switch comes first
         rig.run(home(rig.axis))
 
 
@@ -177,7 +179,7 @@ def test_a_speed_that_would_be_0_on_the_wire_is_refused() -> None:
 
 def test_a_home_offset_with_the_other_sign_is_noticed() -> None:
     rig = rig_with(replace(DEGREES, home_position=30.0, home_offset_reversed=True))  # this drive does not reverse it
-    with pytest.raises(HomingFailed, match=r"other sign.*Try: AxisSettings\(home_offset_reversed=False\)"):
+    with pytest.raises(HomingError, match=r"other sign.*Try: AxisSettings\(home_offset_reversed=False\)"):
         rig.run(home(rig.axis))
     assert not rig.axis.is_homed
 
@@ -185,7 +187,7 @@ def test_a_home_offset_with_the_other_sign_is_noticed() -> None:
 def test_a_failure_names_the_limit_switch_and_the_method() -> None:
     rig = rig_with(replace(DEGREES, homing_method=19))
     expected = r"reports a homing error: it stands on its positive limit switch \(0x60FD\); method 19: goes in positive direction"
-    with pytest.raises(HomingFailed, match=expected):
+    with pytest.raises(HomingError, match=expected):
         rig.run(home(rig.axis))
     assert not rig.axis.is_homed
     assert rig.axis.state is State.OPERATION_ENABLED
@@ -234,7 +236,9 @@ def test_a_drive_that_moves_is_halted_before_it_gets_another_mode() -> None:
 def test_method_0_is_said_as_such_and_zeros_in_the_list_are_none() -> None:
     rig = Rig(Shape.STANDARD)
     rig.axis.settings = replace(rig.axis.settings, homing_method=0)
-    with pytest.raises(ModeUnsupported, match="method 0: no homing: 0 stands for a drive that needs no homing, or for which"):
+    with pytest.raises(
+        ModeUnsupportedError, match="method 0: no homing: 0 stands for a drive that needs no homing, or for which"
+    ):
         rig.run(home(rig.axis))
     places = range(1, int(rig.node.values.store[objects.SUPPORTED_HOMING_METHODS]) + 1)  # type: ignore[arg-type]
     for number in places:

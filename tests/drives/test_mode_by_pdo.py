@@ -90,7 +90,7 @@ def test_a_mode_that_an_rpdo_asks_for_in_vain_is_asked_for_no_longer() -> None:
     rig = rig_with_rpdo(1)
     rig.start_sync()
     rig.run(drive.set_mode(rig.axis, Mode.HOMING))
-    with pytest.raises(drive.ModeUnsupported, match="did not take up manufacturer’s mode -3; it shows homing"):
+    with pytest.raises(drive.ModeUnsupportedError, match="did not take up manufacturer’s mode -3; it shows homing"):
         rig.run(drive.set_mode(rig.axis, -3, waive_check=True))
     rig.bus.run(2 * CYCLE)
     agree_on(rig, Mode.HOMING)

@@ -71,7 +71,7 @@ def test_the_mode_that_it_has_needs_no_way_down() -> None:
 def test_a_refusal_names_the_setting() -> None:
     rig = rig_with(known=False, mode_change_state=State.SWITCHED_ON)
     rig.run(drive.move_to(rig.axis, 0.1, timeout=20 * SECOND))
-    with pytest.raises(drive.AccessFailed, match=r"refused writing 0x6060:00.*mode_change_state"):
+    with pytest.raises(drive.DriveAccessError, match=r"refused writing 0x6060:00.*mode_change_state"):
         rig.run(drive.home(rig.axis))
 
 
@@ -79,7 +79,7 @@ def test_a_mode_of_the_maker_by_its_number() -> None:
     rig = rig_with(known=False, own_modes=frozenset({-3}))
     rig.run(drive.set_mode(rig.axis, -3))
     assert rig.drive.mode == rig.axis.mode == -3
-    with pytest.raises(drive.AccessFailed):
+    with pytest.raises(drive.DriveAccessError):
         rig.run(drive.set_mode(rig.axis, -4))
     assert rig.node.values.store[objects.MODES_OF_OPERATION] == -3
 

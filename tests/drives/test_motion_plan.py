@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from canopen_proto import indices
 from canopen_proto.dictionary import Access, Direction, ObjectDictionary
 from canopen_proto.dictionary.values import Values
-from canopen_proto.drives.axis.motion_plan import FEEDBACK, MODES, MotionPlan, NoMotionPlan, exchange_planned, plan_motion
+from canopen_proto.drives.axis.motion_plan import FEEDBACK, MODES, MotionPlan, NoMotionPlanError, exchange_planned, plan_motion
 from canopen_proto.drives.axis.set_points import SET_POINT_OF
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -107,7 +107,7 @@ def test_without_0x6502_profile_position_is_assumed_and_others_may_be_wished() -
 )
 def test_why_not_cyclic_synchronous_position(changes: Changes, without: Collection[int], reason: str) -> None:
     dictionary = changed(supports(0x80) | dict(changes), without=without)
-    with pytest.raises(NoMotionPlan) as refused:
+    with pytest.raises(NoMotionPlanError) as refused:
         plan(dictionary)
     assert reason in refused.value.obstacles[0].reason
     assert [each.mode for each in refused.value.obstacles] == list(MODES)
@@ -127,7 +127,7 @@ def test_an_interpolation_that_only_its_maker_knows() -> None:
 
 
 def test_a_wish_for_a_mode_without_positions() -> None:
-    with pytest.raises(NoMotionPlan, match="it takes no positions"):
+    with pytest.raises(NoMotionPlanError, match="it takes no positions"):
         plan(changed({}), wish=Mode.HOMING)
 
 
@@ -181,7 +181,7 @@ def test_the_only_rpdo_is_given_another_mapping() -> None:
 
 def test_too_few_places_in_a_mapping() -> None:
     only_one = {mux(0x1600 + number, 2): {"access": Access.RO} for number in range(4)}
-    with pytest.raises(NoMotionPlan) as refused:
+    with pytest.raises(NoMotionPlanError) as refused:
         plan(changed(empty_pdos() | only_one | supports(0x80)))
     assert "RPDO 4 has room for 1 objects" in refused.value.obstacles[0].reason
 
@@ -263,7 +263,7 @@ def test_two_pdos_with_one_can_id_are_not_used() -> None:
     doubled = {mux(0x1402, 1): {"default": 0x500, "adds_node_id": True}}  # that of RPDO 4
     made = plan(changed(doubled))
     assert [(pdo.number, pdo.cob_id) for pdo in made.pdos if pdo.direction is Direction.RPDO] == [(1, 0x205)]
-    with pytest.raises(NoMotionPlan, match="RPDO 3 cannot have CAN-ID 0x505: another one has it"):
+    with pytest.raises(NoMotionPlanError, match="RPDO 3 cannot have CAN-ID 0x505: another one has it"):
         plan(changed(supports(0x80) | doubled, without=without_pdos(except_rpdos=[3, 4])))
 
 
@@ -312,7 +312,7 @@ def files(draw: st.DrawFn) -> ObjectDictionary:
 def test_any_file_has_a_plan_that_can_be_written_or_a_reason(dictionary: ObjectDictionary, wish: Mode | None) -> None:
     try:
         made = plan(dictionary, wish=wish)
-    except NoMotionPlan as refused:
+    except NoMotionPlanError as refused:
         assert all(each.reason for each in refused.obstacles)
         return
     places = [(pdo.direction, pdo.number) for pdo in (*made.pdos, *made.destroyed)]

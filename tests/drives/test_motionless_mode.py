@@ -48,6 +48,6 @@ def test_power_moves_nothing(modes: tuple[Mode, ...], selected: Mode) -> None:
 
 def test_a_drive_in_which_power_may_always_move_something() -> None:
     rig = rig_with(Mode.PROFILE_VELOCITY, Mode.TORQUE)
-    with pytest.raises(drive.ModeUnsupported, match=r"accepts neither .* nor cyclic synchronous position \(csp\)"):
+    with pytest.raises(drive.ModeUnsupportedError, match=r"accepts neither .* nor cyclic synchronous position \(csp\)"):
         rig.run(drive.select_motionless_mode(rig.axis))
     assert rig.drive.state is State.SWITCH_ON_DISABLED

@@ -31,7 +31,7 @@ def test_no_move_goes_beyond_the_limits_of_the_settings(direction: int, relative
     written = writes_of(rig)
     try:
         rig.run(drive.move_to(rig.axis, amount, timeout=60 * SECOND, relative=relative))
-    except drive.LimitReached as refused:
+    except drive.LimitReachedError as refused:
         assert not -0.2 <= amount <= 0.5
         assert ("max_position" if amount > 0 else "min_position") in str(refused)
         assert writes_of(rig) == written
@@ -48,7 +48,7 @@ def writes_of(rig: Rig) -> int:
 def test_a_drive_beyond_a_limit_may_come_back() -> None:
     rig = Rig(Shape.STANDARD, pdos=False, drive=DriveSettings(position=60_000))
     rig.axis.settings = LIMITS
-    with pytest.raises(drive.LimitReached):
+    with pytest.raises(drive.LimitReachedError):
         rig.run(drive.move_to(rig.axis, 1.1, timeout=60 * SECOND))
     rig.run(drive.move_to(rig.axis, 0.9, timeout=60 * SECOND))
     rig.run(drive.move_to(rig.axis, -0.6, timeout=60 * SECOND, relative=True))
@@ -64,7 +64,7 @@ def test_a_drive_moves_away_from_an_internal_limit(beyond: str) -> None:
     if beyond == "software limit":
         rig.node.values.store[objects.MIN_SOFTWARE_POSITION_LIMIT] = -40_000
         rig.node.values.store[objects.MAX_SOFTWARE_POSITION_LIMIT] = 40_000
-    with pytest.raises(drive.LimitReached):
+    with pytest.raises(drive.LimitReachedError):
         rig.run(drive.move_to(rig.axis, 90_000, timeout=60 * SECOND))
     rig.run(drive.move_to(rig.axis, 10_000, timeout=60 * SECOND))
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(10_000, abs=20)
@@ -94,7 +94,9 @@ def test_a_profile_velocity_beyond_max_speed_is_refused(along: bool) -> None:
 
     rig.node.values.store[objects.PROFILE_VELOCITY] = 20_000
     written = writes_of(rig)
-    with pytest.raises(drive.LimitReached, match=r"at 20 per second: .*0x6081 = 20000.*\(max_speed\) say 10; nothing was sent"):
+    with pytest.raises(
+        drive.LimitReachedError, match=r"at 20 per second: .*0x6081 = 20000.*\(max_speed\) say 10; nothing was sent"
+    ):
         move()
     assert writes_of(rig) == written
     if along:

@@ -10,7 +10,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_proto.network import Network
 from canopen_proto.procedures.runner import ProcedureCancelled
-from canopen_proto.procedures.steps import Procedure, StepTimeout, Wait, all_of, current_time, sleep, wait_for_event
+from canopen_proto.procedures.steps import Procedure, StepTimeoutError, Wait, all_of, current_time, sleep, wait_for_event
 from tests.core.desk import Desk, assert_idle, cancelled, steps
 from tests.core.machines import Alarm, Answered, Heard, Rang
 
@@ -35,7 +35,7 @@ def test_news_that_does_not_come_is_a_step_timeout(desk: Desk) -> None:
     request_id = desk.run(wait_for_event(desk.alarm, Heard, 250 * MILLISECOND, "the frame"))
     desk.wait(250 * MILLISECOND)
     error = desk.result(request_id)
-    assert isinstance(error, StepTimeout)
+    assert isinstance(error, StepTimeoutError)
     assert str(error) == "the frame did not come within 0.25 s"
 
 

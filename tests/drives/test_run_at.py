@@ -124,7 +124,8 @@ def test_the_mode_is_the_first_that_the_drive_has() -> None:
         assert rig.drive.mode == mode
     rig.node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0x41
     with pytest.raises(
-        drive.ModeUnsupported, match=r"has no profile velocity \(pv\) nor velocity \(vl\): it has profile position.*interpolated"
+        drive.ModeUnsupportedError,
+        match=r"has no profile velocity \(pv\) nor velocity \(vl\): it has profile position.*interpolated",
     ):
         rig.run(drive.run_at(rig.axis, 5.0, duration=SECOND))
 
@@ -179,10 +180,10 @@ def test_an_old_target_moves_nothing() -> None:
 def test_a_velocity_beyond_the_limit_is_refused_with_nothing_sent(mode: Mode) -> None:
     rig = rig_with(replace(DEGREES, max_speed=20.0))
     for velocity in (20.1, -20.1):
-        with pytest.raises(drive.LimitReached, match=r"max_speed.*allows 20; nothing was sent"):
+        with pytest.raises(drive.LimitReachedError, match=r"max_speed.*allows 20; nothing was sent"):
             rig.run(drive.run_at(rig.axis, velocity, mode=mode, duration=SECOND))
     rig.axis.settings = DEGREES
-    with pytest.raises(drive.LimitReached, match="0x6080 of the drive allows 100"):
+    with pytest.raises(drive.LimitReachedError, match="0x6080 of the drive allows 100"):
         rig.run(drive.run_at(rig.axis, 101.0, mode=mode, duration=SECOND))
     assert not [frame for _, frame in rig.bus.sent if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
 
@@ -194,7 +195,7 @@ def test_a_velocity_that_0x6046_would_change_is_refused(velocity: float, is_refu
     rig.node.values.store.update({objects.VL_VELOCITY_MIN_AMOUNT: 5, objects.VL_VELOCITY_MAX_AMOUNT: 20})
     run = drive.run_at(rig.axis, velocity, mode=Mode.VELOCITY, duration=SECOND)
     if is_refused:
-        with pytest.raises(drive.LimitReached, match=r"runs at 5 to 20 only \(0x6046\)"):
+        with pytest.raises(drive.LimitReachedError, match=r"runs at 5 to 20 only \(0x6046\)"):
             rig.run(run)
         assert rig.drive.mode == Mode.NO_MODE
     else:
@@ -219,7 +220,7 @@ def test_a_drive_that_runs_the_other_way_is_halted_before_its_limit(direction: i
     rig = rig_with(replace(DEGREES, direction=direction, **{name: limits[name] for name in sides}))
     rig.node.values.store[objects.VL_DIMENSION_FACTOR] = -1
     rig.node.answer(0x604C, 1, Answer(value=1))
-    with pytest.raises(drive.LimitReached, match=r"came near -20 .*polarity \(0x607E\)"):
+    with pytest.raises(drive.LimitReachedError, match=r"came near -20 .*polarity \(0x607E\)"):
         rig.run(drive.run_at(rig.axis, 10.0, mode=Mode.VELOCITY))
     assert stands(rig)
     assert -20 <= rig.run(drive.read_position(rig.axis)) < -10
@@ -235,13 +236,13 @@ def test_a_drive_that_runs_the_other_way_is_halted_before_its_limit(direction: i
 @examples(8)
 def test_it_is_halted_before_the_limits_of_its_position(mode: Mode, velocity: float, direction: int, reaction: Time) -> None:
     rig = rig_with(replace(DEGREES, min_position=-20.0, max_position=20.0, direction=direction), reaction=reaction)
-    with pytest.raises(drive.LimitReached, match=r"was halted at .* it came near"):
+    with pytest.raises(drive.LimitReachedError, match=r"was halted at .* it came near"):
         rig.run(drive.run_at(rig.axis, velocity, mode=mode))
     assert stands(rig)
     end = rig.run(drive.read_position(rig.axis))
     assert 0 < abs(end) <= 20
     assert end * velocity > 0
-    with pytest.raises(drive.LimitReached, match=r"to stop before .* nothing was sent"):
+    with pytest.raises(drive.LimitReachedError, match=r"to stop before .* nothing was sent"):
         rig.run(drive.run_at(rig.axis, velocity, mode=mode))
     rig.run(drive.run_at(rig.axis, -velocity, mode=mode, duration=200 * MILLISECOND))
 
@@ -250,7 +251,7 @@ def test_a_drive_with_limits_and_a_lost_reference_does_not_run() -> None:
     rig = rig_with(replace(DEGREES, homing_method=35, max_position=20.0))
     rig.run(drive.home(rig.axis))
     rig.axis.is_homed = False
-    with pytest.raises(drive.ReferenceLost):
+    with pytest.raises(drive.ReferenceLostError):
         rig.run(drive.run_at(rig.axis, 5.0, duration=SECOND))
     rig.axis.settings = replace(DEGREES, homing_method=35)
     rig.run(drive.run_at(rig.axis, 5.0, duration=SECOND))
@@ -264,7 +265,7 @@ def test_a_drive_that_stands_at_a_limit_of_its_own_is_told() -> None:
         -1,
         100,
     )
-    with pytest.raises(drive.LimitReached, match="does not run"):
+    with pytest.raises(drive.LimitReachedError, match="does not run"):
         rig.run(drive.run_at(rig.axis, 10.0))
     assert stands(rig)
 
@@ -273,7 +274,7 @@ def test_a_drive_that_does_not_get_fast_enough_is_halted() -> None:
     rig = rig_with()
     rig.node.values.store[objects.FOLLOWING_ERROR_WINDOW] = 2**32 - 1
     rig.node.block(True, rig.bus.now)
-    with pytest.raises(drive.DriveTimeout, match=r"did not reach 10 per second within 4\.1 s"):
+    with pytest.raises(drive.DriveTimeoutError, match=r"did not reach 10 per second within 4\.1 s"):
         rig.run(drive.run_at(rig.axis, 10.0))
 
 

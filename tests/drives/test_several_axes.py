@@ -212,7 +212,7 @@ def test_nmt_stop_reaches_all_axes() -> None:
 def test_an_error_of_a_further_axis_names_it_and_its_objects() -> None:
     rig = TwoAxes()
     rig.node.raise_fault(0x3210, rig.bus.now, axis=1, lasting=True)
-    with pytest.raises(drive.DriveInFault, match=r"drive 5, axis 1 is in fault .*0x3210") as failed:
+    with pytest.raises(drive.DriveInFaultError, match=r"drive 5, axis 1 is in fault .*0x3210") as failed:
         rig.run(drive.enable(rig.second))
     assert failed.value.axis == 1
     rig.run(drive.enable(rig.first))

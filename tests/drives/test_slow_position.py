@@ -7,7 +7,7 @@ from collections.abc import Collection
 import pytest
 
 from canopen_proto.dictionary import Direction
-from canopen_proto.drives.axis import ModeUnsupported, halt, read_statusword
+from canopen_proto.drives.axis import ModeUnsupportedError, halt, read_statusword
 from canopen_proto.drives.axis.following import Following, FollowingLost
 from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.axis.slow_position import (
@@ -139,7 +139,7 @@ def test_a_fed_drive_that_loses_its_mode_ends_the_watch() -> None:
 def test_a_drive_without_profile_position_is_refused() -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
     rig.node.values.store[objects.SUPPORTED_DRIVE_MODES] = 0x80
-    with pytest.raises(ModeUnsupported):
+    with pytest.raises(ModeUnsupportedError):
         rig.run(start_slow_position(rig.axis))
 
 

@@ -20,7 +20,7 @@ from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import POWERED, State
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.procedures.runner import ProcedureFailed
-from canopen_proto.procedures.steps import Procedure, StepTimeout
+from canopen_proto.procedures.steps import Procedure, StepTimeoutError
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from tests.drives.rig import Rig
 from tests.examples import examples
@@ -182,7 +182,7 @@ def test_a_longer_queue_is_used() -> None:
 def test_a_target_beyond_a_limit_is_refused_before_the_first_begins(targets: list[ProfileTarget], error: str) -> None:
     rig = rig_at_zero()
     rig.axis.settings = replace(DEGREES, max_position=30.0, min_position=-30.0, max_speed=30.0)
-    with pytest.raises(drive.LimitReached, match=error):
+    with pytest.raises(drive.LimitReachedError, match=error):
         rig.run(along(rig, *targets))
     assert words_of(rig) == []
 
@@ -190,7 +190,7 @@ def test_a_target_beyond_a_limit_is_refused_before_the_first_begins(targets: lis
 def test_a_way_from_the_demand_is_checked_when_it_is_known() -> None:
     rig = rig_at_zero()
     rig.axis.settings = replace(DEGREES, max_position=30.0)
-    with pytest.raises(drive.LimitReached, match="max_position"):
+    with pytest.raises(drive.LimitReachedError, match="max_position"):
         rig.run(along(rig, ProfileTarget(20), ProfileTarget(15, relative_to=RelativeTo.DEMAND)))
     assert rig.drive._servo.at_rest
     assert rig.axis.controlword & 0x100
@@ -225,7 +225,7 @@ def test_a_drive_without_60f2_counts_from_the_previous_target_only() -> None:
 
 def test_the_whole_has_a_limit_of_time() -> None:
     rig = rig_at_zero()
-    with pytest.raises(StepTimeout):
+    with pytest.raises(StepTimeoutError):
         rig.run(drive.move_along(rig.axis, [ProfileTarget(10), ProfileTarget(0), ProfileTarget(10)], timeout=SECOND))
     assert rig.drive._servo.at_rest
 

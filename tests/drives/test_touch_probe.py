@@ -36,7 +36,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import read_int
-from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout
+from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeoutError
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.plant import Mechanics
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
@@ -124,7 +124,7 @@ def test_a_source_that_the_drive_lacks_and_an_edge_that_does_not_come() -> None:
     with pytest.raises(ProcedureError, match="0x60B8"):
         rig.run(arm_probe(rig.axis, source=ProbeSource.SELECTED))
     rig.run(arm_probe(rig.axis))
-    with pytest.raises(StepTimeout, match=r"latched nothing by touch probe 1 within 1 s.*Try: look at the probe's input"):
+    with pytest.raises(StepTimeoutError, match=r"latched nothing by touch probe 1 within 1 s.*Try: look at the probe's input"):
         rig.run(wait_for_probe(rig.axis, timeout=SECOND))
 
 
@@ -135,7 +135,7 @@ def test_a_drive_that_does_not_enable_its_probe(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(touch_probe, "read_int", shows_nothing)
     rig = rig_with()
-    with pytest.raises(StepTimeout, match=r"did not show touch probe 1 as enabled \(0x60B9\)"):
+    with pytest.raises(StepTimeoutError, match=r"did not show touch probe 1 as enabled \(0x60B9\)"):
         rig.run(arm_probe(rig.axis))
 
 

@@ -110,12 +110,12 @@ def mode_by_somebody(rig: Rig) -> None:
 
 
 CAUSES: dict[str, tuple[Callable[[Rig], None], type[ProcedureError]]] = {
-    "quick stop": (command_by_somebody(0x02), drive.StateLost),
-    "disable": (command_by_somebody(0x00), drive.StateLost),
-    "fault": (lambda rig: rig.node.raise_fault(0x2310, rig.bus.now), drive.DriveInFault),
-    "heartbeat lost": (lambda rig: rig.bus.detach(rig.device), drive.DriveLost),
-    "boot-up": (lambda rig: rig.bus.send("705#00"), drive.DriveLost),
-    "mode change": (mode_by_somebody, drive.ModeLost),
+    "quick stop": (command_by_somebody(0x02), drive.StateLostError),
+    "disable": (command_by_somebody(0x00), drive.StateLostError),
+    "fault": (lambda rig: rig.node.raise_fault(0x2310, rig.bus.now), drive.DriveInFaultError),
+    "heartbeat lost": (lambda rig: rig.bus.detach(rig.device), drive.DriveLostError),
+    "boot-up": (lambda rig: rig.bus.send("705#00"), drive.DriveLostError),
+    "mode change": (mode_by_somebody, drive.ModeLostError),
 }
 REACHED = {
     ("quick_stop", "quick stop"), ("quick_stop", "disable"), ("halt", "quick stop"), ("halt", "disable"), ("halt", "fault"),
@@ -188,10 +188,10 @@ def test_a_move_beyond_a_software_limit_is_told_with_the_limit(beyond: float) ->
     rig.node.values.store[objects.MIN_SOFTWARE_POSITION_LIMIT] = -90_000
     rig.node.values.store[objects.MAX_SOFTWARE_POSITION_LIMIT] = 90_000
     limit = r"0x607D:02 is 1.5708 \(90000 counts\)" if beyond > 0 else r"0x607D:01 is -1.5708 \(-90000 counts\)"
-    with pytest.raises(drive.LimitReached, match=f"not at its target .*{limit}"):
+    with pytest.raises(drive.LimitReachedError, match=f"not at its target .*{limit}"):
         rig.run(drive.move_to(rig.axis, beyond, timeout=60 * SECOND))
     rig.run(drive.move_to(rig.axis, beyond / 4, timeout=60 * SECOND))
-    with pytest.raises(drive.LimitReached, match=limit):
+    with pytest.raises(drive.LimitReachedError, match=limit):
         rig.run(drive.move_to(rig.axis, beyond, timeout=60 * SECOND, relative=True))
 
 
@@ -215,6 +215,6 @@ def test_another_master_that_disables_a_drive_is_not_fought() -> None:
     rig.bus.run(2 * REACTION + REACTION // 2)
     command_by_somebody(0x00)(rig)
     error = error_of(rig, request)
-    assert isinstance(error, drive.StateLost)
+    assert isinstance(error, drive.StateLostError)
     rig.bus.run(2 * SECOND)
     assert rig.drive.state is State.SWITCH_ON_DISABLED

@@ -19,7 +19,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import ForeignHeartbeat, OwnHeartbeat
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox, Time
 from canopen_proto.multiplexer import mux
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from canopen_proto.sdo.server import Pending
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import Shape
@@ -211,7 +211,7 @@ def test_a_drive_that_refuses_or_shows_something_else_is_told(at: int, what: Abo
 def test_a_drive_that_does_not_answer_fails() -> None:
     world = World()
     world.bus.machines.remove(world.bus.machines[0])
-    with pytest.raises(SdoFailed):
+    with pytest.raises(SdoTransferError):
         world.take_hold()
 
 

@@ -111,7 +111,7 @@ def test_homes(rig: Rig) -> None:
 def test_a_homing_that_fails(rig: Rig) -> None:
     rig.drive.fails_homing = True
     error = rig.error_of(drive.home(rig.axis))
-    assert isinstance(error, drive.HomingFailed)
+    assert isinstance(error, drive.HomingError)
     assert "homing error" in str(error)
     assert not rig.axis.is_homed
     assert rig.drive.word & 0x0100  # halted
@@ -131,7 +131,7 @@ def test_a_fault_is_told_and_reset_by_an_edge(rig: Rig) -> None:
     rig.run(drive.enable(rig.axis))
     rig.drive.fail(0x2310)
     error = rig.error_of(drive.move_to(rig.axis, 10, timeout=20 * SECOND))
-    assert isinstance(error, drive.DriveInFault)
+    assert isinstance(error, drive.DriveInFaultError)
     assert "0x2310" in str(error)
     rig.drive.word = 0x80  # another master has left the bit set
     rig.run(drive.reset_fault(rig.axis))
@@ -141,9 +141,9 @@ def test_a_fault_is_told_and_reset_by_an_edge(rig: Rig) -> None:
 
 
 def test_a_mode_that_it_does_not_have_or_does_not_take(rig: Rig) -> None:
-    assert isinstance(rig.error_of(drive.set_mode(rig.axis, 8)), drive.ModeUnsupported)
+    assert isinstance(rig.error_of(drive.set_mode(rig.axis, 8)), drive.ModeUnsupportedError)
     rig.drive.ignores_modes = True
     rig.axis.settings = AxisSettings(state_timeout=SECOND // 20)
     error = rig.error_of(drive.set_mode(rig.axis, 1))
-    assert isinstance(error, drive.ModeUnsupported)
+    assert isinstance(error, drive.ModeUnsupportedError)
     assert "0x6061" in str(error)

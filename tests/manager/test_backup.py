@@ -11,7 +11,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.manager.parameters.backup import MAX_SILENT, Backup, ObjectRead, ReadResult, back_up, same_value
 from canopen_proto.manager.parameters.walk import MAX_OBJECTS, WalkProgress, back_up_by_names, walk
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from tests.core.devices import TEXT
 from tests.manager.restore_bench import FACTORY, GAIN, HIDDEN, IMAGE, SECRET, Bench, device
 
@@ -97,7 +97,7 @@ def test_a_device_that_is_not_what_its_dictionary_says() -> None:
 def test_a_node_that_is_not_there() -> None:
     bench = Bench()
     bench.bus.detach(bench.network)
-    with pytest.raises(SdoFailed, match="node 5 did not answer reading 0x1000:00"):
+    with pytest.raises(SdoTransferError, match="node 5 did not answer reading 0x1000:00"):
         bench.run(back_up(bench.remote))
 
 
@@ -115,7 +115,7 @@ def test_a_node_that_goes_away_is_noticed_soon(gone_after: int) -> None:
 
     count, reads = [0], bench.device.read
     bench.device.read = read  # type: ignore[method-assign]
-    with pytest.raises(SdoFailed, match="did not answer"):
+    with pytest.raises(SdoTransferError, match="did not answer"):
         bench.run(back_up(bench.remote))
     asked = [each for each in bench.bus.take_events(ObjectRead) if each.result is ReadResult.NO_ANSWER]
     assert len(asked) == MAX_SILENT - 1
@@ -172,7 +172,7 @@ def test_a_reset_meanwhile_ends_a_backup() -> None:
     bench.start(back_up(bench.remote))
     bench.bus.run(5_000_000)
     bench.bus.send("705#00")
-    with pytest.raises(SdoFailed, match="was given up: 0x060A0023"):
+    with pytest.raises(SdoTransferError, match="was given up: 0x060A0023"):
         raise bench.outcome().error  # type: ignore[attr-defined]
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.datatypes import DataType, Value
-from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectNotFound, ObjectType, Variable
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectNotFoundError, ObjectType, Variable
 from canopen_proto.dictionary.concise import from_concise, pack_concise
 from canopen_proto.dictionary.download_order import DownloadOrder, download_order, settings_of
 from canopen_proto.dictionary.objects import Object as Node
@@ -222,7 +222,7 @@ def test_a_signed_cob_id_is_its_two_s_complement() -> None:
 
 
 def test_an_unknown_object_is_the_callers_fault() -> None:
-    with pytest.raises(ObjectNotFound, match="0x3000:01"):
+    with pytest.raises(ObjectNotFoundError, match="0x3000:01"):
         order({(0x3000, 1): 1})
 
 

@@ -15,7 +15,7 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.manager.programs.download import (
     DownloadLimits,
     ProgramDownload,
-    ProgramDownloadFailed,
+    ProgramDownloadError,
     ProgramStep,
     least_duration,
 )
@@ -117,7 +117,7 @@ def test_a_device_that_is_not_there() -> None:
     bench = FlashBench()
     bench.power_off()
     begun = bench.bus.now
-    with pytest.raises(ProgramDownloadFailed, match="does not answer.*nothing was written.*canopen scan") as caught:
+    with pytest.raises(ProgramDownloadError, match="does not answer.*nothing was written.*canopen scan") as caught:
         bench.flash(IMAGE)
     assert caught.value.is_silent
     assert bench.bus.now - begun < 5 * SECOND
@@ -132,7 +132,7 @@ def test_each_frame_may_get_lost() -> None:
         bench = FlashBench(lose={number})
         try:
             bench.flash(IMAGE, expected_id=ID)
-        except ProgramDownloadFailed:
+        except ProgramDownloadError:
             failures += 1
             bench.flash(IMAGE, expected_id=ID)
         assert (bench.memory.program, bench.device.runs) == (IMAGE, True), number
@@ -148,7 +148,7 @@ def test_however_much_gets_lost_some_call_ends_well(seed: int, loss: float, bloc
     for _ in range(20):
         try:
             bench.flash(IMAGE, expected_id=ID)
-        except ProgramDownloadFailed:
+        except ProgramDownloadError:
             continue
         assert (bench.memory.program, bench.device.runs) == (IMAGE, True)
         return
@@ -164,7 +164,7 @@ def test_answers_that_come_late(seed: int, blocks: bool) -> None:
     for _ in range(20):
         try:
             bench.flash(pattern(30), expected_id=crc32(pattern(30)))
-        except ProgramDownloadFailed:
+        except ProgramDownloadError:
             continue
         assert (bench.memory.program, bench.device.runs) == (pattern(30), True)
         return
@@ -211,14 +211,14 @@ def test_a_power_cut_during_the_write_is_survived_by_the_same_call() -> None:
 @pytest.mark.parametrize("error", range(1, 128) if takes_all() else (1, 2, 3, 4, 5, 6, 7, 20, 63, 64, 127))
 def test_a_wrong_image_is_refused_and_the_error_named(error: int) -> None:
     bench = FlashBench(BootLoaderSettings(judge=lambda image: error))
-    with pytest.raises(ProgramDownloadFailed, match=f"0x1F57:01. is 0x{error << 1:08X}: ") as caught:
+    with pytest.raises(ProgramDownloadError, match=f"0x1F57:01. is 0x{error << 1:08X}: ") as caught:
         bench.flash(IMAGE, expected_id=ID)
     assert caught.value.so_far.step is ProgramStep.PROGRAM
     assert not bench.device.runs
 
 
 def test_a_program_of_no_bytes_is_a_matter_of_the_device() -> None:
-    with pytest.raises(ProgramDownloadFailed, match="0x00000004: the format of the data is unknown"):
+    with pytest.raises(ProgramDownloadError, match="0x00000004: the format of the data is unknown"):
         FlashBench().flash(b"")
     bench = FlashBench(BootLoaderSettings(judge=lambda image: FlashError.NONE, identify=lambda image: 7))
     assert bench.flash(b"").is_done
@@ -227,7 +227,7 @@ def test_a_program_of_no_bytes_is_a_matter_of_the_device() -> None:
 
 def test_an_image_with_another_identification_is_not_started() -> None:
     bench = FlashBench()
-    with pytest.raises(ProgramDownloadFailed, match="should have the identification 0x12345678, and it shows 0x") as caught:
+    with pytest.raises(ProgramDownloadError, match="should have the identification 0x12345678, and it shows 0x") as caught:
         bench.flash(IMAGE, expected_id=0x12345678)
     assert (caught.value.is_mismatch, caught.value.so_far.step, bench.device.runs) == (True, ProgramStep.VERIFY, False)
     assert bench.flash(IMAGE, expected_id=ID).is_done
@@ -235,7 +235,7 @@ def test_an_image_with_another_identification_is_not_started() -> None:
 
 def test_a_secured_flash() -> None:
     bench = FlashBench(BootLoaderSettings(is_secured=True))
-    with pytest.raises(ProgramDownloadFailed, match="0x08000022.*secured against writing"):
+    with pytest.raises(ProgramDownloadError, match="0x08000022.*secured against writing"):
         bench.flash(IMAGE)
 
 
@@ -245,7 +245,7 @@ def test_a_device_that_stays_busy_ends_in_an_error(step: ProgramStep) -> None:
     settings = BootLoaderSettings(erase_time=long) if step is ProgramStep.CLEAR else BootLoaderSettings(program_time=long)
     bench = FlashBench(settings)
     begun = bench.bus.now
-    with pytest.raises(ProgramDownloadFailed, match="flash stays busy .0x1F57:01., for 30 s now") as caught:
+    with pytest.raises(ProgramDownloadError, match="flash stays busy .0x1F57:01., for 30 s now") as caught:
         bench.flash(IMAGE, expected_id=ID)
     assert caught.value.so_far.step is step
     assert 30 * SECOND <= bench.bus.now - begun < 32 * SECOND
@@ -327,7 +327,7 @@ class GoesBack(BootLoader):
 
 def test_a_boot_loader_that_goes_back_to_the_old_program_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flash_bench, "BootLoader", GoesBack)
-    with pytest.raises(ProgramDownloadFailed, match="its boot loader has refused the new program") as caught:
+    with pytest.raises(ProgramDownloadError, match="its boot loader has refused the new program") as caught:
         FlashBench().flash(IMAGE, expected_id=ID)
     assert (caught.value.is_mismatch, caught.value.so_far.step) == (True, ProgramStep.CHECK)
 
@@ -354,7 +354,7 @@ def test_a_program_that_ends_right_after_its_start_is_no_success(
     monkeypatch: pytest.MonkeyPatch, expected_id: int | None
 ) -> None:
     monkeypatch.setattr(flash_bench, "BootLoader", Dies)
-    with pytest.raises(ProgramDownloadFailed, match="was started, and does not run") as caught:
+    with pytest.raises(ProgramDownloadError, match="was started, and does not run") as caught:
         FlashBench().flash(IMAGE, expected_id=expected_id)
     assert caught.value.so_far.step is ProgramStep.CHECK
 

@@ -16,7 +16,7 @@ from canopen_proto.manager.boot.entry import BootEntry
 from canopen_proto.manager.boot.node_boot import boot_node
 from canopen_proto.manager.boot.outcome import BootLetter, BootOutcome
 from canopen_proto.manager.programs.download import (
-    ProgramDownloadFailed,
+    ProgramDownloadError,
     ProgramStep,
     updating,
 )
@@ -100,7 +100,7 @@ def test_our_master_against_the_device_that_lely_met() -> None:
 
 def test_a_write_error_of_the_device_that_lely_met() -> None:
     bench = FlashBench(lely_settings(judge=lambda image: FlashError.WRITE_ERROR))
-    with pytest.raises(ProgramDownloadFailed, match="0x0000000A: the flash could not be written"):
+    with pytest.raises(ProgramDownloadError, match="0x0000000A: the flash could not be written"):
         bench.flash(LELY_IMAGE, expected_id=0x12345678)
 
 
@@ -160,7 +160,7 @@ def test_a_program_on_trial_is_told_and_comes_back_unless_it_is_confirmed() -> N
     bench = FlashBench(BootLoaderSettings(trial=True))
     result = bench.flash(IMAGE, expected_id=ID)
     assert (bench.device.control, "confirm it (0x80 in 0x1F51)" in result.remark) == (ProgramControl.CONFIRM, True)
-    with pytest.raises(ProgramDownloadFailed, match="0x08000022.*confirm it"):
+    with pytest.raises(ProgramDownloadError, match="0x08000022.*confirm it"):
         bench.flash(pattern(50))
     bench.power_off()
     bench.power_on()
@@ -188,7 +188,7 @@ def test_a_device_that_is_stopped_is_told_as_such() -> None:
     bench = FlashBench(heartbeat=True)
     bench.nmt.stop(NODE, bench.bus.now)
     bench.bus.run(SECOND)
-    with pytest.raises(ProgramDownloadFailed, match="canopen nmt preop"):
+    with pytest.raises(ProgramDownloadError, match="canopen nmt preop"):
         bench.flash(IMAGE)
 
 

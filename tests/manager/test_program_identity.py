@@ -22,7 +22,7 @@ from canopen_proto.manager.programs.download import (
     NOT_VERIFIED,
     DownloadLimits,
     ProgramDownload,
-    ProgramDownloadFailed,
+    ProgramDownloadError,
     ProgramStep,
 )
 from canopen_proto.manager.programs.identity import ProgramControl
@@ -112,7 +112,7 @@ def bench_of(ways: Ways) -> Iterator[FlashBench]:
         yield FlashBench(settings, memory=ProgramMemory(), limits=QUICK)
 
 
-def ended(bench: FlashBench, ways: Ways, so_far: ProgramDownload, **options: object) -> ProgramDownload | ProgramDownloadFailed:
+def ended(bench: FlashBench, ways: Ways, so_far: ProgramDownload, **options: object) -> ProgramDownload | ProgramDownloadError:
     bench.begin(IMAGE, so_far, **options)
     if ways.cut is not None:
         cut = ways.cut
@@ -122,7 +122,7 @@ def ended(bench: FlashBench, ways: Ways, so_far: ProgramDownload, **options: obj
             bench.power_on()
     outcome = bench.outcome()
     if isinstance(outcome, ProcedureFailed):
-        assert isinstance(outcome.error, ProgramDownloadFailed), outcome.error
+        assert isinstance(outcome.error, ProgramDownloadError), outcome.error
         return outcome.error
     result: ProgramDownload = outcome.result  # type: ignore[attr-defined]
     return result
@@ -136,7 +136,7 @@ def judge(ways: Ways, is_known: bool, unverified: bool, confirm: bool) -> None:
         if not is_known and not ways.has_status and not unverified:
             started = any(line.startswith("606#2F511F0101") for line in bench.to_device())
             assert not started, "nothing has verified it, and nobody has allowed it"
-        if isinstance(result, ProgramDownloadFailed):
+        if isinstance(result, ProgramDownloadError):
             assert not so_far.is_done
             if so_far.fell_back:
                 assert bench.memory.program == FIRST_PROGRAM
@@ -207,7 +207,7 @@ def test_a_new_program_that_shows_itself_is_verified(identity: str, has_status: 
 @pytest.mark.parametrize("is_known", [False, True])
 def test_a_boot_loader_that_goes_back_is_a_failure_though_it_runs(is_known: bool) -> None:
     with bench_of(Ways(falls="old")) as bench:
-        with pytest.raises(ProgramDownloadFailed, match="as before: its boot loader has refused the new program") as caught:
+        with pytest.raises(ProgramDownloadError, match="as before: its boot loader has refused the new program") as caught:
             bench.flash(IMAGE, expected_id=ID if is_known else None)
         assert (caught.value.is_mismatch, caught.value.so_far.fell_back) == (True, True)
 
@@ -227,7 +227,7 @@ def test_the_same_program_once_more_cannot_be_told_from_the_old_one() -> None:
 
 def test_what_nothing_has_verified_is_not_started() -> None:
     with bench_of(Ways(has_status=False)) as bench:
-        with pytest.raises(ProgramDownloadFailed, match="not verified.*it has a program that was not started") as caught:
+        with pytest.raises(ProgramDownloadError, match="not verified.*it has a program that was not started") as caught:
             bench.flash(IMAGE)
         assert (caught.value.so_far.step, bench.device.runs) == (ProgramStep.VERIFY, False)
         assert bench.flash(IMAGE, unverified=True).is_done

@@ -14,9 +14,9 @@ from canopen_proto.manager.parameters.restore import (
     NMT_TRIES,
     ObjectRestored,
     Restoration,
-    RestoreFailed,
+    RestoreError,
     RestorePlan,
-    VerifyMismatch,
+    VerifyMismatchError,
     restore,
 )
 from canopen_proto.nmt import NmtState
@@ -123,7 +123,7 @@ def test_a_node_that_does_not_obey_is_not_written() -> None:
     plan = bench.plan({LIMITED << 8: 12})
     bench.device.takes = lambda frame: frame.can_id != 0
     with pytest.raises(
-        RestoreFailed, match=f"was sent {NMT_TRIES} times to PRE_OPERATIONAL, but its heartbeat shows OPER"
+        RestoreError, match=f"was sent {NMT_TRIES} times to PRE_OPERATIONAL, but its heartbeat shows OPER"
     ) as failed:
         bench.run(restore(bench.remote, bench.nmt, plan))
     assert failed.value.restoration.done == ()
@@ -150,7 +150,7 @@ def test_a_store_may_take_its_time_and_not_all_of_it() -> None:
     bench.start(restore(bench.remote, bench.nmt, plan, store=True))
     outcome = bench.outcome()
     assert isinstance(outcome, ProcedureFailed)
-    assert isinstance(outcome.error, RestoreFailed)
+    assert isinstance(outcome.error, RestoreError)
     assert "1 of 1 writes" in str(outcome.error)
     assert "stays Pre-operational" in str(outcome.error)
     assert not outcome.error.restoration.stored
@@ -163,7 +163,7 @@ def test_a_device_that_cannot_store_is_not_written(answer: bytes | AbortCode) ->
     bench = Bench()
     plan = bench.plan({LIMITED << 8: 12})
     bench.device.read = lambda index, sub, now: answer  # type: ignore[method-assign]
-    with pytest.raises(RestoreFailed, match="nothing was written to node 5"):
+    with pytest.raises(RestoreError, match="nothing was written to node 5"):
         bench.run(restore(bench.remote, bench.nmt, plan, store=True))
     assert bench.device.writes == []
     assert nmt_commands(bench) == []
@@ -178,9 +178,9 @@ def test_what_reads_back_as_something_else_ends_a_restore() -> None:
     bench.device.read = lambda index, sub, now: (  # type: ignore[method-assign]
         b"\x01\x02" if index == GAIN and bench.device.writes else reads(index, sub, now)
     )
-    with pytest.raises(RestoreFailed, match=r"took 0000c03f for gain \(0x2012:00\), but shows 0102") as failed:
+    with pytest.raises(RestoreError, match=r"took 0000c03f for gain \(0x2012:00\), but shows 0102") as failed:
         bench.restore(values, verify=True)
-    assert isinstance(failed.value.__cause__, VerifyMismatch)
+    assert isinstance(failed.value.__cause__, VerifyMismatchError)
     assert failed.value.__cause__.shown == b"\x01\x02"
     assert failed.value.restoration.done[-1].variable.index == GAIN
     assert_nothing_half_done(bench, failed.value.restoration)
@@ -215,7 +215,7 @@ def test_refused_at_any_write(at: int) -> None:
     bench, values = changed()
     plan = bench.plan(values)
     bench.device.refuse = lambda count: AbortCode.DEVICE_STATE if count == at else None
-    with pytest.raises(RestoreFailed, match=f"ended after {at - 1} of {WRITES} writes: node 5 refused") as failed:
+    with pytest.raises(RestoreError, match=f"ended after {at - 1} of {WRITES} writes: node 5 refused") as failed:
         bench.run(restore(bench.remote, bench.nmt, plan))
     so_far = failed.value.restoration
     assert (so_far.written, so_far.in_doubt) == (at - 1, None)
@@ -232,7 +232,7 @@ def test_silent_at_any_write(at: int) -> None:
     bench, values = changed()
     plan = bench.plan(values)
     bench.device.is_silent = lambda count: count == at
-    with pytest.raises(RestoreFailed, match="not confirmed: it may have been executed") as failed:
+    with pytest.raises(RestoreError, match="not confirmed: it may have been executed") as failed:
         bench.run(restore(bench.remote, bench.nmt, plan))
     so_far = failed.value.restoration
     assert (so_far.written, so_far.in_doubt) == (at - 1, plan.writes[at - 1])
@@ -282,7 +282,7 @@ def test_the_node_is_gone_when_its_state_is_asked_for() -> None:
     bench = Bench()
     plan = bench.plan({LIMITED << 8: 12})
     bench.bus.detach(bench.network)
-    with pytest.raises(RestoreFailed, match="nothing was written to node 5: node 5 did not answer"):
+    with pytest.raises(RestoreError, match="nothing was written to node 5: node 5 did not answer"):
         bench.run(restore(bench.remote, bench.nmt, plan))
 
 
@@ -334,7 +334,7 @@ def test_with_frames_that_get_lost_it_is_done_or_nothing_half_done_lives(
         assert bench.device.state is NmtState.OPERATIONAL or not so_far.plan.writes or so_far.state_before is None
     else:
         assert isinstance(outcome, ProcedureFailed)
-        assert isinstance(outcome.error, RestoreFailed)
+        assert isinstance(outcome.error, RestoreError)
         if so_far.written:
             assert_nothing_half_done(bench, so_far)
     sent = [line for line in bench.bus.trace() if line.startswith(("605#2", "605#3"))]

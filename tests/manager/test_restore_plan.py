@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.dictionary import ObjectNotFound
+from canopen_proto.dictionary import ObjectNotFoundError
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.manager.parameters.backup import back_up
 from canopen_proto.manager.parameters.restore import plan_restore
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from tests.builds import replaces_what_is_compiled
 from tests.core.devices import LIMITED, OUTPUT
 from tests.examples import examples
@@ -107,7 +107,7 @@ def test_a_plan_invents_no_write_from_a_read_that_failed(failing: dict[int, Abor
     )
     try:
         plan = bench.plan(values, everything=everything)
-    except SdoFailed:
+    except SdoTransferError:
         assert len(silent) >= 3  # in a row: the device counts as gone
         return
     needed = {(each.variable.mux, each.data) for each in whole.writes}
@@ -151,7 +151,7 @@ def test_what_the_device_does_not_have_is_left_out() -> None:
 
 def test_a_plan_of_nonsense_is_refused_before_anything_is_sent() -> None:
     bench = Bench()
-    with pytest.raises(ObjectNotFound):
+    with pytest.raises(ObjectNotFoundError):
         bench.plan({0x5FFF_00: 1})
     with pytest.raises(LocalProtocolError):
         bench.plan({LIMITED << 8: 256})
@@ -161,5 +161,5 @@ def test_a_plan_of_nonsense_is_refused_before_anything_is_sent() -> None:
 def test_a_node_that_is_not_there() -> None:
     bench = Bench()
     bench.bus.detach(bench.network)
-    with pytest.raises(SdoFailed, match="did not answer"):
+    with pytest.raises(SdoTransferError, match="did not answer"):
         bench.plan({LIMITED << 8: 12})

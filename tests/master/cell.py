@@ -11,7 +11,7 @@ import trio
 
 from canopen_master import (
     Chain,
-    ChainFault,
+    ChainFaultError,
     ChainState,
     Host,
     Master,
@@ -168,7 +168,7 @@ async def assert_moves_back(arm: Chain) -> None:
     assert arm.positions[0] == pytest.approx(start[0] - CYCLES * RADIANS_PER_CYCLE, abs=1e-3)
 
 
-async def fails(arm: Chain, do: Callable[[], object]) -> ChainFault:
-    with pytest.raises(ChainFault) as caught:
+async def fails(arm: Chain, do: Callable[[], object]) -> ChainFaultError:
+    with pytest.raises(ChainFaultError) as caught:
         await move(arm, 1000, do)
     return caught.value

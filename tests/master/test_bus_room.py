@@ -10,7 +10,17 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_master import AxisSettings, Chain, ChainError, ChainFault, ChainSettings, Host, Master, open_master, standard_drives
+from canopen_master import (
+    AxisSettings,
+    Chain,
+    ChainError,
+    ChainFaultError,
+    ChainSettings,
+    Host,
+    Master,
+    open_master,
+    standard_drives,
+)
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.nmt import NmtState
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
@@ -121,7 +131,7 @@ async def test_a_full_bus_is_the_cause_when_positions_come_late() -> None:
         arm = chain_of(master, "arm", 1, 2, 0.01, AXIS)
         await arm.initialise()
         await arm.follow()
-        with pytest.raises(ChainFault, match="off its path") as stopped:
+        with pytest.raises(ChainFaultError, match="off its path") as stopped:
             await arm.follow(swing(0.8, -0.8, duration=4.0))
         assert "its positions come 80 ms late (8 cycles of 10 ms" in stopped.value.cause
         assert "`canopen plan`" in stopped.value.tries[0]

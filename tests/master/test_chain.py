@@ -7,10 +7,10 @@ import pytest
 import trio
 
 from canopen_master import (
-    ChainHalted,
+    ChainHaltedError,
     ChainSettings,
     ChainState,
-    SetPointRefused,
+    SetPointRefusedError,
     open_master,
     standard_drives,
 )
@@ -184,7 +184,7 @@ def test_periods_without_a_sync_are_counted_too() -> None:
 async def test_without_set_points_the_last_is_repeated_and_then_the_chain_halts() -> None:
     async with following_arm(3, 4) as (host, _, arm):
         start = arm.positions
-        with pytest.raises(ChainHalted, match="10 cycles in a row brought no set-points") as caught:
+        with pytest.raises(ChainHaltedError, match="10 cycles in a row brought no set-points") as caught:
             async for cycle in arm.cycles():
                 if cycle.number < 20:
                     arm.set_positions([position + 0.001 * cycle.number for position in start])
@@ -195,9 +195,9 @@ async def test_without_set_points_the_last_is_repeated_and_then_the_chain_halts(
         assert arm.missed_cycles == 10
         assert_all_halted(host)
         await assert_all_stand(host)
-        with pytest.raises(ChainHalted):
+        with pytest.raises(ChainHaltedError):
             arm.set_positions(start)
-        with pytest.raises(ChainHalted):
+        with pytest.raises(ChainHaltedError):
             arm.cycles()
         # and it goes on from where it stands
         stood = arm.positions
@@ -268,7 +268,7 @@ async def test_set_points_that_are_refused_change_nothing() -> None:
             ([start[0], math.inf], "not a finite number"),
             ([start[0] + 0.001, start[1] + 0.011], "max_step = 0.01"),
         ):
-            with pytest.raises(SetPointRefused, match=message) as caught:
+            with pytest.raises(SetPointRefusedError, match=message) as caught:
                 arm.set_positions(wrong)  # type: ignore[arg-type]
             assert isinstance(caught.value, ValueError)
             assert caught.value.code == "CO321"
@@ -276,14 +276,14 @@ async def test_set_points_that_are_refused_change_nothing() -> None:
         arm.set_positions([position + 0.01 for position in start])
         arm.set_positions([start[0] - 0.01, start[1] + 0.1], cycles=10)  # measured from what was sent
         await trio.sleep(0.015)
-        with pytest.raises(SetPointRefused, match="joint1"):
+        with pytest.raises(SetPointRefusedError, match="joint1"):
             arm.set_positions([start[0] + 0.01, start[1]])
 
 
 @virtual_time
 async def test_a_set_point_that_does_not_fit_the_object() -> None:
     async with following_arm(3) as (_, _, arm):
-        with pytest.raises(SetPointRefused, match="ip_data_position"):
+        with pytest.raises(SetPointRefusedError, match="ip_data_position"):
             arm.set_positions([1e9])
 
 

@@ -11,7 +11,7 @@ from canopen_master import (
     Chain,
     ChainDescription,
     ChainError,
-    ChainHalted,
+    ChainHaltedError,
     ChainSettings,
     ChainState,
     JointDescription,
@@ -75,7 +75,7 @@ async def test_halt_ends_what_is_under_way() -> None:
         ended = []
 
         async def homing() -> None:
-            with pytest.raises(ChainHalted, match=r"halted by halt\(\)"):
+            with pytest.raises(ChainHaltedError, match=r"halted by halt\(\)"):
                 await arm.home()
             ended.append("home")
 
@@ -262,7 +262,7 @@ async def test_a_joint_that_follows_set_points_takes_no_other_motion() -> None:
     async with following_arm(3, 4) as (_, master, arm):
         axis = arm.devices[0].axis
         for command in (drive.home(axis), drive.move_to(axis, 0.1, timeout=SECOND), drive.set_mode(axis, 1), drive.enable(axis)):
-            with pytest.raises(drive.AxisBusy, match="chain arm is under way; nothing was sent"):
+            with pytest.raises(drive.AxisBusyError, match="chain arm is under way; nothing was sent"):
                 await master.run(command)
         async for cycle in arm.cycles():
             arm.hold()
@@ -277,7 +277,7 @@ async def test_a_joint_that_follows_set_points_takes_no_other_motion() -> None:
 async def test_a_joint_that_is_stopped_by_hand_halts_its_chain() -> None:
     async with following_arm(3, 4) as (host, master, arm):
         await master.run(drive.engage_brake(arm.devices[0].axis))
-        with pytest.raises(ChainHalted, match=r"another command took over joint1 \(node 3 .*\): engage_brake"):
+        with pytest.raises(ChainHaltedError, match=r"another command took over joint1 \(node 3 .*\): engage_brake"):
             arm.set_positions(arm.positions)
         await arm.halt()
         assert drives(host)[0].drive.state is State.READY_TO_SWITCH_ON
@@ -294,7 +294,7 @@ async def test_a_joint_that_is_moved_by_hand_refuses_the_chains_homing_and_its_h
         ended = []
 
         async def moving() -> None:
-            with pytest.raises(drive.TakenOver, match="was taken from home: halt took over"):
+            with pytest.raises(drive.TakenOverError, match="was taken from home: halt took over"):
                 await master.run(drive.home(arm.devices[0].axis))
             ended.append("home")
 

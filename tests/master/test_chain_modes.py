@@ -11,12 +11,12 @@ from itertools import pairwise
 import pytest
 import trio
 
-from canopen_master import Chain, ChainError, ChainFault, ChainSettings, ChainState, Host, Master, open_master
+from canopen_master import Chain, ChainError, ChainFaultError, ChainSettings, ChainState, Host, Master, open_master
 from canopen_master.motion.joint_procedures import meet
 from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.axis import AxisSettings
-from canopen_proto.drives.axis.motion_plan import NoMotionPlan
+from canopen_proto.drives.axis.motion_plan import NoMotionPlanError
 from canopen_proto.drives.axis.slow_position import HANDSHAKE_TIME
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -128,7 +128,7 @@ async def test_a_joint_that_cannot_follow_is_named_with_each_obstacle() -> None:
         with pytest.raises(ChainError, match=r"joint1 .* csp: 0x6502 of the drive lists pv, hm; ip: .*; pp: "):
             await arm.initialise()
         device = arm.devices[0]
-        with pytest.raises(NoMotionPlan):
+        with pytest.raises(NoMotionPlanError):
             await master.run(meet(device, arm.settings))
 
 
@@ -194,7 +194,7 @@ async def test_a_slow_joint_that_stops_is_seen_after_its_lag(kind: str) -> None:
         (node,) = drives(host)
         node.drive.block(True, host.now())
         seen_at = 0.0
-        with pytest.raises(ChainFault, match=r"off its path.*the settings \(following_error_limit\)"):
+        with pytest.raises(ChainFaultError, match=r"off its path.*the settings \(following_error_limit\)"):
             async for cycle in arm.cycles():
                 arm.set_positions([HERE + 10 * cycle.time])
                 seen_at = cycle.time
@@ -210,7 +210,7 @@ async def test_a_slow_joint_in_fault_stops_its_chain() -> None:
         await arm.follow()
         drives(host)[0].raise_fault(0x2310, host.now())
         host.pump()
-        with pytest.raises(ChainFault, match="joint1"):
+        with pytest.raises(ChainFaultError, match="joint1"):
             await follow_path(arm)
         assert arm.state is ChainState.FAULT
         await arm.recover()
@@ -242,7 +242,7 @@ async def test_a_joint_that_takes_no_targets_stops_its_chain() -> None:
         await arm.follow()
         (node,) = drives(host)
         node.deferred.add(0x607A)  # no answer follows
-        with pytest.raises(ChainFault, match="takes no more targets"):
+        with pytest.raises(ChainFaultError, match="takes no more targets"):
             await follow_path(arm, seconds=20)
 
 

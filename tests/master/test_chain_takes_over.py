@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 import pytest
 import trio
 
-from canopen_master import Chain, ChainError, ChainHalted, Host, open_master, standard_drives
+from canopen_master import Chain, ChainError, ChainHaltedError, Host, open_master, standard_drives
 from canopen_proto.application import PlainMemory
 from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.drives.cia402 import objects
@@ -100,7 +100,7 @@ def test_a_command_waits_for_a_halt_that_somebody_else_has_ordered(command: str)
         async with moving_arm() as (host, arm):
 
             async def go_on() -> None:
-                with pytest.raises(ChainHalted):
+                with pytest.raises(ChainHaltedError):
                     await move(arm, 50)
                 await COMMANDS[command](arm)
 

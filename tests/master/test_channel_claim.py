@@ -11,7 +11,7 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master.claims.channel_claim import LONG, SHORT, ChannelTaken, channel_claim
+from canopen_master.claims.channel_claim import LONG, SHORT, ChannelTakenError, channel_claim
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
 BUS = f"tcp:127.0.0.1:{os.getpid()}"
@@ -33,7 +33,7 @@ def test_a_second_transfer_waits_and_is_then_refused_with_the_name_of_the_first(
         async with channel_claim(BUS, 5):
             for enter, patience in ((lambda: channel_free(BUS, 5), SHORT), (lambda: channel_claim(BUS, 5).__aenter__(), LONG)):
                 begun = trio.current_time()
-                with pytest.raises(ChannelTaken) as refused:
+                with pytest.raises(ChannelTakenError) as refused:
                     await enter()
                 assert patience <= trio.current_time() - begun < patience + 0.1
                 assert f"process {os.getpid()} (" in refused.value.seen
@@ -72,7 +72,7 @@ def test_it_goes_on_once_the_first_is_done() -> None:
 def test_two_names_of_one_bus_are_one_bus(one: str, other: str) -> None:
     async def main() -> None:
         async with channel_claim(one, 99):
-            with pytest.raises(ChannelTaken):
+            with pytest.raises(ChannelTakenError):
                 await channel_free(other, 99)
 
     in_virtual_time(main)
@@ -102,7 +102,7 @@ trio.run(main)
         assert other.stdout.readline() == b"claimed\n"
 
         async def refused() -> None:
-            with pytest.raises(ChannelTaken, match=f"process {other.pid} "):
+            with pytest.raises(ChannelTakenError, match=f"process {other.pid} "):
                 await channel_free(BUS, 7, 0)
 
         in_virtual_time(refused)

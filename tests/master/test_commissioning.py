@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_master.commissioning import DriveCommissioning, commissioned_machine
-from canopen_master.errors import NodeIsNoDrive
+from canopen_master.errors import NodeIsNoDriveError
 from canopen_master.machine_file import machine_text, parse_machine
 from canopen_master.session import open_master
 from canopen_master.simulation.device_files import models_of
@@ -72,7 +72,7 @@ async def test_a_move_before_the_limits_are_set_is_refused() -> None:
 async def test_a_node_that_is_no_drive() -> None:
     devices = {BUS: models_of([DeviceEntry("sample_io.eds", (3,))])}
     async with simulated_devices(devices), open_master(BUS) as master:
-        with pytest.raises(NodeIsNoDrive) as caught:
+        with pytest.raises(NodeIsNoDriveError) as caught:
             await DriveCommissioning(master, master.node(3)).look()
     assert str(caught.value).startswith("CO408: node 3 (0x03) is no drive by CiA 402: it has no statusword (0x6041)")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from canopen_data.named_files import UnusableFile, open_description, read_text
-from canopen_master.errors import DeviceRefused, NotADrive
+from canopen_data.named_files import UnusableFileError, open_description, read_text
+from canopen_master.errors import DeviceRefusedError, NoDriveInFileError
 from canopen_master.machine_file import parse_machine
 from canopen_master.simulated_machine import devices_of_machine, drives_of_machine
 from canopen_master.simulation.device_files import FileRead, MakingEvent, ModelMade, models_of, read_plant
@@ -39,15 +39,15 @@ def test_each_device_and_its_file_are_told() -> None:
     ],
 )
 def test_an_entry_that_cannot_be_served(entries: list[DeviceEntry], said: str) -> None:
-    with pytest.raises(DeviceRefused) as caught:
+    with pytest.raises(DeviceRefusedError) as caught:
         models_of(entries)
     assert str(caught.value).startswith(said)
 
 
 def test_a_file_of_no_drive() -> None:
-    with pytest.raises(NotADrive, match="sample_io.eds cannot be a simulated drive: it has no"):
+    with pytest.raises(NoDriveInFileError, match="sample_io.eds cannot be a simulated drive: it has no"):
         models_of([DeviceEntry(IO, (5,), profile="402")])
-    with pytest.raises(NotADrive, match="sample_io.eds describes no drive that can be moved: it has no"):
+    with pytest.raises(NoDriveInFileError, match="sample_io.eds describes no drive that can be moved: it has no"):
         drive_of(open_description(IO).description)
 
 
@@ -64,11 +64,11 @@ def test_paths_of_a_plant_file_are_beside_it(tmp_path: Path) -> None:
 
 
 def test_a_text_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(UnusableFile, match="CO330: cannot read .*: No such file") as caught:
+    with pytest.raises(UnusableFileError, match="CO330: cannot read .*: No such file") as caught:
         read_text(tmp_path / "none")
     assert caught.value.tries == ("check the path",)
     (tmp_path / "latin").write_bytes(b"\xe4")
-    with pytest.raises(UnusableFile, match="is not UTF-8 text"):
+    with pytest.raises(UnusableFileError, match="is not UTF-8 text"):
         read_text(tmp_path / "latin")
 
 

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 import pytest
 
 from canopen_data import DataError
-from canopen_master import BusError, HaltNotConfirmed, SdoRefused, SdoTimeout, direct
-from canopen_master.direct import AlreadyConnected, NotConnected, Session
+from canopen_master import BusError, HaltNotConfirmedError, SdoRefusedError, SdoTimeoutError, direct
+from canopen_master.direct import AlreadyConnectedError, NotConnectedError, Session
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.dictionary import ConstantNotFound, ObjectNotFound
-from canopen_proto.drives.axis import ModeUnsupported
+from canopen_proto.dictionary import ConstantNotFoundError, ObjectNotFoundError
+from canopen_proto.drives.axis import ModeUnsupportedError
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.procedures.steps import SdoFailed, StepTimeout
+from canopen_proto.procedures.steps import SdoTransferError, StepTimeoutError
 from tests.master.direct_world import LIMIT, LOOSE, PATIENT, Devices, devices, until
 
 
@@ -52,7 +52,7 @@ def test_a_bus_that_cannot_be_opened_gives_false_and_the_reason() -> None:
 
 def test_only_one_connection_at_a_time(session: Session) -> None:
     assert not session.open_connection("virtual:other")
-    assert isinstance(session.last_error(), AlreadyConnected)
+    assert isinstance(session.last_error(), AlreadyConnectedError)
     session.close_connection()
     assert session.open_connection("virtual:other")
 
@@ -75,7 +75,7 @@ def test_without_a_connection_nothing_is_taken() -> None:
         lambda: session.init_device(12),
         lambda: session.send_pos(12, 0),
     ):
-        with pytest.raises(NotConnected, match="open_connection"):
+        with pytest.raises(NotConnectedError, match="open_connection"):
             call()
     session.close_connection()
 
@@ -84,7 +84,7 @@ def test_after_close_nothing_is_taken(session: Session) -> None:
     session.init_listener_thread()
     session.close_connection()
     session.close_connection()
-    with pytest.raises(NotConnected):
+    with pytest.raises(NotConnectedError):
         session.init_nmt()
 
 
@@ -96,7 +96,7 @@ def test_the_module_has_all_of_the_sessions_calls() -> None:
     with direct.simulated([5]):
         assert direct.open_connection("virtual")
         assert direct.send_sdo(5, "statusword").node_id == 5
-    with pytest.raises(NotConnected):
+    with pytest.raises(NotConnectedError):
         direct.init_nmt()
 
 
@@ -114,7 +114,7 @@ def test_send_nmt_to_one_device_or_to_all(session: Session, arm: Devices) -> Non
     session.send_nmt("start_remote_node", 12)
     session.send_nmt(NmtCommand.ENTER_PRE_OPERATIONAL, 3)
     assert arm.frames(last="000#8003") == ["000#0200", "000#010C", "000#8003"]
-    with pytest.raises(ConstantNotFound, match="stop_remote_node"):
+    with pytest.raises(ConstantNotFoundError, match="stop_remote_node"):
         session.send_nmt("stop_remote_nod")
     with pytest.raises(LocalProtocolError):
         session.send_nmt("stop_remote_node", 200)
@@ -133,7 +133,7 @@ def test_send_sdo_reads_and_writes_and_gives_the_message(session: Session) -> No
 
 
 def test_send_sdo_raises_what_went_wrong(session: Session, arm: Devices) -> None:
-    with pytest.raises(ObjectNotFound, match="did you mean statusword"):
+    with pytest.raises(ObjectNotFoundError, match="did you mean statusword"):
         session.send_sdo(12, "statsword")
     with pytest.raises(ValueRangeError):
         session.send_sdo(12, "controlword", 0x10000)
@@ -142,18 +142,18 @@ def test_send_sdo_raises_what_went_wrong(session: Session, arm: Devices) -> None
     with pytest.raises(LocalProtocolError, match="'12' is not a node-ID"):
         session.homing("12")  # type: ignore[arg-type]
     assert arm.frames() == []
-    with pytest.raises(SdoRefused):
+    with pytest.raises(SdoRefusedError):
         session.send_sdo(12, "target_velocity")  # of modes that a Schunk joint does not have
 
 
 def test_a_silent_device_is_a_timeout_or_false(arm: Devices) -> None:
     with Session() as session:
         assert session.open_connection(arm.bus, sdo_timeout=0.02)
-        with pytest.raises(SdoTimeout, match="node 5 did not answer"):
+        with pytest.raises(SdoTimeoutError, match="node 5 did not answer"):
             session.send_sdo(5, "statusword")
         assert not session.init_device(5)
-        assert isinstance(session.last_error(), SdoFailed)
-        with pytest.raises(SdoFailed):
+        assert isinstance(session.last_error(), SdoTransferError)
+        with pytest.raises(SdoTransferError):
             session.get_pos(5)
         with pytest.raises(LocalProtocolError):
             session.init_device(0)
@@ -161,7 +161,7 @@ def test_a_silent_device_is_a_timeout_or_false(arm: Devices) -> None:
 
 def test_the_last_error_is_that_of_the_calling_thread(session: Session) -> None:
     assert not session.wait_for_status(12, "operation_enable", timeout=0)
-    assert isinstance(session.last_error(), StepTimeout)
+    assert isinstance(session.last_error(), StepTimeoutError)
     seen: list[Exception | None] = []
     thread = threading.Thread(target=lambda: seen.append(session.last_error()))
     thread.start()
@@ -182,7 +182,7 @@ def test_states_up_and_down(session: Session, arm: Devices) -> None:
     assert session.release_break(12)
     assert session.set_motor_state(12, "switched_on")
     assert arm.node(12).drive.state is State.SWITCHED_ON
-    with pytest.raises(ConstantNotFound):
+    with pytest.raises(ConstantNotFoundError):
         session.set_motor_state(12, "switch_off")
 
 
@@ -222,7 +222,7 @@ def test_modes(session: Session) -> None:
     assert session.send_sdo(12, "modes_of_operation_display").value == 7
     assert session.drive_mode(12, 1)
     assert not session.drive_mode(12, "torque_profile_mode")
-    assert isinstance(session.last_error(), ModeUnsupported)
+    assert isinstance(session.last_error(), ModeUnsupportedError)
 
 
 def test_the_sync_interval_is_told_to_the_drive(session: Session, arm: Devices) -> None:
@@ -250,7 +250,7 @@ def test_leaving_a_bus_that_does_not_answer_says_so(arm: Devices, monkeypatch: p
     assert session.open_connection(arm.bus, sdo_timeout=PATIENT, watchdog=LOOSE)
     assert session.init_device(12)
     arm.do(lambda host: arm.node(12).sdo.disable())
-    with pytest.raises(HaltNotConfirmed, match="node 12"):
+    with pytest.raises(HaltNotConfirmedError, match="node 12"):
         session.close_connection()
-    with pytest.raises(NotConnected):
+    with pytest.raises(NotConnectedError):
         session.init_nmt()

@@ -12,7 +12,7 @@ import pytest
 import trio
 
 from canopen_master.direct.background import Background
-from canopen_master.errors import MasterClosed
+from canopen_master.errors import MasterClosedError
 from canopen_proto.machine import LocalProtocolError
 
 LIMIT = 60.0
@@ -133,7 +133,7 @@ def test_stop_ends_the_calls_that_wait(background: Background[Place], place: Pla
     def wait() -> None:
         try:
             background.call(Place.wait)
-        except MasterClosed as error:
+        except MasterClosedError as error:
             errors.append(error)
 
     thread = threading.Thread(target=wait)
@@ -148,13 +148,13 @@ def test_stop_ends_the_calls_that_wait(background: Background[Place], place: Pla
 
 def test_after_stop_nothing_is_called(background: Background[Place]) -> None:
     background.stop()
-    with pytest.raises(MasterClosed):
+    with pytest.raises(MasterClosedError):
         background.call(Place.answer)
     assert background.stop() is None
 
 
 def test_a_call_before_start_is_refused(place: Place) -> None:
-    with pytest.raises(MasterClosed):
+    with pytest.raises(MasterClosedError):
         Background(lambda: context(place)).call(Place.answer)
 
 
@@ -172,7 +172,7 @@ def test_a_call_while_the_context_is_left_is_refused(place: Place) -> None:
     stopper = threading.Thread(target=background.stop)
     stopper.start()
     assert leaving.wait(LIMIT)
-    with pytest.raises(MasterClosed):
+    with pytest.raises(MasterClosedError):
         background.call(Place.answer)
     stopper.join(LIMIT)
 

@@ -12,7 +12,7 @@ from canopen_master import ChainSettings, open_master, standard_drives
 from canopen_master.direct import Session, hold_to_run
 from canopen_master.direct.drive import COUNTS, DirectDrive
 from canopen_master.direct.hold_to_run import move_while_held
-from canopen_proto.drives.axis import DriveInFault
+from canopen_proto.drives.axis import DriveInFaultError
 from canopen_proto.drives.cia402.objects import HOMING_METHOD, POSITION_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
@@ -131,7 +131,7 @@ def test_a_fault_ends_it(session: Session, arm: Devices) -> None:
         return True
 
     assert not session.move_until_user_interrupt(12, SPEED, held)
-    assert isinstance(session.last_error(), DriveInFault)
+    assert isinstance(session.last_error(), DriveInFaultError)
 
 
 def test_a_chain_of_the_masters_cycle_is_jogged_otherwise(session: Session) -> None:

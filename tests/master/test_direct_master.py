@@ -13,18 +13,18 @@ from canopen_data import DataError
 from canopen_master import (
     BusError,
     ChainError,
-    ChainFault,
+    ChainFaultError,
     ChainFileError,
-    ChainHalted,
+    ChainHaltedError,
     ChainState,
     Master,
-    MasterClosed,
-    SetPointRefused,
+    MasterClosedError,
+    SetPointRefusedError,
     direct,
     powerballs,
     read_record,
 )
-from canopen_master.direct import NotConnected, Session
+from canopen_master.direct import NotConnectedError, Session
 from canopen_master.simulation.host import DeviceMaker
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.drives.trajectory import Path as JointPath
@@ -171,10 +171,10 @@ def test_a_wrong_call_raises(session: Session) -> None:
     with pytest.raises(ChainError):
         chain.set_pos([0, 0])
     assert chain.ip_mode(), session.last_error()
-    with pytest.raises(SetPointRefused):
+    with pytest.raises(SetPointRefusedError):
         chain.set_pos([0])
     session.close_connection()
-    with pytest.raises(NotConnected):
+    with pytest.raises(NotConnectedError):
         chain.halt()
 
 
@@ -192,7 +192,7 @@ def test_halt_ends_a_homing_and_recover_goes_on(session: Session, arm: Devices) 
     thread.join(LIMIT)
     ((homed, why),) = results
     assert not homed
-    assert isinstance(why, ChainHalted)
+    assert isinstance(why, ChainHaltedError)
     assert chain.recover(), session.last_error()
 
 
@@ -203,9 +203,9 @@ def test_a_fault_of_one_joint_stops_the_chain(session: Session, arm: Devices) ->
     assert chain.ip_mode(), session.last_error()
     arm.break_down(12)
     until(lambda: chain.state is ChainState.FAULT)
-    with pytest.raises(ChainFault, match="joint2"):
+    with pytest.raises(ChainFaultError, match="joint2"):
         session.send_pos(3, 3000)
-    with pytest.raises(ChainFault, match="joint2"):
+    with pytest.raises(ChainFaultError, match="joint2"):
         chain.set_pos([0, 0])
     assert chain.recover(), session.last_error()
     assert chain.state is ChainState.FOLLOWING
@@ -327,5 +327,5 @@ def test_the_module_has_a_master_half_too() -> None:
             direct.using_master_thread = False
         assert direct.chain_map["chain1"].init()
         direct.close_connection()
-        with pytest.raises((NotConnected, MasterClosed, BusError)):
+        with pytest.raises((NotConnectedError, MasterClosedError, BusError)):
             direct.chain_map["chain1"].init()

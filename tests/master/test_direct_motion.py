@@ -5,15 +5,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from canopen_master import MasterClosed, NodeSilent, standard_drives
+from canopen_master import MasterClosedError, NodeSilentError, standard_drives
 from canopen_master.direct import Session
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.dictionary import PdoNotFound
-from canopen_proto.drives.axis import DriveInFault
+from canopen_proto.dictionary import PdoNotFoundError
+from canopen_proto.drives.axis import DriveInFaultError
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
-from canopen_proto.pdo.configure import PdoRefused
+from canopen_proto.pdo.configure import PdoRefusedError
 from canopen_proto.procedures.steps import ProcedureError
 from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, devices, until
 
@@ -96,7 +96,7 @@ def test_a_connection_that_is_closed_meanwhile_ends_the_calls(session: Session, 
     def home() -> None:
         try:
             session.homing(12)
-        except MasterClosed as error:
+        except MasterClosedError as error:
             errors.append(error)
 
     thread = threading.Thread(target=home)
@@ -174,7 +174,7 @@ def test_a_fault_in_the_middle_of_a_move_is_raised(session: Session, arm: Device
     session.send_pos(12, 3100)
     session.send_sync(5)
     arm.break_down(12, 0x8611)
-    with pytest.raises(DriveInFault, match="0x8611"):
+    with pytest.raises(DriveInFaultError, match="0x8611"):
         go_on(session, 12)
     with pytest.raises(LocalProtocolError):
         session.send_pos(12, 3100)
@@ -195,7 +195,7 @@ def test_a_drive_whose_pdos_no_longer_come_is_silent(arm: Devices) -> None:
     session.send_sync(20)
     arm.send(0x000, "020C")  # somebody else: stop
     until(lambda: arm.node(12).state is NmtState.STOPPED)
-    with pytest.raises(NodeSilent, match="node 12"):
+    with pytest.raises(NodeSilentError, match="node 12"):
         go_on(session, 3, 12)
     session.close_connection()  # the master wakes it, to see it halted
     assert arm.node(12).state is NmtState.PRE_OPERATIONAL
@@ -264,13 +264,13 @@ def test_define_pdo_makes_a_standard_drive_follow() -> None:
         received = session.incoming_pdos.get(LIMIT)
         assert received is not None
         assert "torque_actual_value" in received.values
-        with pytest.raises(PdoNotFound):
+        with pytest.raises(PdoNotFoundError):
             session.define_pdo(5, "schunk_rPDO")
 
 
 def test_a_pdo_that_the_device_refuses_is_false(session: Session, arm: Devices) -> None:
     assert not session.define_pdo(12, "csv_rPDO")  # a Schunk joint has no target velocity
-    assert isinstance(session.last_error(), PdoRefused)
+    assert isinstance(session.last_error(), PdoRefusedError)
 
 
 def test_a_dictionary_without_the_manuals_pdos_has_no_set_points(arm: Devices) -> None:

@@ -15,7 +15,7 @@ import trio
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_master import Host, Master, NodeSilent, open_master, powerballs
+from canopen_master import Host, Master, NodeSilentError, open_master, powerballs
 from canopen_master.direct import Session
 from canopen_master.direct.connection import Connection
 from canopen_master.direct.drive import COUNTS, DirectDrive
@@ -145,7 +145,7 @@ async def outcome(script: Script, turns: Sequence[Turn]) -> Exception | None:
         nursery.start_soon(script.late, turns)
         try:
             await script.run()
-        except (ProcedureError, NodeSilent) as raised:
+        except (ProcedureError, NodeSilentError) as raised:
             error = raised
         nursery.cancel_scope.cancel()
     return error

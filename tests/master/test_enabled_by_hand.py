@@ -9,7 +9,17 @@ from contextlib import suppress
 import pytest
 import trio
 
-from canopen_master import HaltNotConfirmed, Host, Master, MasterError, Node, NodeIdTaken, Watchdog, open_master, standard_drives
+from canopen_master import (
+    HaltNotConfirmedError,
+    Host,
+    Master,
+    MasterError,
+    Node,
+    NodeIdTakenError,
+    Watchdog,
+    open_master,
+    standard_drives,
+)
 from canopen_master.watchdog import LOGGER
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives import axis as drive
@@ -114,7 +124,7 @@ async def test_the_drive_is_halted_though_it_does_not_answer_any_more(is_drive: 
     """later: s from the last answer to the way out. is_drive: as its dictionary says."""
     async with one_drive() as host:
         cable = Link()
-        with pytest.raises(HaltNotConfirmed):
+        with pytest.raises(HaltNotConfirmedError):
             async with open_master(cable) as master:
                 node = await moving(master)
                 if is_drive:
@@ -161,7 +171,7 @@ async def test_a_drive_that_did_not_confirm_to_be_disabled_counts_as_enabled(bad
 @virtual_time
 async def test_a_drive_that_brakes_and_no_longer_answers_is_told_and_stays_held() -> None:
     async with one_drive() as host:
-        with pytest.raises(HaltNotConfirmed, match="node 3"):
+        with pytest.raises(HaltNotConfirmedError, match="node 3"):
             async with open_master(BUS) as master:
                 node = await moving(master)
                 device = master.device(node)
@@ -178,7 +188,7 @@ async def test_a_drive_that_brakes_and_no_longer_answers_is_told_and_stays_held(
 async def test_an_enabling_word_that_was_not_confirmed_is_not_forgotten() -> None:
     async with one_drive() as host:
         cable = Link()
-        with pytest.raises(HaltNotConfirmed, match="node 3"):
+        with pytest.raises(HaltNotConfirmedError, match="node 3"):
             async with open_master(cable) as master:
                 axis = master.device(master.node(NODE)).axis
                 await master.run(drive.change_state(axis, State.SWITCHED_ON))
@@ -237,7 +247,7 @@ async def test_a_watchdog_that_fails_beside_an_rpdo_is_told(caplog: pytest.LogCa
     async with one_drive() as host:
         async with open_master(BUS) as master, await open_transport(BUS) as other:
             await other.send(Frame(0x77F, b"\x05"))
-            with pytest.raises(NodeIdTaken):
+            with pytest.raises(NodeIdTakenError):
                 await master.node(NODE, drive_dictionary(), pdos=False).hold()
             await moving(master, by_rpdo)
             assert speed(host) == SPEED

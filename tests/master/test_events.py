@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 import trio
 
-from canopen_master import BusError, MasterClosed, NodeSilent, Subscription, open_master, powerballs
+from canopen_master import BusError, MasterClosedError, NodeSilentError, Subscription, open_master, powerballs
 from canopen_master.participant.subscription import QUEUE_SIZE
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import Frame
@@ -95,7 +95,7 @@ async def test_subscriptions_end_with_the_master() -> None:
         events = master.events(SyncSent, bus=BUS)
         await master.send_sync()
     assert await events.receive() == SyncSent(0, None, 0)
-    with pytest.raises(MasterClosed):
+    with pytest.raises(MasterClosedError):
         await events.receive()
 
 
@@ -154,12 +154,12 @@ async def test_nmt_commands_to_all_and_to_one() -> None:
 async def test_waiting_for_a_boot_up_or_a_heartbeat() -> None:
     async with simulated(3), open_master(BUS) as master:
         node = master.node(3)
-        with pytest.raises(NodeSilent, match="node 3 did not boot within 2 s") as caught:
+        with pytest.raises(NodeSilentError, match="node 3 did not boot within 2 s") as caught:
             await node.wait_for_boot(2)
         assert isinstance(caught.value, TimeoutError)
-        with pytest.raises(NodeSilent, match="sent no heartbeat within 1 s"):
+        with pytest.raises(NodeSilentError, match="sent no heartbeat within 1 s"):
             await node.wait_for_heartbeat(1)
-        with pytest.raises(NodeSilent, match="did not boot after a reset"):
+        with pytest.raises(NodeSilentError, match="did not boot after a reset"):
             await master.node(9).reset(1)
         async with trio.open_nursery() as nursery:
             nursery.start_soon(node.wait_for_boot)

@@ -8,7 +8,7 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_master import Chain, ChainError, ChainFault, ChainState, Host, open_master, powerballs, simulate
+from canopen_master import Chain, ChainError, ChainFaultError, ChainState, Host, open_master, powerballs, simulate
 from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand, NmtState
@@ -50,7 +50,7 @@ def fault(host: Host, index: int, code: int = 0x3220) -> None:
 @virtual_time
 async def test_a_fault_in_the_middle_of_a_move() -> None:
     async with following_arm(3, 4, 5) as (host, _, arm):
-        with pytest.raises(ChainFault) as caught:
+        with pytest.raises(ChainFaultError) as caught:
             await follow(arm, at=50, do=lambda: fault(host, 1))
         error = caught.value
         assert (error.chain, error.joint, error.node_id, error.bus) == ("arm", "joint2", 4, BUS)
@@ -70,9 +70,9 @@ async def test_a_fault_in_the_middle_of_a_move() -> None:
         assert_all_halted(host)
         await assert_all_stand(host)
         for call in (arm.home, arm.enable_interpolated_position):
-            with pytest.raises(ChainFault):
+            with pytest.raises(ChainFaultError):
                 await call()
-        with pytest.raises(ChainFault):
+        with pytest.raises(ChainFaultError):
             arm.set_positions([0, 0, 0])
         await arm.halt()  # allowed, and done
         assert arm.state is ChainState.FAULT
@@ -81,7 +81,7 @@ async def test_a_fault_in_the_middle_of_a_move() -> None:
 @virtual_time
 async def test_recover_goes_on_where_the_joints_stand() -> None:
     async with following_arm(3, 4) as (host, _, arm):
-        with pytest.raises(ChainFault):
+        with pytest.raises(ChainFaultError):
             await follow(arm, at=50, do=lambda: fault(host, 0))
         await trio.sleep(1)
         stood = [position_of(host, node) for node in drives(host)]
@@ -97,11 +97,11 @@ async def test_recover_goes_on_where_the_joints_stand() -> None:
 @virtual_time
 async def test_a_fault_that_stays_is_told_by_recover() -> None:
     async with following_arm(3) as (host, _, arm):
-        with pytest.raises(ChainFault):
+        with pytest.raises(ChainFaultError):
             await follow(arm, at=10, do=lambda: fault(host, 0))
         drives(host)[0].raise_fault(0x4310, host.now(), lasting=True)
         host.pump()
-        with pytest.raises(ChainFault) as caught:
+        with pytest.raises(ChainFaultError) as caught:
             await arm.recover()
         assert caught.value.error_code == 0x4310
         assert arm.state is ChainState.OFF
@@ -115,7 +115,7 @@ async def test_a_fault_while_homing_halts_the_others() -> None:
         async with trio.open_nursery() as nursery:
 
             async def homing() -> None:
-                with pytest.raises(ChainFault, match="joint2"):
+                with pytest.raises(ChainFaultError, match="joint2"):
                     await arm.home()
 
             nursery.start_soon(homing)
@@ -134,7 +134,7 @@ async def test_a_fault_between_two_commands_is_told_by_the_next() -> None:
         await arm.initialise()
         fault(host, 0, 0x4310)
         await trio.sleep(0.5)
-        with pytest.raises(ChainFault, match="0x4310"):
+        with pytest.raises(ChainFaultError, match="0x4310"):
             await arm.home()
 
 
@@ -222,7 +222,7 @@ def test_other_ways_to_fail(do: Callable[[Host], Any], reason: str) -> None:
     @virtual_time
     async def test() -> None:
         async with following_arm(3, 4) as (host, _, arm):
-            with pytest.raises(ChainFault) as caught:
+            with pytest.raises(ChainFaultError) as caught:
                 await follow(arm, at=50, do=lambda: do(host))
             assert reason in caught.value.reason
             assert caught.value.joint == "joint1"
@@ -236,7 +236,7 @@ def test_how_long_a_joint_may_be_silent_is_a_setting(cycles: int) -> None:
     @virtual_time
     async def test() -> None:
         async with following_arm(3, max_silent_cycles=cycles) as (host, _, arm):
-            with pytest.raises(ChainFault, match=f"for {cycles * 10} ms, behind {cycles} SYNCs") as caught:
+            with pytest.raises(ChainFaultError, match=f"for {cycles * 10} ms, behind {cycles} SYNCs") as caught:
                 await follow(arm, at=5, do=lambda: _mute_tpdos(host))
             assert "cause: its power is off, its cable is loose" in str(caught.value)
 
@@ -268,7 +268,7 @@ async def test_a_lost_heartbeat_stops_the_chain() -> None:
         def unplug() -> None:
             host.nodes[1].communication.heartbeat.set_period(0, host.now())
 
-        with pytest.raises(ChainFault, match="joint2.*was lost: no heartbeat for 0.3 s"):
+        with pytest.raises(ChainFaultError, match="joint2.*was lost: no heartbeat for 0.3 s"):
             await follow(arm, at=50, do=unplug)
         assert_all_halted(host)
 
@@ -276,11 +276,11 @@ async def test_a_lost_heartbeat_stops_the_chain() -> None:
 @virtual_time
 async def test_a_second_fault_does_not_hide_the_first() -> None:
     async with following_arm(3, 4) as (host, _, arm):
-        with pytest.raises(ChainFault):
+        with pytest.raises(ChainFaultError):
             await follow(arm, at=20, do=lambda: fault(host, 1))
         fault(host, 0)
         await trio.sleep(1)
-        with pytest.raises(ChainFault, match="joint2"):
+        with pytest.raises(ChainFaultError, match="joint2"):
             arm.hold()
         await arm.shut_down()
         assert arm.state is ChainState.OFF
@@ -305,7 +305,7 @@ async def test_a_reference_that_was_lost_is_lost() -> None:
         await arm.initialise()
         await arm.home()
         await arm.enable_interpolated_position()
-        with pytest.raises(ChainFault, match="booted again"):
+        with pytest.raises(ChainFaultError, match="booted again"):
             await follow(arm, at=50, do=lambda: _reset(host))
         stood = [position_of(host, node) for node in drives(host)]
         for _ in range(2):
@@ -334,7 +334,7 @@ async def test_a_drive_that_keeps_its_reference_goes_on() -> None:
         await arm.initialise()
         await arm.home()
         await arm.enable_interpolated_position()
-        with pytest.raises(ChainFault, match="booted again"):
+        with pytest.raises(ChainFaultError, match="booted again"):
             await follow(arm, at=50, do=lambda: _reset(host))
         await arm.recover()
         assert arm.state is ChainState.FOLLOWING
@@ -345,7 +345,7 @@ async def test_a_drive_that_keeps_its_reference_goes_on() -> None:
 @virtual_time
 async def test_an_arm_that_was_never_homed_recovers_from_a_reset() -> None:
     async with following_arm(3, 4) as (host, _, arm):
-        with pytest.raises(ChainFault, match="booted again"):
+        with pytest.raises(ChainFaultError, match="booted again"):
             await follow(arm, at=50, do=lambda: _reset(host))
         await arm.recover()
         assert arm.state is ChainState.FOLLOWING

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import trio
 
-from canopen_master import Chain, ChainSettings, ChainState, PathRefused
+from canopen_master import Chain, ChainSettings, ChainState, PathRefusedError
 from canopen_master.motion.path_motion import Torques
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives.cia402 import objects
@@ -66,7 +66,7 @@ async def test_the_velocity_goes_along_where_an_rpdo_carries_it_and_no_torque_by
         assert {torque for _, _, torque in sent} == {0.0}
         assert value(other, objects.VELOCITY_OFFSET) == 0
         stay = Path([[Segment(1.0, (0.5,))], [Segment(1.0, (-0.25,))]])
-        with pytest.raises(PathRefused, match="j02 takes no torque"):
+        with pytest.raises(PathRefusedError, match="j02 takes no torque"):
             await arm.follow(stay, torques=lambda point: point.accelerations)
 
 
@@ -88,7 +88,7 @@ async def test_torques_that_are_none_end_the_motion_and_not_the_master(torques: 
         def feed(point: PathPoint) -> Any:
             return [0.0] if next(asked) < 50 else torques
 
-        with pytest.raises(PathRefused, match="the torque function gave no torques"):
+        with pytest.raises(PathRefusedError, match="the torque function gave no torques"):
             await arm.follow(swing(0.5), torques=feed)
         assert arm.state is ChainState.HALTED
         await arm.recover()

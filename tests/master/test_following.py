@@ -1,6 +1,6 @@
 """A joint that does not follow its set-points stops its chain, whatever the reason; the simulated drives know the truth.
 
-The property, over all of CASES: the chain goes on with each joint within its limit, or ChainFault with joint and cause comes
+The property, over all of CASES: the chain goes on with each joint within its limit, or ChainFaultError with joint and cause comes
 within three cycles of the first PDO, or missing PDO, that shows it; then all joints stand within their ramps.
 """
 
@@ -19,7 +19,7 @@ import pytest
 import trio
 
 from canopen_data import load_dictionary
-from canopen_master import Chain, ChainFault, ChainSettings, ChainState, Host, open_master, simulate
+from canopen_master import Chain, ChainFaultError, ChainSettings, ChainState, Host, open_master, simulate
 from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL, HomingStyle
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.objects import (
@@ -123,7 +123,7 @@ Frames = tuple[Frame, ...]
 
 @dataclass
 class Case:
-    """What happens to the victim in one cycle. cause: what the ChainFault says; "" where the chain has to go on."""
+    """What happens to the victim in one cycle. cause: what the ChainFaultError says; "" where the chain has to go on."""
 
     name: str
     frames: Frames | Callable[[int], Frames] = ()  # that a stranger sends; by where the victim is
@@ -140,7 +140,7 @@ class Case:
         return self.name
 
     def expected(self, is_standard: bool) -> str:
-        """What matches the reason of the ChainFault, or "" for a chain that went on."""
+        """What matches the reason of the ChainFaultError, or "" for a chain that went on."""
         cause = "" if self.refused_by_schunk and not is_standard else self.cause
         return f"({cause})?" if self.may_go_on else cause
 
@@ -284,7 +284,7 @@ def shown_by_silence(here: Scene, since: float) -> Iterator[float]:
 
 
 async def run(case: Case, here: Scene, phase: float) -> str:
-    """The property; the reason of the ChainFault, or "" where the chain went on."""
+    """The property; the reason of the ChainFaultError, or "" where the chain went on."""
     arm, struck_at = here.arm, -1.0
     here.master_link.log.clear()
     start = arm.desired_positions
@@ -312,7 +312,7 @@ async def run(case: Case, here: Scene, phase: float) -> str:
         return ""
     assert first is not None, "stopped, though nothing was shown"
     assert failed_at - first <= 3.6 * PERIOD, f"seen {failed_at - first:.4f} s after it was shown"
-    with pytest.raises(ChainFault) as caught:
+    with pytest.raises(ChainFaultError) as caught:
         arm.set_positions([0.0, 0.0])
     if case.name not in ("NMT stop of all", "foreign SYNC", "foreign SYNCs"):
         assert caught.value.node_id == VICTIM
@@ -377,7 +377,7 @@ async def test_a_joint_that_is_held_is_told_with_the_limit_and_where_it_comes_fr
         start = arm.desired_positions
         node.block(True, host.now())
         held_at = here.true_position(VICTIM)
-        with pytest.raises(ChainFault, match=r"is [0-9.]+ off its path: it is at .*; the limit is [0-9.]+, by") as caught:
+        with pytest.raises(ChainFaultError, match=r"is [0-9.]+ off its path: it is at .*; the limit is [0-9.]+, by") as caught:
             async for cycle in arm.cycles():
                 arm.set_positions([position + SPEED * cycle.time for position in start])
         assert caught.value.node_id == VICTIM
@@ -394,7 +394,7 @@ async def test_a_joint_that_answers_no_sdo_blinds_nobody_for_another() -> None:
         await trio.sleep(0.1)
         here.node(VICTIM).values.store[MODES_OF_OPERATION_DISPLAY] = 1
         await trio.sleep(3 * PERIOD)
-        with pytest.raises(ChainFault, match="changed its mode of operation: 0x6061 shows profile position") as caught:
+        with pytest.raises(ChainFaultError, match="changed its mode of operation: 0x6061 shows profile position") as caught:
             here.arm.set_positions([0.0, 0.0])
         assert caught.value.node_id == VICTIM
         here.links[OTHER].copies = lambda frame, is_sent: 1
@@ -404,7 +404,7 @@ async def test_a_joint_that_answers_no_sdo_blinds_nobody_for_another() -> None:
 async def test_another_sync_is_named() -> None:
     async with scene() as here:
         start = here.arm.desired_positions
-        with pytest.raises(ChainFault, match="cause: somebody else commands this bus: a SYNC [0-9]+ ms ago"):
+        with pytest.raises(ChainFaultError, match="cause: somebody else commands this bus: a SYNC [0-9]+ ms ago"):
             async for cycle in here.arm.cycles():
                 here.arm.set_positions([position + SPEED * cycle.time for position in start])
                 if cycle.number % 10 == 9:
@@ -417,7 +417,7 @@ async def test_the_command_of_another_master_is_named() -> None:
         key = SDO_CLIENT_TO_SERVER + VICTIM
         await here.stranger.send(Frame(key, bytes.fromhex("2b40600006000000")))  # shutdown
         await trio.sleep(3 * PERIOD)
-        with pytest.raises(ChainFault) as caught:
+        with pytest.raises(ChainFaultError) as caught:
             here.arm.set_positions([0.0, 0.0])
         assert caught.value.cause.startswith("another master commanded 0x0006 (shutdown) ")
         assert "by SDO; somebody else commands this bus: an SDO request to it" in caught.value.cause
@@ -434,6 +434,6 @@ async def test_a_joint_that_no_longer_answers_guarding_is_lost_though_nothing_is
         here.links[VICTIM].copies = lambda frame, is_sent: 0
         await trio.sleep(0.3)
         assert here.arm.state is ChainState.FAULT
-        with pytest.raises(ChainFault, match="was lost: no answer to node guarding for 0.15 s"):
+        with pytest.raises(ChainFaultError, match="was lost: no answer to node guarding for 0.15 s"):
             here.arm.hold()
         here.links[VICTIM].copies = one_copy

@@ -20,9 +20,9 @@ from canopen_data.describing import describe
 from canopen_data.descriptions import load_description
 from canopen_data.eds.writer import write_eds
 from canopen_master import Master, Node, open_master
-from canopen_master.claims.channel_claim import LONG, ChannelTaken, channel_claim
+from canopen_master.claims.channel_claim import LONG, ChannelTakenError, channel_claim
 from canopen_master.claims.further_channels import FurtherChannels
-from canopen_master.errors import SdoTimeout
+from canopen_master.errors import SdoTimeoutError
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
@@ -117,7 +117,7 @@ async def test_a_third_program_has_the_third_channel_or_waits() -> None:
         assert three.told[0].endswith("0x1202 is used")
     async with programs(3, ONE) as ((one, two, three), _):
         async with one.channel(), two.channel():
-            with pytest.raises(ChannelTaken, match="nothing was sent over it"):
+            with pytest.raises(ChannelTakenError, match="nothing was sent over it"):
                 async with three.channel():
                     raise AssertionError
             assert three.further.unusable == {}
@@ -129,7 +129,7 @@ async def test_a_third_program_has_the_third_channel_or_waits() -> None:
 async def test_a_channel_of_the_file_that_the_device_does_not_have_is_told_and_the_first_one_is_not_touched() -> None:
     real = device({1: INVALID | 0x6A1, 2: INVALID | 0x6A2})
     async with programs(2, ONE, real) as ((one, two), frames), one.channel():
-        with pytest.raises(ChannelTaken) as refused:
+        with pytest.raises(ChannelTakenError) as refused:
             async with two.channel():
                 raise AssertionError
         assert "its further channel 0x1201 of the file did not answer" in refused.value.seen
@@ -172,7 +172,7 @@ def test_a_channel_of_somebody_else_or_of_an_sdo_manager_is_not_used(
     @virtual_time
     async def main() -> None:
         async with programs(2, file, real) as ((one, two), frames), one.channel():
-            with pytest.raises(ChannelTaken) as refused:
+            with pytest.raises(ChannelTakenError) as refused:
                 async with two.channel():
                     raise AssertionError
             assert refused.value.seen.endswith(f"its further channel 0x1201 {why}" if why else "10 s at least")
@@ -187,7 +187,7 @@ async def test_another_node_with_the_same_cob_ids_is_not_taken_for_this_one() ->
     async with simulated(makers=served(ONE, 6)), open_master(BUS) as master:
         program = Program(master, ONE)
         async with channel_claim(CLAIMS, 5):
-            with pytest.raises(ChannelTaken) as refused:
+            with pytest.raises(ChannelTakenError) as refused:
                 async with program.channel():
                     raise AssertionError
         assert refused.value.seen.endswith("answered, but its 0x1200 is not that of node 5")
@@ -214,7 +214,7 @@ def test_a_file_that_adds_the_node_id_is_trusted_where_a_constant_is_not(tmp_pat
                     assert two.node.remote.sdo.can_id == 0x685
                     assert await two.node.read(TEXT) == LONG_TEXT
                 return
-            with pytest.raises(ChannelTaken) as refused:
+            with pytest.raises(ChannelTakenError) as refused:
                 async with two.channel():
                     raise AssertionError
             assert refused.value.seen.endswith("the device has neither 0x1200 nor 0x1014")
@@ -227,7 +227,7 @@ async def test_a_program_that_writes_has_the_node_for_itself() -> None:
     async with programs(3, ONE) as ((one, two, three), _):
         async with channel_claim(CLAIMS, 5, writes=True):
             for each in (one, two):
-                with pytest.raises(ChannelTaken):
+                with pytest.raises(ChannelTakenError):
                     async with each.channel():
                         raise AssertionError
         async with trio.open_nursery() as nursery:
@@ -255,7 +255,7 @@ async def test_a_program_that_writes_has_the_node_for_itself() -> None:
 
 @asynccontextmanager
 async def pytest_refuses(claim: object) -> AsyncIterator[list[str]]:
-    with pytest.raises(ChannelTaken) as refused:
+    with pytest.raises(ChannelTakenError) as refused:
         await claim.__aenter__()  # type: ignore[attr-defined]
     yield [refused.value.seen]
 
@@ -274,7 +274,7 @@ time.sleep(1000)
         assert other.stdout is not None
         assert other.stdout.readline() == b"claimed\n"
         async with programs(2, ONE) as ((one, two), _):
-            with pytest.raises(ChannelTaken, match=f"process {other.pid} "):
+            with pytest.raises(ChannelTakenError, match=f"process {other.pid} "):
                 async with one.channel(0):
                     raise AssertionError
             other.kill()
@@ -307,6 +307,6 @@ async def test_a_missing_answer_on_a_further_channel_is_not_blamed_on_the_progra
             (device_node,) = host.nodes
             assert isinstance(device_node, LocalNode)
             device_node.channels.servers[2].set_channel(None)
-            with pytest.raises(SdoTimeout) as missing:
+            with pytest.raises(SdoTimeoutError) as missing:
                 await two.node.read(LIMITED)
             assert "another" not in missing.value.seen + missing.value.cause

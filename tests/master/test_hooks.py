@@ -285,13 +285,15 @@ def on_write(device, index, subindex, value):
         assert await rig.refused(rig.node.read("temperature")) == AbortCode.CANNOT_TRANSFER
         assert await rig.refused(rig.node.read("valve")) == AbortCode.CANNOT_TRANSFER
         assert await rig.refused(rig.node.write("valve", 1)) == AbortCode.CANNOT_TRANSFER
-        assert rig.told[0].startswith("node 5: anim.py:3: in setup: ObjectNotFound: object 'nothing' is not in the dictionary")
+        assert rig.told[0].startswith(
+            "node 5: anim.py:3: in setup: ObjectNotFoundError: object 'nothing' is not in the dictionary"
+        )
         assert "node 5: anim.py:5: in run: ValueError: run" in rig.told
         assert [text for text in rig.told if "in step" in text] == [
             "node 5: anim.py:7: in step: ValueRangeError: valve (0x2001:00): 1000 is outside 0..255 (UNSIGNED8)"
         ] * MAX_FAILURES
         assert f"node 5: anim.py: step failed {MAX_FAILURES} times in a row and is no longer called" in rig.told
-        assert any("in on_read: ConstantNotFound" in text for text in rig.told)
+        assert any("in on_read: ConstantNotFoundError" in text for text in rig.told)
         assert rig.told[-1] == "node 5: anim.py:11: in on_write: KeyError: 1"
 
 

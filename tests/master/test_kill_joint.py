@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 import trio
 
-from canopen_master import ChainFault
+from canopen_master import ChainFaultError
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand
 from tests.drives.drive_dictionaries import changed, empty_pdos, supports
@@ -73,7 +73,7 @@ async def test_the_other_joints_stand_within_the_detection_time_and_their_ramp(m
 
         async with trio.open_nursery() as nursery:
             start = arm.positions
-            with pytest.raises(ChainFault, match="joint2"):
+            with pytest.raises(ChainFaultError, match="joint2"):
                 async for cycle in arm.cycles():
                     arm.set_positions([position + 0.01 * cycle.number for position in start])
                     if cycle.number == 20:

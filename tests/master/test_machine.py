@@ -12,7 +12,7 @@ from canopen_data.descriptions import load_description
 from canopen_data.findings import DictionaryError
 from canopen_master import DeviceModel, open_master
 from canopen_master.direct import Session
-from canopen_master.errors import ChainError, SetPointRefused
+from canopen_master.errors import ChainError, SetPointRefusedError
 from canopen_master.machine_file import machine_of_chains, machine_text, parse_machine
 from canopen_master.motion.chain_file import parse_chains
 from canopen_proto.drives.axis.units import Unit
@@ -93,7 +93,7 @@ async def test_two_arms_on_two_buses_move_in_degrees(cell: Path) -> None:
             if cycle.time >= 1.1:
                 break
         assert arm.positions == pytest.approx([start[0] + 10, start[1] + 5], abs=0.01)
-        with pytest.raises(SetPointRefused, match=r"wrist was refused\n.*more than 40: the settings"):
+        with pytest.raises(SetPointRefusedError, match=r"wrist was refused\n.*more than 40: the settings"):
             arm.set_positions([start[0] + 10, start[1] + 10])
         moved = [position_of(host, drives(host)[0]) for host in (left, right)]
         assert moved == pytest.approx([1000 * (start[0] + 10), -1000 * (start[1] + 5)], abs=10)
@@ -186,7 +186,7 @@ def test_blocking_calls_take_names_and_units() -> None:
         assert session.enable_ip_mode("wrist"), session.last_error()
         position = session.get_pos("wrist")
         session.send_pos("wrist", position + 0.25)
-        with pytest.raises(SetPointRefused, match=r"more than 40: the settings"):
+        with pytest.raises(SetPointRefusedError, match=r"more than 40: the settings"):
             session.send_pos("wrist", 31)
         with pytest.raises(LocalProtocolError, match=r"has no joint or node 'rist'; did you mean wrist"):
             session.init_device("rist")

@@ -17,7 +17,7 @@ import trio
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_master import AxisSettings, ChainError, ChainHalted, MotionReplaced, PlanRefused, together
+from canopen_master import AxisSettings, ChainError, ChainHaltedError, MotionReplacedError, PlanRefusedError, together
 from canopen_master.motion.moving import Moving
 from canopen_proto.drives.trajectory import Path, Segment
 from tests.examples import examples
@@ -98,7 +98,7 @@ class Script:
 
     async def _move(self, kind: str, given: Sequence[float], seconds: float, scope: trio.CancelScope) -> None:
         """End with what a motion may end with: another one, a halt, a blend that has no room."""
-        with scope, suppress(MotionReplaced, ChainHalted, PlanRefused):
+        with scope, suppress(MotionReplacedError, ChainHaltedError, PlanRefusedError):
             if kind == "stream":
                 async with self._arm.stream() as targets:
                     for part in (0.6, -0.4, 0.9):

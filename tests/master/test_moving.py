@@ -12,7 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from canopen_master import ChainError, ChainHalted, ChainState, MotionReplaced, PathRefused, PlanRefused, Progress, together
+from canopen_master import (
+    ChainError,
+    ChainHaltedError,
+    ChainState,
+    MotionReplacedError,
+    PathRefusedError,
+    PlanRefusedError,
+    Progress,
+    together,
+)
 from canopen_proto.drives.trajectory import Path, PathError, Segment, from_function
 from canopen_proto.machine import LocalProtocolError
 from tests.examples import examples
@@ -42,7 +51,7 @@ def test_moves_and_blends_keep_every_limit_and_arrive(moves: list[tuple[list[flo
                 async def move(to: list[float], speed: float, is_last: bool) -> None:
                     try:
                         await arm.move(to, speed=speed)
-                    except MotionReplaced:
+                    except MotionReplacedError:
                         assert not is_last
 
                 for number, (to, seconds, speed) in enumerate(moves, start=1):
@@ -136,7 +145,7 @@ async def test_a_jog_whose_caller_hangs_brakes_by_its_dead_man() -> None:
             begun = record.times[next(number for number, row in enumerate(record.derivatives(1)) if row[0] > 1e-6)]
             stood = record.times[max(number for number, row in enumerate(record.derivatives(1)) if row[0] > 1e-6)]
             assert stood - begun < 0.6
-            with pytest.raises(PlanRefused, match="was not renewed in time"):
+            with pytest.raises(PlanRefusedError, match="was not renewed in time"):
                 jog.velocity([0.4, 0.0])
         assert_within_limits(record)
 
@@ -174,7 +183,7 @@ async def test_a_jog_takes_over_from_a_move_and_a_move_from_a_jog() -> None:
     async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
 
         async def move() -> None:
-            with pytest.raises(MotionReplaced):
+            with pytest.raises(MotionReplacedError):
                 await arm.move([3, 3])
 
         nursery.start_soon(move)
@@ -236,7 +245,7 @@ REFUSED = {
 async def test_a_path_is_refused_before_anything_moves(case: str) -> None:
     path, failed, seen = REFUSED[case]
     async with arms(2, axis=replace(AXIS, max_position=2.0, max_jerk=math.inf)) as (_, [arm], record):
-        with pytest.raises(PathRefused, match=failed) as caught:
+        with pytest.raises(PathRefusedError, match=failed) as caught:
             await arm.follow(path)
         assert re.search(seen, str(caught.value)), caught.value
         await trio.sleep(0.3)
@@ -249,7 +258,7 @@ async def test_what_else_is_refused() -> None:
     async with arms(2) as (_, [arm], record):
         with pytest.raises(PathError, match="from 0"):
             arm.override = 1.5
-        with pytest.raises(PlanRefused):
+        with pytest.raises(PlanRefusedError):
             await arm.move([1.0])
         async with trio.open_nursery() as nursery:
             nursery.start_soon(arm.follow, swing(0.5, -0.25))
@@ -275,7 +284,7 @@ async def test_a_jog_whose_whole_process_hangs_does_not_begin_again_by_itself(bl
             await trio.sleep(3 * CYCLE)
             stood = len(record.rows)
             await trio.sleep(0.5)
-            with pytest.raises(PlanRefused, match="was not renewed in time"):
+            with pytest.raises(PlanRefusedError, match="was not renewed in time"):
                 jog.velocity([0.5])
         assert record.rows[-1] == pytest.approx(record.rows[stood - 1], abs=3e-6)
 
@@ -283,7 +292,7 @@ async def test_a_jog_whose_whole_process_hangs_does_not_begin_again_by_itself(bl
 @virtual_time
 async def test_a_jog_whose_chain_is_being_halted_says_so() -> None:
     async with arms(1) as (_, [arm], _), trio.open_nursery() as nursery:
-        with pytest.raises(ChainHalted, match="by halt"):
+        with pytest.raises(ChainHaltedError, match="by halt"):
             async with arm.jog() as jog:
                 jog.velocity([0.5])
                 await trio.sleep(0.15)

@@ -15,7 +15,7 @@ from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from tests.master.world import BUS, simulated, virtual_time
 
 FILE = "sample_io.eds"
@@ -70,7 +70,7 @@ async def test_the_devices_own_mapping_counts_and_the_difference_is_told(caplog:
 async def test_a_device_that_comes_later_and_one_that_boots_again() -> None:
     async with open_master(BUS) as master:
         node = master.node(5, FILE)
-        with pytest.raises(SdoFailed):
+        with pytest.raises(SdoTransferError):
             await node.start()
         async with simulated(makers=[DeviceModel(sample(x1A00_01=0x6200_0108), 5)]):
             await trio.sleep(1)
@@ -88,9 +88,9 @@ async def test_a_stopped_device_is_asked_once_it_is_heard_in_another_state() -> 
     async with simulated(makers=[DeviceModel(sample(x1017_00=100, x1A00_01=0x6200_0108), 5)]), open_master(BUS) as master:
         await master.nmt_stop(5)
         node = master.node(5, FILE)
-        with pytest.raises(SdoFailed):
+        with pytest.raises(SdoTransferError):
             await node.exchange_pdos()
-        with pytest.raises(SdoFailed):
+        with pytest.raises(SdoTransferError):
             await node.exchange_pdos()  # and it is not asked while it is Stopped
         await master.nmt_start(5)
         await trio.sleep(0.2)

@@ -3,8 +3,8 @@
 import pytest
 import trio
 
-from canopen_master import SdoGivenUp, SdoNotConfirmed, SdoRefused, SdoTimeout, open_master
-from canopen_master.errors import SdoContested, sdo_error
+from canopen_master import SdoGivenUpError, SdoNotConfirmedError, SdoRefusedError, SdoTimeoutError, open_master
+from canopen_master.errors import SdoContestedError, sdo_error
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.network import Network
@@ -26,9 +26,9 @@ async def requests_on(spy: Transport) -> list[str]:
 @virtual_time
 async def test_a_write_without_answer_is_not_confirmed_and_sent_once() -> None:
     async with simulated(12), open_master(BUS) as master, await open_transport(BUS) as spy:
-        with pytest.raises(SdoNotConfirmed, match="may have been executed") as caught:
+        with pytest.raises(SdoNotConfirmedError, match="may have been executed") as caught:
             await master.node(13).write("controlword", 6)
-        assert isinstance(caught.value, SdoTimeout)
+        assert isinstance(caught.value, SdoTimeoutError)
         assert isinstance(caught.value, TimeoutError)
         assert caught.value.code == "CO201"
         assert await requests_on(spy) == ["60D#2B40600006000000", "60D#8040600000000405"]
@@ -41,9 +41,9 @@ async def test_nor_is_one_whose_node_was_reset_meanwhile() -> None:
         host.nodes[0].sdo.disable()
 
         async def writing() -> None:
-            with pytest.raises(SdoNotConfirmed, match=r"given up .not confirmed: it may have been executed") as caught:
+            with pytest.raises(SdoNotConfirmedError, match=r"given up .not confirmed: it may have been executed") as caught:
                 await node.write("controlword", 6)
-            assert isinstance(caught.value, SdoGivenUp)
+            assert isinstance(caught.value, SdoGivenUpError)
             assert caught.value.code == "CO203"
             assert "reset" in caught.value.cause
 
@@ -65,7 +65,7 @@ async def test_an_abort_that_finds_no_transfer_is_no_refusal() -> None:
                     await device.send(frame.parse("58C#8000000001000405"))
 
         nursery.start_soon(answer)
-        with pytest.raises(SdoNotConfirmed, match=r"given up .not confirmed: it may have been executed") as caught:
+        with pytest.raises(SdoNotConfirmedError, match=r"given up .not confirmed: it may have been executed") as caught:
             await master.node(12).write_bytes(0x2000, 0, b"01234")
         assert (caught.value.code, caught.value.cause) == ("CO203", "its answer to the last frame was lost")
         nursery.cancel_scope.cancel()
@@ -75,13 +75,13 @@ async def test_an_abort_that_finds_no_transfer_is_no_refusal() -> None:
 async def test_what_is_certain_is_no_such_error() -> None:
     async with simulated(12), open_master(BUS) as master:
         node = master.node(12)
-        with pytest.raises(SdoRefused) as refused:
+        with pytest.raises(SdoRefusedError) as refused:
             await node.write_bytes(0x5FFF, 0, b"\x00")
-        assert not isinstance(refused.value, SdoNotConfirmed)
+        assert not isinstance(refused.value, SdoNotConfirmedError)
         for attempt in (lambda: master.node(13).read_bytes(0x1000), lambda: master.node(13).write_bytes(0x2000, 0, bytes(100))):
-            with pytest.raises(SdoTimeout) as silent:
+            with pytest.raises(SdoTimeoutError) as silent:
                 await attempt()
-            assert not isinstance(silent.value, SdoNotConfirmed)
+            assert not isinstance(silent.value, SdoNotConfirmedError)
             assert "not confirmed" not in str(silent.value)
 
 
@@ -101,14 +101,14 @@ async def test_a_slow_nodes_late_answer_is_not_taken_for_the_next_one() -> None:
 
         nursery.start_soon(answer)
         node = master.node(12)
-        with pytest.raises(SdoTimeout):
+        with pytest.raises(SdoTimeoutError):
             await node.read("statusword")
         assert await node.read("statusword") == 2
         nursery.cancel_scope.cancel()
 
 
-@pytest.mark.parametrize(("not_confirmed", "kind"), [(True, SdoNotConfirmed), (False, SdoContested)])
-def test_an_error_names_what_another_client_did_and_never_a_refusal(not_confirmed: bool, kind: type[SdoGivenUp]) -> None:
+@pytest.mark.parametrize(("not_confirmed", "kind"), [(True, SdoNotConfirmedError), (False, SdoContestedError)])
+def test_an_error_names_what_another_client_did_and_never_a_refusal(not_confirmed: bool, kind: type[SdoGivenUpError]) -> None:
     network = Network()
     node = RemoteNode(network.out, 5, ObjectDictionary([]))
     request = bytes.fromhex("2B40600006000000")

@@ -9,7 +9,7 @@ import trio
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from canopen_master import ChainHalted, ChainState, together
+from canopen_master import ChainHaltedError, ChainState, together
 from canopen_master.motion.moving import Moving
 from canopen_proto.drives.trajectory import Path
 from tests.examples import examples
@@ -52,7 +52,7 @@ async def by_halt(arm: Moving, seconds: float, path: Path) -> None:
     async with trio.open_nursery() as nursery:
 
         async def follow() -> None:
-            with pytest.raises(ChainHalted, match="by halt()"):
+            with pytest.raises(ChainHaltedError, match="by halt()"):
                 await arm.follow(path)
 
         nursery.start_soon(follow)
@@ -87,7 +87,7 @@ async def by_next_command(arm: Moving, seconds: float, path: Path) -> None:
     async with trio.open_nursery() as nursery:
 
         async def follow() -> None:
-            with pytest.raises(ChainHalted, match="to follow set-points"):
+            with pytest.raises(ChainHaltedError, match="to follow set-points"):
                 await arm.follow(path)
 
         nursery.start_soon(follow)

@@ -10,9 +10,18 @@ import trio
 from trio.lowlevel import enable_ki_protection
 from trio.testing import MockClock
 
-from canopen_master import AxisSettings, ChainError, ChainFault, ChainHalted, ChainState, MasterClosed, open_master, together
+from canopen_master import (
+    AxisSettings,
+    ChainError,
+    ChainFaultError,
+    ChainHaltedError,
+    ChainState,
+    MasterClosedError,
+    open_master,
+    together,
+)
 from canopen_proto.abort import AbortCode
-from canopen_proto.drives.axis import TakenOver, run_at
+from canopen_proto.drives.axis import TakenOverError, run_at
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulation.drive.answers import Answer
 from tests.master.direct_world import patient
@@ -37,7 +46,7 @@ async def test_a_joint_that_falls_behind_stops_all_on_the_path() -> None:
         async with trio.open_nursery() as nursery:
 
             async def follow() -> None:
-                with pytest.raises(ChainFault, match="j02 .* off its path"):
+                with pytest.raises(ChainFaultError, match="j02 .* off its path"):
                     await arm.follow(PATH)
 
             nursery.start_soon(follow)
@@ -56,7 +65,7 @@ async def test_a_fault_stops_each_joint_by_its_own_ramp() -> None:
         async with trio.open_nursery() as nursery:
 
             async def follow() -> None:
-                with pytest.raises(ChainFault, match="j02 .* fell into fault"):
+                with pytest.raises(ChainFaultError, match="j02 .* fell into fault"):
                     await arm.follow(PATH)
 
             nursery.start_soon(follow)
@@ -75,7 +84,7 @@ async def test_the_end_of_the_master_is_a_stop_on_the_path() -> None:
     async with trio.open_nursery() as nursery, arms(2) as (_, [arm], record):
 
         async def follow() -> None:
-            with pytest.raises(MasterClosed):
+            with pytest.raises(MasterClosedError):
                 await arm.follow(PATH)
 
         nursery.start_soon(follow)
@@ -94,11 +103,11 @@ async def test_the_end_of_the_master_halts_a_drive_off_the_path_at_once(ramp: fl
         async with arms(1, 1) as (master, [arm, other], record):
 
             async def follow() -> None:
-                with pytest.raises(MasterClosed):
+                with pytest.raises(MasterClosedError):
                     await arm.follow(swing(0.5))
 
             async def run() -> None:
-                with pytest.raises((MasterClosed, TakenOver)):
+                with pytest.raises((MasterClosedError, TakenOverError)):
                     await master.run(run_at(other.devices[0].axis, speed, acceleration=10.0, deceleration=ramp))
 
             nursery.start_soon(follow)
@@ -117,7 +126,7 @@ async def test_a_shut_down_is_a_stop_on_the_path() -> None:
     async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
 
         async def follow() -> None:
-            with pytest.raises(ChainHalted):
+            with pytest.raises(ChainHaltedError):
                 await arm.follow(PATH)
 
         nursery.start_soon(follow)
@@ -149,7 +158,7 @@ async def test_a_halt_without_sync_does_not_wait_for_the_path() -> None:
     async with arms(2, makers=patient) as (master, [arm], _), trio.open_nursery() as nursery:
 
         async def follow() -> None:
-            with pytest.raises(ChainHalted, match="by halt"):
+            with pytest.raises(ChainHaltedError, match="by halt"):
                 await arm.follow(PATH)
 
         nursery.start_soon(follow)
@@ -169,7 +178,7 @@ async def test_a_halt_of_several_chains_stops_each_of_them_whatever_becomes_of_t
         await arm.follow()
 
         async def follow() -> None:
-            with pytest.raises(ChainHalted, match="by halt"):
+            with pytest.raises(ChainHaltedError, match="by halt"):
                 await leg.follow(swing(0.9, duration=4.0))
 
         nursery.start_soon(follow)
@@ -241,7 +250,7 @@ async def test_a_motion_does_not_wait_for_ever_for_a_sync_that_was_stopped(after
             master.sync_stop()
 
         nursery.start_soon(stop)
-        with pytest.raises(ChainHalted, match="no SYNC came for 0.5 s or more"):
+        with pytest.raises(ChainHaltedError, match="no SYNC came for 0.5 s or more"):
             await arm.move([5.0, 5.0])
         assert trio.current_time() - begun < after + 1.2  # 0.5 s, and the halt
         assert arm.state is ChainState.HALTED

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from canopen_master.errors import PackageMissing, PlanRefused
+from canopen_master.errors import PackageMissingError, PlanRefusedError
 from canopen_master.trajectories.point_to_point import MARGIN, point_to_point
 from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint
 from tests.master.path_extremes import assert_keeps, extremes
@@ -187,7 +187,7 @@ def test_a_joint_that_would_leave_its_limits_by_waiting_arrives_earlier() -> Non
 
 @pytest.mark.parametrize(("target", "limit"), [(90.5, 90.0), (-1000.0, -90.0)])
 def test_a_target_beyond_a_limit_is_refused_with_joint_value_and_limit(target: float, limit: float) -> None:
-    with pytest.raises(PlanRefused, match=f"joint 1 cannot go to {target:g}\n.*{limit:g}") as refused:
+    with pytest.raises(PlanRefusedError, match=f"joint 1 cannot go to {target:g}\n.*{limit:g}") as refused:
         point_to_point(at_rest(0.0, 0.0), [0.0, target], [LIMITS] * 2)
     assert (refused.value.joint, refused.value.value, refused.value.limit) == (1, target, limit)
 
@@ -195,12 +195,12 @@ def test_a_target_beyond_a_limit_is_refused_with_joint_value_and_limit(target: f
 def test_a_joint_beyond_its_limit_may_stay_or_come_back_but_not_go_further() -> None:
     assert point_to_point(at_rest(95.0), [95.0], [LIMITS]).end.positions == [95.0]
     assert point_to_point(at_rest(95.0), [20.0], [LIMITS]).end.positions == pytest.approx([20.0])
-    with pytest.raises(PlanRefused, match="joint 0 cannot go to 95.1"):
+    with pytest.raises(PlanRefusedError, match="joint 0 cannot go to 95.1"):
         point_to_point(at_rest(95.0), [95.1], [LIMITS])
 
 
 def test_a_start_too_fast_to_stop_before_the_limit_is_refused() -> None:
-    with pytest.raises(PlanRefused, match="joint 0 moves too fast to stop before its limit") as refused:
+    with pytest.raises(PlanRefusedError, match="joint 0 moves too fast to stop before its limit") as refused:
         point_to_point(PathPoint([85.0], [100.0], [0.0]), [80.0], [LIMITS])
     assert refused.value.joint == 0
     assert refused.value.limit == 90.0
@@ -216,7 +216,7 @@ def test_no_blend_leaves_the_position_limits_unseen(seed: int) -> None:
     targets = [rng.uniform(-90.0, 90.0) for _ in limits]
     try:
         path = point_to_point(start, targets, limits)
-    except PlanRefused as refused:  # only where the stop that is due at once is too long
+    except PlanRefusedError as refused:  # only where the stop that is due at once is too long
         assert refused.joint is not None
         position, velocity = start.positions[refused.joint], start.velocities[refused.joint]
         assert abs(position + math.copysign(velocity**2 / 2.0 / 320.0, velocity)) + 20.0 > 90.0
@@ -248,7 +248,7 @@ def test_no_blend_leaves_the_position_limits_unseen(seed: int) -> None:
     ],
 )  # fmt: skip
 def test_what_makes_no_task_is_refused(start: PathPoint, targets: list[float], options: dict[str, float], text: str) -> None:
-    with pytest.raises(PlanRefused, match=text):
+    with pytest.raises(PlanRefusedError, match=text):
         point_to_point(start, targets, [LIMITS] * 2, **options)
 
 
@@ -261,25 +261,25 @@ def test_what_makes_no_task_is_refused(start: PathPoint, targets: list[float], o
     ],
 )
 def test_a_plan_needs_all_three_limits(limits: JointLimits, text: str) -> None:
-    with pytest.raises(PlanRefused, match=f"joint 1 has {text}") as refused:
+    with pytest.raises(PlanRefusedError, match=f"joint 1 has {text}") as refused:
         point_to_point(at_rest(0.0, 0.0), [1.0, 1.0], [LIMITS, limits])
     assert refused.value.joint == 1
 
 
 def test_what_ruckig_cannot_do_is_told_with_joint_and_cause() -> None:
     odd = JointLimits(speed=1.0, acceleration=1000.0, jerk=0.01)
-    with pytest.raises(PlanRefused, match="(?s)ruckig found no path.*joint 1.*cause:.*try:") as refused:
+    with pytest.raises(PlanRefusedError, match="(?s)ruckig found no path.*joint 1.*cause:.*try:") as refused:
         point_to_point(PathPoint([0.0, 0.0], [0.0, 5.0], [0.0, 2500.0]), [1.0, 1e-3], [LIMITS, odd])
     assert refused.value.joint == 1
 
 
 def test_a_path_of_hours_is_refused_if_several_joints_have_to_wait_for_each_other() -> None:
-    with pytest.raises(PlanRefused, match="(?s)longer than.*speed"):
+    with pytest.raises(PlanRefusedError, match="(?s)longer than.*speed"):
         point_to_point(at_rest(0.0, 0.0), [8000.0, 1.0], [JointLimits(speed=1.0, acceleration=1.0, jerk=1.0)] * 2)
 
 
 def test_without_ruckig_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ruckig", None)
-    with pytest.raises(PackageMissing, match="planning a motion needs the package ruckig") as missing:
+    with pytest.raises(PackageMissingError, match="planning a motion needs the package ruckig") as missing:
         point_to_point(at_rest(0.0), [1.0], [LIMITS])
     assert missing.value.tries == ("pip install 'canopen-proto[motion]'",)

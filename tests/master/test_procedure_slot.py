@@ -8,10 +8,10 @@ from __future__ import annotations
 import pytest
 import trio
 
-from canopen_master import ChainHalted, ChainState, DeviceModel, Master, open_master
+from canopen_master import ChainHaltedError, ChainState, DeviceModel, Master, open_master
 from canopen_master.direct.drive import DirectDrive
 from canopen_master.motion.supervision import Supervision
-from canopen_master.participant.dispatch import ProcedureTakenBack
+from canopen_master.participant.dispatch import ProcedureTakenBackError
 from canopen_master.participant.participant import ProcedureSlot
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
@@ -63,7 +63,7 @@ async def test_a_procedure_may_be_taken_back_or_followed_by_another_while_it_is_
         watcher = master.watch((Told,), lambda told: slot.take_back())
         slot.begin(tell_and_wait(master))
         assert not slot.is_running
-        with pytest.raises(ProcedureTakenBack):
+        with pytest.raises(ProcedureTakenBackError):
             slot.result()
         master.unwatch(watcher)
         watcher = master.watch((Told,), lambda told: slot.begin(answer("the second")))
@@ -102,7 +102,7 @@ async def test_a_chain_that_is_stopped_while_it_begins_to_follow_is_stopped(monk
         monkeypatch.setattr(Supervision, "begin_following", and_lose)
         await arm.enable_interpolated_position()
         assert arm.state is ChainState.FAULT
-        with pytest.raises(ProcedureTakenBack):  # the reading was taken back
+        with pytest.raises(ProcedureTakenBackError):  # the reading was taken back
             arm._supervision._beside.result()
         await trio.sleep(2)
         assert arm.state is ChainState.FAULT
@@ -120,7 +120,7 @@ async def test_a_command_of_a_chain_that_is_stopped_while_it_begins_ends() -> No
             arm.begin_halt()
 
         watcher = master.watch((Told,), stop)
-        with pytest.raises(ChainHalted):
+        with pytest.raises(ChainHaltedError):
             await arm._for_all("wait", lambda device: tell_and_wait(master))
         assert stopped
         master.unwatch(watcher)

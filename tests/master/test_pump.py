@@ -9,7 +9,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
 from canopen_proto.sdo.events import SdoUploaded
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, Report, VirtualTransport, open_transport
+from canopen_transports import BusState, BusStateChanged, FrameNotSentError, Received, Report, VirtualTransport, open_transport
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 
@@ -91,7 +91,7 @@ class Away:
     async def send(self, frame: Frame) -> None:
         await trio.lowlevel.checkpoint()
         if self.is_away:
-            raise FrameNotSent("CO111", "away", f"cannot send {frame} on away", seen="the plug is down")
+            raise FrameNotSentError("CO111", "away", f"cannot send {frame} on away", seen="the plug is down")
         self.sent.append(str(frame))
 
     async def receive(self) -> Received | Report:

@@ -11,7 +11,7 @@ from canopen_master import BusChanged, BusError, FramesNotSent, open_master
 from canopen_proto.frame import Frame
 from canopen_proto.procedures.objects import read
 from canopen_proto.sync import SyncSent
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, Received, Report, TransportError
+from canopen_transports import BusState, BusStateChanged, FrameNotSentError, Received, Report, TransportError
 from tests.master.world import virtual_time
 
 
@@ -225,7 +225,7 @@ async def test_a_bus_that_is_away_or_fails_when_a_frame_is_to_go_out_at_once() -
     with pytest.raises(BusError, match="cannot send on able"):
         async with open_master(bus) as master:
             with master.events(FramesNotSent) as events:
-                bus.failure = FrameNotSent("CO111", "able", "cannot send", seen="it is away")
+                bus.failure = FrameNotSentError("CO111", "able", "cannot send", seen="it is away")
                 for _ in range(3):
                     await master.send_sync()
                 bus.failure = None

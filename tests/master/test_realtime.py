@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from canopen_data.findings import DictionaryError
-from canopen_master import RealtimeRefused, open_master
+from canopen_master import RealtimeRefusedError, open_master
 from canopen_master.machine_file import machine_text, parse_machine
 from canopen_proto.machine import LocalProtocolError
 from canopen_transports import realtime
@@ -198,7 +198,7 @@ def test_a_master_that_needs_it_is_not_opened_without(computer: Computer) -> Non
     @virtual_time
     async def run() -> None:
         async with simulated(3):
-            with pytest.raises(RealtimeRefused, match="SCHED_FIFO 50"):
+            with pytest.raises(RealtimeRefusedError, match="SCHED_FIFO 50"):
                 async with open_master(BUS, realtime=Realtime(required=True)):
                     pass
 

@@ -14,7 +14,7 @@ import trio
 from trio.testing import MockClock
 
 from canopen_master import Chain, open_master
-from canopen_master.errors import PackageMissing
+from canopen_master.errors import PackageMissingError
 from canopen_master.motion import recording
 from canopen_master.motion.record_files import CsvFile
 from canopen_master.motion.record_format import OF_CHAIN, OF_JOINT, RecordedJoint, RecordError, is_whole
@@ -206,7 +206,7 @@ async def test_without_pyarrow_the_older_file_stays(tmp_path: Path, monkeypatch:
     path = tmp_path / "run.parquet"
     path.write_text("older")
     async with following_arm(3) as (_, _, arm):
-        with pytest.raises(PackageMissing, match=r"pip install 'canopen-proto\[parquet\]'"):
+        with pytest.raises(PackageMissingError, match=r"pip install 'canopen-proto\[parquet\]'"):
             async with arm.record(path):
                 raise AssertionError
     assert path.read_text() == "older"

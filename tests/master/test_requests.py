@@ -7,18 +7,18 @@ import trio
 
 from canopen_master import (
     BusError,
-    MasterClosed,
+    MasterClosedError,
     SdoError,
-    SdoGivenUp,
-    SdoRefused,
-    SdoTimeout,
-    UnexpectedAnswer,
-    UnknownChain,
+    SdoGivenUpError,
+    SdoRefusedError,
+    SdoTimeoutError,
+    UnexpectedAnswerError,
+    UnknownChainError,
     open_master,
     standard_drives,
 )
 from canopen_proto.datatypes import DataType, ValueRangeError
-from canopen_proto.dictionary import Message, ObjectNotFound
+from canopen_proto.dictionary import Message, ObjectNotFoundError
 from canopen_proto.dictionary.model import Object
 from canopen_proto.machine import Event, LocalProtocolError
 from canopen_proto.nmt import NmtState
@@ -67,7 +67,7 @@ async def test_bytes_of_objects_that_no_dictionary_has() -> None:
         assert await node.read_bytes(0x1000) == bytes.fromhex("92010200")
         await node.write_bytes(0x60C2, 1, b"\x05")
         assert await node.read_bytes(0x60C2, 1) == b"\x05"
-        with pytest.raises(SdoRefused, match="refused writing 00 to 5FFF:01"):
+        with pytest.raises(SdoRefusedError, match="refused writing 00 to 5FFF:01"):
             await node.write_bytes(0x5FFF, 1, b"\x00")
 
 
@@ -75,7 +75,7 @@ async def test_bytes_of_objects_that_no_dictionary_has() -> None:
 async def test_a_wrong_call_sends_nothing() -> None:
     async with simulated(12), open_master(BUS) as master, await open_transport(BUS) as spy:
         node = master.node(12)
-        with pytest.raises(ObjectNotFound, match="did you mean statusword"):
+        with pytest.raises(ObjectNotFoundError, match="did you mean statusword"):
             await node.read("statuswort")
         with pytest.raises(ValueRangeError, match="controlword"):
             await node.write("controlword", 70000)
@@ -93,7 +93,7 @@ async def test_a_wrong_call_sends_nothing() -> None:
 async def test_a_refusal_says_what_was_asked_and_why_not() -> None:
     async with simulated(12), open_master(BUS) as master:
         node = master.node(12)
-        with pytest.raises(SdoRefused) as caught:
+        with pytest.raises(SdoRefusedError) as caught:
             await node.read("touch_probe_function")  # the Powerball has none
         error = caught.value
         assert isinstance(error, SdoError)
@@ -109,14 +109,14 @@ async def test_a_refusal_says_what_was_asked_and_why_not() -> None:
 async def test_a_node_that_was_never_heard() -> None:
     async with simulated(12), open_master(BUS, sdo_timeout=0.3) as master:
         started = trio.current_time()
-        with pytest.raises(SdoTimeout) as caught:
+        with pytest.raises(SdoTimeoutError) as caught:
             await master.node(13).read("statusword")
         assert trio.current_time() - started == pytest.approx(0.3)
         assert isinstance(caught.value, TimeoutError)
         assert caught.value.code == "CO201"
         assert "did not answer reading 6041:00 (statusword) in 0.3 s" in str(caught.value)
         assert "nothing at all was heard on this bus" in caught.value.seen
-        with pytest.raises(SdoTimeout, match="may have been executed"):
+        with pytest.raises(SdoTimeoutError, match="may have been executed"):
             await master.node(13).write("controlword", 6)
 
 
@@ -127,7 +127,7 @@ async def test_a_stopped_node_does_not_answer_and_the_error_says_so() -> None:
         await node.write("producer_heartbeat_time", 100)
         await master.nmt_stop()
         await node.wait_for_heartbeat(1)
-        with pytest.raises(SdoTimeout) as caught:
+        with pytest.raises(SdoTimeoutError) as caught:
             await node.read("statusword")
         assert "node 12 was last heard" in caught.value.seen
         assert "NMT state STOPPED" in caught.value.seen
@@ -140,7 +140,7 @@ async def test_a_node_that_is_alive_and_does_not_answer_this() -> None:
         node = master.node(12)
         await node.read("statusword")
         host.nodes[0].sdo.disable()
-        with pytest.raises(SdoTimeout) as caught:
+        with pytest.raises(SdoTimeoutError) as caught:
             await node.read("statusword")
         assert "node 12 was last heard 500 ms ago (SDO answer)" in caught.value.seen
         assert caught.value.tries == ("a longer sdo_timeout",)
@@ -153,7 +153,7 @@ async def test_a_reset_ends_the_requests_to_that_node() -> None:
         host.nodes[0].sdo.disable()
 
         async def reading() -> None:
-            with pytest.raises(SdoGivenUp, match="given up") as caught:
+            with pytest.raises(SdoGivenUpError, match="given up") as caught:
                 await node.read("statusword")
             assert caught.value.code == "CO203"
             assert "reset" in caught.value.cause
@@ -171,7 +171,7 @@ async def test_an_answer_of_another_length_is_not_taken_for_a_value() -> None:
         narrow = dictionary.variable("torque_actual_value")
         wrong = dataclasses.replace(narrow, data_type=DataType.INTEGER32)
         node = master.node(12, dictionary.with_objects([Object.of("torque_actual_value", [wrong])]))
-        with pytest.raises(UnexpectedAnswer, match="2 bytes") as caught:
+        with pytest.raises(UnexpectedAnswerError, match="2 bytes") as caught:
             await node.read("torque_actual_value")
         assert isinstance(caught.value, ValueError)
         assert caught.value.tries[0] == "await node.read_bytes(0x6077, 0)"
@@ -215,7 +215,7 @@ async def test_a_request_that_waits_behind_another_is_never_sent_once_cancelled(
         silent = master.node(99)
 
         async def first() -> None:
-            with pytest.raises(SdoTimeout):
+            with pytest.raises(SdoTimeoutError):
                 await silent.read("statusword")
 
         async with trio.open_nursery() as nursery:
@@ -237,7 +237,7 @@ async def test_the_same_node_is_the_same_object() -> None:
         assert repr(node) == f"<Node 12 on {BUS}>"
         with pytest.raises(LocalProtocolError, match="another dictionary"):
             master.node(12, master.dictionary.with_objects([]))
-        with pytest.raises(UnknownChain, match="no bus 'can7'"):
+        with pytest.raises(UnknownChainError, match="no bus 'can7'"):
             master.node(12, bus="can7")
 
 
@@ -246,15 +246,15 @@ async def test_after_the_block_nothing_is_sent() -> None:
     async with simulated(12):
         async with open_master(BUS) as master:
             node = master.node(12)
-        with pytest.raises(MasterClosed):
+        with pytest.raises(MasterClosedError):
             await node.read("statusword")
-        with pytest.raises(MasterClosed):
+        with pytest.raises(MasterClosedError):
             master.node(13)
-        with pytest.raises(MasterClosed):
+        with pytest.raises(MasterClosedError):
             await master.nmt_start()
-        with pytest.raises(MasterClosed):
+        with pytest.raises(MasterClosedError):
             master.events(Event)
-        with pytest.raises(MasterClosed):
+        with pytest.raises(MasterClosedError):
             await master.run(read(node.remote, "statusword"))
 
 

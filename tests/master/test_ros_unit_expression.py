@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_master.ros_configurations.scale import Contradiction, position_keys, velocity_keys
+from canopen_master.ros_configurations.scale import ContradictionError, position_keys, velocity_keys
 from canopen_master.ros_configurations.unit_expression import (
     MAX_DEPTH,
     MAX_LENGTH,
@@ -17,7 +17,7 @@ from canopen_master.ros_configurations.unit_expression import (
     ZERO,
     Exact,
     Line,
-    NotLinear,
+    NotLinearError,
     read_expression,
 )
 from tests.examples import examples
@@ -71,7 +71,7 @@ def test_a_plain_factor_is_kept_exactly(text: str, factor: Fraction, power: int,
     ],
 )
 def test_anything_else_is_refused_with_its_reason(text: str, reason: str) -> None:
-    with pytest.raises(NotLinear) as raised:
+    with pytest.raises(NotLinearError) as raised:
         read_expression(text)
     assert reason in str(raised.value)
 
@@ -80,7 +80,7 @@ def test_anything_else_is_refused_with_its_reason(text: str, reason: str) -> Non
 def test_no_text_does_more_than_be_read_or_refused(text: str) -> None:
     try:
         line = read_expression(text)
-    except NotLinear as refused:
+    except NotLinearError as refused:
         assert str(refused)  # a reason, always
     else:
         assert isinstance(line.factor.fraction, Fraction)
@@ -156,7 +156,7 @@ def test_the_factor_that_counts_is_told(there: str, back: str, counts: float, sa
     ],
 )
 def test_contradictions_give_no_scale(there: str, back: str, reason: str) -> None:
-    with pytest.raises(Contradiction) as raised:
+    with pytest.raises(ContradictionError) as raised:
         position_keys(line(there), line(back), is_linear=False)
     assert reason in str(raised.value)
 
@@ -168,7 +168,7 @@ def test_the_unit_of_velocities() -> None:
     assert irrational.keys == {"velocity_unit": pytest.approx(180_000 / math.pi)}
     assert irrational.notes
     for there, back in (("vel*2", "obj606C*2"), ("vel+1", "obj606C"), ("-vel", "-obj606C"), ("0", "obj606C")):
-        with pytest.raises(Contradiction):
+        with pytest.raises(ContradictionError):
             velocity_keys(scale, line(there), line(back))
 
 

@@ -9,7 +9,7 @@ from fractions import Fraction
 import pytest
 
 from canopen_data.findings import DictionaryError
-from canopen_master.errors import PackageMissing
+from canopen_master.errors import PackageMissingError
 from canopen_master.ros_configurations import yaml_text
 from canopen_master.ros_configurations.yaml_text import MAX_BYTES, MAX_DEPTH, Value, number_of, read_yaml
 
@@ -115,7 +115,7 @@ def test_without_the_package_the_line_to_install_it_is_told(monkeypatch: pytest.
         return real(name, *arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(PackageMissing, match=r"pip install 'canopen-proto\[yaml\]'"):
+    with pytest.raises(PackageMissingError, match=r"pip install 'canopen-proto\[yaml\]'"):
         read_yaml(b"a: 1", "a.yaml")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 import trio
 
-from canopen_master import BusError, Chain, HaltNotConfirmed, Master, MasterClosed, open_master, standard_drives
+from canopen_master import BusError, Chain, HaltNotConfirmedError, Master, MasterClosedError, open_master, standard_drives
 from canopen_master.session import SHUTDOWN_TIME
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
@@ -132,7 +132,7 @@ async def test_tasks_that_outlive_the_block_are_told() -> None:
         host.nodes[0].sdo.disable()
 
         async def read(master: Master) -> None:
-            with pytest.raises(MasterClosed):
+            with pytest.raises(MasterClosedError):
                 await master.node(3).read("statusword")
 
         async with open_master(BUS) as master:
@@ -327,7 +327,7 @@ def test_ctrl_c_in_the_users_own_code_halts_the_drives() -> None:
 @virtual_time
 async def test_a_drive_that_does_not_answer_is_told_and_holds_up_nobody() -> None:
     async with simulated(3, 4) as host:
-        with pytest.raises(HaltNotConfirmed, match="joint1 .node 3 on virtual:test.: node 3 did not answer") as caught:
+        with pytest.raises(HaltNotConfirmedError, match="joint1 .node 3 on virtual:test.: node 3 did not answer") as caught:
             async with open_master(BUS) as master:
                 await arm_of(master, 3, 4).initialise()
                 master.sync_stop()
@@ -343,7 +343,7 @@ async def test_a_drive_that_does_not_answer_is_told_and_holds_up_nobody() -> Non
 @virtual_time
 async def test_a_drive_that_its_dictionary_does_not_describe_is_halted_by_number_and_told() -> None:
     async with simulated(makers=standard_drives(3)) as host:
-        with pytest.raises(HaltNotConfirmed, match="node 3 on virtual:test: its dictionary describes no drive"):
+        with pytest.raises(HaltNotConfirmedError, match="node 3 on virtual:test: its dictionary describes no drive"):
             async with open_master(BUS) as master:
                 node = master.node(3, ObjectDictionary([standard_object(0x1000)]))
                 await node.write_bytes(0x6060, 0, b"\x03")
@@ -391,7 +391,7 @@ async def test_drives_of_a_failed_bus_are_told_and_those_of_another_are_halted()
 async def test_the_way_out_ends_in_time_when_the_bus_takes_no_frames() -> None:
     async with simulated(3):
         cable = Breakable()
-        with pytest.raises(HaltNotConfirmed):
+        with pytest.raises(HaltNotConfirmedError):
             async with open_master(cable) as master:
                 await arm_of(master, 3).initialise()
                 cable.is_stuck = True

@@ -13,7 +13,7 @@ import trio
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_master import Chain, Host, Master, SetPointRefused, open_master, standard_drives
+from canopen_master import Chain, Host, Master, SetPointRefusedError, open_master, standard_drives
 from canopen_master.direct.drive import COUNTS, STEPS, DirectDrive
 from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.drives.axis.limits import DEFAULT_SPEED
@@ -71,7 +71,7 @@ async def test_the_error_names_joint_value_limit_and_source(case: str) -> None:
     axis, values, target, words = REFUSED[case]
     async with following_drive(axis, values) as (_, arm):
         before = arm.desired_positions
-        with pytest.raises(SetPointRefused) as caught:
+        with pytest.raises(SetPointRefusedError) as caught:
             arm.set_positions([target])
         for word in (f"set-point {target} of joint1 was refused", *words):
             assert word in str(caught.value)
@@ -102,11 +102,11 @@ async def test_limits_are_read_again_with_each_start() -> None:
 async def test_a_joint_that_stands_outside_may_come_back() -> None:
     async with following_drive(replace(DEGREES, max_position=2.0)) as (_, arm):
         arm.set_positions([3.0])
-        with pytest.raises(SetPointRefused, match="above 2"):
+        with pytest.raises(SetPointRefusedError, match="above 2"):
             arm.set_positions([3.1])
         arm.set_positions([2.5], cycles=2)
         await trio.sleep(0.03)
-        with pytest.raises(SetPointRefused, match="above 2"):
+        with pytest.raises(SetPointRefusedError, match="above 2"):
             arm.set_positions([2.6])
         arm.set_positions([2.4])
 
@@ -120,7 +120,7 @@ async def test_a_slow_joint_with_few_counts_does_not_go_faster_for_its_rounding(
             arm.set_positions([start + 10 * cycle.time])
             if cycle.time > 1:
                 break
-        with pytest.raises(SetPointRefused, match="more than 10: the settings"):
+        with pytest.raises(SetPointRefusedError, match="more than 10: the settings"):
             arm.set_positions([start + 10 * cycle.time + 1])
 
 
@@ -148,7 +148,7 @@ def test_whatever_is_asked_no_set_point_leaves_that_is_too_far_from_the_last(tri
             for offset, cycles in tries:
                 try:
                     arm.set_positions([direction * 3 + offset], cycles=cycles)
-                except SetPointRefused:
+                except SetPointRefusedError:
                     arm.hold()
                 await trio.sleep(0.01)
             await trio.sleep(0.06)
@@ -188,7 +188,7 @@ def test_send_pos_lets_no_set_point_through_that_is_too_fast(steps: list[int], p
                 position = taken[-1][1] + step
                 try:
                     await drive.send_position(position)
-                except SetPointRefused as refused:
+                except SetPointRefusedError as refused:
                     assert refused.joint == "node 3"
                     position -= step
                     await drive.send_position(position)
@@ -212,11 +212,11 @@ async def test_send_pos_within_its_limits_is_never_refused() -> None:
             await drive.send_position(HERE + 300 * step)
             await master.send_sync()
             await trio.sleep(0.01)
-        with pytest.raises(SetPointRefused, match="60000 per second, more than 30000: the default"):
+        with pytest.raises(SetPointRefusedError, match="60000 per second, more than 30000: the default"):
             await drive.send_position(HERE + 300 * 102)
         await drive.set_max_speed(60_000)
         await drive.send_position(HERE + 300 * 102)
-        with pytest.raises(SetPointRefused, match="more than 60000: the settings"):
+        with pytest.raises(SetPointRefusedError, match="more than 60000: the settings"):
             await drive.send_position(HERE + 300 * 102 + 1)
 
 

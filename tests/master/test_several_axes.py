@@ -11,7 +11,7 @@ import pytest
 import trio
 
 from canopen_data import DictionaryError, load_dictionary
-from canopen_master import AxisSettings, Chain, ChainFault, ChainSettings, Host, Master, Watchdog, open_master
+from canopen_master import AxisSettings, Chain, ChainFaultError, ChainSettings, Host, Master, Watchdog, open_master
 from canopen_master.direct.drive import DirectDrive
 from canopen_master.machine_file.toml_text import machine_text, parse_machine
 from canopen_master.motion.chain_file import ChainDescription, JointDescription
@@ -95,7 +95,7 @@ async def test_a_fault_of_one_axis_stops_the_chain_and_names_that_joint() -> Non
         await arm.follow()
         node = drives(host)[0]
         node.raise_fault(0x3210, master.now(), axis=1)
-        with pytest.raises(ChainFault) as caught:
+        with pytest.raises(ChainFaultError) as caught:
             await follow_path(arm)
         assert caught.value.joint == "two"
         assert arm.devices[0].state is State.OPERATION_ENABLED
@@ -111,7 +111,7 @@ async def test_an_axis_that_does_not_follow_is_the_one_that_is_named() -> None:
         await arm.initialise()
         await arm.follow()
         drives(host)[0].block(True, master.now(), axis=1)
-        with pytest.raises(ChainFault) as caught:
+        with pytest.raises(ChainFaultError) as caught:
             await follow_path(arm, way=8.0)
         assert caught.value.joint == "two"
 
@@ -123,7 +123,9 @@ async def test_a_lost_node_names_each_of_its_joints() -> None:
         await arm.initialise()
         drives(host)[0].communication.heartbeat.set_period(0, host.now())
         await trio.sleep(1.0)
-        with pytest.raises(ChainFault, match=r"was lost: no heartbeat for 0.3 s; and with it two, on the same node") as caught:
+        with pytest.raises(
+            ChainFaultError, match=r"was lost: no heartbeat for 0.3 s; and with it two, on the same node"
+        ) as caught:
             await arm.home()
         assert caught.value.joint == "one"
 

@@ -3,7 +3,7 @@
 import pytest
 import trio
 
-from canopen_master import ChainFault, SdoTimeout, open_master
+from canopen_master import ChainFaultError, SdoTimeoutError, open_master
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
@@ -38,7 +38,7 @@ async def test_a_node_is_a_bus_and_an_id() -> None:
             await second.nmt(3)  # type: ignore[arg-type]
         await trio.sleep(0.001)
         assert [host.nodes[0].state.name for host in (one, two)] == ["OPERATIONAL", "STOPPED"]
-        with pytest.raises(SdoTimeout):
+        with pytest.raises(SdoTimeoutError):
             await second.read("statusword")
 
 
@@ -83,7 +83,7 @@ async def test_a_fault_on_one_bus_halts_the_joints_on_the_other() -> None:
         await arm.initialise()
         await arm.enable_interpolated_position()
         start = arm.positions
-        with pytest.raises(ChainFault, match=r"j1 \(node 3 on can0\)"):
+        with pytest.raises(ChainFaultError, match=r"j1 \(node 3 on can0\)"):
             async for cycle in arm.cycles():
                 arm.set_positions([position + 0.001 * cycle.number for position in start])
                 if cycle.number == 30:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from canopen_master import BusChanged, NodeSilent, SdoTimeout, open_master
+from canopen_master import BusChanged, NodeSilentError, SdoTimeoutError, open_master
 from canopen_master.silence import LONGER, SCAN, Diagnosis, missing_frame, sdo_silence
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import Frame
@@ -67,12 +67,12 @@ async def test_an_error_about_silence_tells_that_the_bus_is_away() -> None:
         with master.events(BusChanged) as changes:
             bus.tell(BusState.DOWN)
             await changes.receive()
-            with pytest.raises(SdoTimeout) as caught:
+            with pytest.raises(SdoTimeoutError) as caught:
                 await master.node(5).read("statusword")
             assert caught.value.seen == "can0 is down: the plug is down"
             bus.tell(BusState.UP)
             await changes.receive()
-            with pytest.raises(SdoTimeout) as caught:
+            with pytest.raises(SdoTimeoutError) as caught:
                 await master.node(5).read("statusword")
             assert caught.value.seen == "nothing at all was heard on this bus"
 
@@ -298,10 +298,10 @@ async def test_a_wrong_node_id_beside_two_others() -> None:
     async with simulated(6, 7), open_master(BUS) as master:
         for node_id in (6, 7):
             await master.node(node_id).read("statusword")
-        with pytest.raises(SdoTimeout) as caught:
+        with pytest.raises(SdoTimeoutError) as caught:
             await master.node(5).read("statusword")
         assert "only nodes 6 and 7 were heard" in caught.value.seen
-        with pytest.raises(NodeSilent) as silent:
+        with pytest.raises(NodeSilentError) as silent:
             await master.node(5).wait_for_boot(0.5)
         assert "only nodes 6 and 7 were heard" in silent.value.seen
 
@@ -310,9 +310,9 @@ async def test_a_wrong_node_id_beside_two_others() -> None:
 async def test_a_slow_device() -> None:
     async with open_master(BUS, sdo_timeout=0.2) as master:
         device = await open_transport(BUS)
-        with pytest.raises(SdoTimeout, match="nothing at all was heard"):
+        with pytest.raises(SdoTimeoutError, match="nothing at all was heard"):
             await master.node(5).read("statusword")
         await device.send(Frame.parse("585#4B41600037020000"))
-        with pytest.raises(SdoTimeout, match="it answered after 20. ms, too late"):
+        with pytest.raises(SdoTimeoutError, match="it answered after 20. ms, too late"):
             await master.node(5).read("controlword")
         await device.aclose()

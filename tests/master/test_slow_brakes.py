@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import trio
 
-from canopen_master import HaltNotConfirmed, Master, open_master
+from canopen_master import HaltNotConfirmedError, Master, open_master
 from canopen_master.session import SHUTDOWN_TIME
 from canopen_master.simulation.host import standard_drives
 from canopen_proto.drives import axis as drive
@@ -65,7 +65,7 @@ async def test_a_drive_that_answers_and_goes_on_is_told_soon() -> None:
     """It acts 2.9 s late on whatever it is told."""
     makers = standard_drives(5, settings=DriveSettings(reaction=2900 * MILLISECOND, track=ENDLESS))
     async with simulated(makers=makers):
-        with pytest.raises(HaltNotConfirmed):
+        with pytest.raises(HaltNotConfirmedError):
             async with open_master(BUS) as master:
                 await running(master)
                 await trio.sleep(3)
@@ -76,7 +76,7 @@ async def test_a_drive_that_answers_and_goes_on_is_told_soon() -> None:
 @virtual_time
 async def test_a_drive_that_is_dead_keeps_nobody_waiting() -> None:
     async with simulated(makers=standard_drives(5, settings=DriveSettings(track=ENDLESS))) as host:
-        with pytest.raises(HaltNotConfirmed):
+        with pytest.raises(HaltNotConfirmedError):
             async with open_master(BUS) as master:
                 await running(master)
                 host.nodes[0].sdo.disable()

@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from trio.testing import MockClock
 
-from canopen_master import Chain, ChainFault, ChainHalted
+from canopen_master import Chain, ChainFaultError, ChainHaltedError
 from canopen_master.motion.late_sync import WithinReach
 from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402.modes import Mode
@@ -172,7 +172,7 @@ async def test_a_joint_that_does_not_tell_where_it_is_halts_its_chain_before_syn
     async with arms(2) as (_, [arm], record), watched(record) as largest:
 
         async def follow() -> None:
-            with pytest.raises(ChainHalted, match="SYNC was 1[45]. ms late, and j02 did not tell where it is"):
+            with pytest.raises(ChainHaltedError, match="SYNC was 1[45]. ms late, and j02 did not tell where it is"):
                 await arm.follow(PATH)
 
         async with trio.open_nursery() as nursery:
@@ -253,7 +253,7 @@ def test_a_slow_answer_of_one_joint_makes_no_other_one_jump(joints: tuple[int, .
             brake_slowly(record)
 
             async def follow(chain: Chain) -> None:
-                with suppress(ChainHalted, ChainFault):
+                with suppress(ChainHaltedError, ChainFaultError):
                     await chain.follow(swing(*WAYS[: len(chain.devices)], duration=1.2))
 
             async with trio.open_nursery() as nursery:
@@ -275,7 +275,7 @@ async def test_transfers_with_a_joint_do_not_keep_sync_away() -> None:
         drives(record.hosts[1])[0].answer(0x1018, 1, Answer(delay=round(0.4e9)))
 
         async def follow() -> None:
-            with pytest.raises(ChainHalted, match="j11 did not tell where it is: no answer within 200 ms"):
+            with pytest.raises(ChainHaltedError, match="j11 did not tell where it is: no answer within 200 ms"):
                 await chains[1].follow(PATH_OF_ONE)
 
         async with trio.open_nursery() as nursery:
@@ -322,7 +322,7 @@ def test_sync_that_is_started_again_lets_no_joint_jump(gap: float, looks: bool) 
             brake_slowly(record)
 
             async def follow() -> None:
-                with pytest.raises(ChainHalted if not looks else (ChainHalted, ChainFault)):
+                with pytest.raises(ChainHaltedError if not looks else (ChainHaltedError, ChainFaultError)):
                     await arm.follow(PATH)
 
             async with trio.open_nursery() as nursery:

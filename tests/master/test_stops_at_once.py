@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 import trio
 
-from canopen_master import Chain, ChainHalted, ChainState
+from canopen_master import Chain, ChainHaltedError, ChainState
 from tests.master.path_world import arms, swing
 from tests.master.world import virtual_time
 
@@ -23,11 +23,11 @@ async def test_a_halt_while_a_command_waits_for_the_stop_before_it_ends_that_com
         async with trio.open_nursery() as nursery:
 
             async def follow() -> None:
-                with pytest.raises(ChainHalted):
+                with pytest.raises(ChainHaltedError):
                     await arm.follow(swing(0.5, -0.3))
 
             async def command() -> None:
-                with pytest.raises(ChainHalted, match="before it could"):
+                with pytest.raises(ChainHaltedError, match="before it could"):
                     await commands[name](arm)
                 ended.append(name)
 
@@ -52,7 +52,7 @@ async def test_two_shut_downs_at_once() -> None:
             async def shut_down() -> None:
                 try:
                     await arm.shut_down()
-                except ChainHalted as halted:  # it was taken over by the other one
+                except ChainHaltedError as halted:  # it was taken over by the other one
                     results.append(halted)
                 else:
                     results.append(None)

@@ -12,13 +12,13 @@ import trio
 
 from canopen_master import (
     BusError,
-    MasterClosed,
+    MasterClosedError,
     Node,
     SdoError,
-    SdoGivenUp,
-    SdoNotConfirmed,
-    SdoRefused,
-    SdoTimeout,
+    SdoGivenUpError,
+    SdoNotConfirmedError,
+    SdoRefusedError,
+    SdoTimeoutError,
     open_master,
     streams,
 )
@@ -115,9 +115,9 @@ async def test_there_and_back(makers: Any, block: Any) -> None:
     async with simulated(makers=makers) as host, open_master(BUS) as master:
         node = master.node(5, dictionary())
         if makers is OLD and block is True:
-            with pytest.raises(SdoRefused):
+            with pytest.raises(SdoRefusedError):
                 await node.write_stream(IMAGE, 1, cut(content, 1024), block=block)
-            with pytest.raises(SdoRefused):
+            with pytest.raises(SdoRefusedError):
                 await read_all(node, block=block)
             return
         for pieces, size in (
@@ -156,7 +156,7 @@ async def test_block_transfer_of_what_is_held() -> None:
         assert await node.read_bytes(IMAGE, 1) == pattern(60)
         kinds = [frame[4] for frame in await said_on(spy) if "501F01" in frame]
         assert kinds == ["C", "A", "C", "A", "4"]
-        with pytest.raises(SdoRefused, match="writing 60 bytes to"):
+        with pytest.raises(SdoRefusedError, match="writing 60 bytes to"):
             await node.write_bytes(0x5000, 1, pattern(60))
 
 
@@ -236,20 +236,20 @@ async def test_more_than_can_be_held_for_a_device_without_blocks(monkeypatch: py
 async def test_refusals_and_silence() -> None:
     async with simulated(makers=MAKERS), open_master(BUS) as master:
         node = master.node(5, dictionary())
-        with pytest.raises(SdoRefused, match="5000:01"):
+        with pytest.raises(SdoRefusedError, match="5000:01"):
             await node.write_stream(0x5000, 1, [bytes(100)])
         for block in ("auto", False):
-            with pytest.raises(SdoRefused, match="reading 5000:01"):
+            with pytest.raises(SdoRefusedError, match="reading 5000:01"):
                 async for _ in node.read_stream(0x5000, 1, block=block):
                     pytest.fail("there is nothing")
-        with pytest.raises(SdoRefused):
+        with pytest.raises(SdoRefusedError):
             await node.write_stream(0x1000, 0, [bytes(4)], 4)
         silent = master.node(6, dictionary())
-        with pytest.raises(SdoTimeout):
+        with pytest.raises(SdoTimeoutError):
             await silent.write_stream(IMAGE, 1, [bytes(100)])
-        with pytest.raises(SdoTimeout):
+        with pytest.raises(SdoTimeoutError):
             await read_all(silent)
-        with pytest.raises(SdoNotConfirmed):
+        with pytest.raises(SdoNotConfirmedError):
             await silent.write_stream(IMAGE, 1, [bytes(4)], 4)
 
 
@@ -259,7 +259,7 @@ async def test_a_time_out_names_the_time_that_was_waited() -> None:
         node = master.node(5, dictionary())
         for block, seconds in [(True, 2), (False, 0.25)]:
             started = trio.current_time()
-            with pytest.raises(SdoTimeout, match=f"did not answer reading 1F50:01 .image:1. in {seconds:g} s"):
+            with pytest.raises(SdoTimeoutError, match=f"did not answer reading 1F50:01 .image:1. in {seconds:g} s"):
                 await node.read_bytes(IMAGE, 1, block=block)
             assert trio.current_time() - started == pytest.approx(seconds, abs=0.01)
 
@@ -274,9 +274,9 @@ async def test_a_node_that_boots_ends_a_stream_whatever_its_producer_does() -> N
         node = master.node(5, dictionary())
 
         async def writing() -> None:
-            with pytest.raises(SdoGivenUp, match="given up") as caught:
+            with pytest.raises(SdoGivenUpError, match="given up") as caught:
                 await node.write_stream(IMAGE, 1, forever())
-            assert not isinstance(caught.value, SdoNotConfirmed)
+            assert not isinstance(caught.value, SdoNotConfirmedError)
 
         nursery.start_soon(writing)
         await trio.sleep(0.1)
@@ -288,7 +288,7 @@ async def test_who_is_too_slow_is_told_so() -> None:
     async with simulated(makers=MAKERS), open_master(BUS) as master:
         node = master.node(5, dictionary())
         node.remote.sdo.stream_timeout = 10**8
-        with pytest.raises(SdoGivenUp, match="given up") as caught:
+        with pytest.raises(SdoGivenUpError, match="given up") as caught:
             await node.write_stream(IMAGE, 1, slowly(bytes(5000), 500, pause=1))
         assert "too slow" in caught.value.cause
         await node.write_stream(IMAGE, 1, [bytes(5000)])
@@ -377,9 +377,9 @@ async def test_the_end_of_the_master_and_of_the_bus_end_streams() -> None:
             await node.write_stream(IMAGE, 1, [pattern(5000)])
             stream = node.read_stream(IMAGE, 1)
             await anext(stream)
-        with pytest.raises(MasterClosed):
+        with pytest.raises(MasterClosedError):
             await anext(stream)
-        with pytest.raises(MasterClosed):
+        with pytest.raises(MasterClosedError):
             await node.write_stream(IMAGE, 1, [b"\x00"])
         cable = Breakable()
 
@@ -397,11 +397,11 @@ async def test_the_end_of_the_master_and_of_the_bus_end_streams() -> None:
 async def test_a_device_that_wants_the_size_first_says_so() -> None:
     async with await open_transport(BUS) as device, open_master(BUS) as master, trio.open_nursery() as nursery:
         nursery.start_soon(_refuse, device)
-        with pytest.raises(SdoRefused) as caught:
+        with pytest.raises(SdoRefusedError) as caught:
             await master.node(5).write_stream(0x1F50, 1, [b"firmware"], block=True)
         assert caught.value.cause == "the device wants to know the size before the first byte"
         nursery.start_soon(_refuse, device)
-        with pytest.raises(SdoRefused) as caught:
+        with pytest.raises(SdoRefusedError) as caught:
             await master.node(5).write_stream(0x1F50, 1, [b"firmware"], 8, block=True)
         assert "size" not in caught.value.cause
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from canopen_master.errors import PackageMissing, PlanRefused
+from canopen_master.errors import PackageMissingError, PlanRefusedError
 from canopen_master.trajectories.point_to_point import point_to_point
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.drives.trajectory import JointLimits, PathPoint
@@ -177,7 +177,7 @@ def test_stop_brakes_at_once_and_ends_the_stream() -> None:
     assert (len(points) - 2) * CYCLE <= SPEED / ACCELERATION + ACCELERATION / JERK
     assert stream.is_stopping
     for command in (stream.aim_at, stream.move_at):
-        with pytest.raises(PlanRefused, match="the stream has ended"):
+        with pytest.raises(PlanRefusedError, match="the stream has ended"):
             command([1.0])
     stream.renew()
     assert stream.step() == stream.point == points[-1]
@@ -201,7 +201,7 @@ def test_the_dead_mans_switch_counts_cycles() -> None:
     assert run(stream, 1)[-1].velocities[0] < 50.0  # the 26th
     assert stream.is_stopping
     run_to_rest(stream)
-    with pytest.raises(PlanRefused, match="not renewed in time"):
+    with pytest.raises(PlanRefusedError, match="not renewed in time"):
         stream.move_at([50.0])
 
 
@@ -262,7 +262,7 @@ def test_a_goal_of_no_use_is_refused_and_the_one_before_stays(values: list[float
     stream = TargetStream(at_rest(0.0, 0.0), [LIMITS] * 2, CYCLE)
     stream.aim_at([5.0, 6.0])
     for command in (stream.aim_at, stream.move_at):
-        with pytest.raises(PlanRefused, match="one (target|velocity) for each joint|is no finite number"):
+        with pytest.raises(PlanRefusedError, match="one (target|velocity) for each joint|is no finite number"):
             command(values)
     run_to_rest(stream)
     assert stream.point.positions == pytest.approx([5.0, 6.0], abs=1e-9)
@@ -281,7 +281,7 @@ def test_a_goal_of_no_use_is_refused_and_the_one_before_stays(values: list[float
 )
 def test_a_stream_that_cannot_be_is_refused(arguments: dict[str, object], text: str) -> None:
     usual: dict[str, object] = {"start": at_rest(0.0), "limits": [LIMITS], "cycle_time": CYCLE}
-    with pytest.raises(PlanRefused, match=text):
+    with pytest.raises(PlanRefusedError, match=text):
         TargetStream(**{**usual, **arguments})  # type: ignore[arg-type]
 
 
@@ -306,12 +306,12 @@ def test_if_ruckig_fails_the_stream_stops_and_says_why() -> None:
     run_to_rest(stream)
     assert stream.failure is not None
     assert stream.failure.joint == 0
-    with pytest.raises(PlanRefused, match="the stream has ended") as refused:
+    with pytest.raises(PlanRefusedError, match="the stream has ended") as refused:
         stream.move_at([1.0])
     assert refused.value.__cause__ is stream.failure
 
 
 def test_without_ruckig_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ruckig", None)
-    with pytest.raises(PackageMissing, match="a stream of targets needs the package ruckig"):
+    with pytest.raises(PackageMissingError, match="a stream of targets needs the package ruckig"):
         one_joint()

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from canopen_master.errors import PlanRefused
+from canopen_master.errors import PlanRefusedError
 from canopen_master.trajectories.point_to_point import MARGIN
 from canopen_master.trajectories.through_points import through_points
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, first_violation
@@ -119,6 +119,6 @@ def test_it_needs_no_ruckig(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_what_makes_no_path_is_refused(points: list[list[float]], text: str, joint: int | None) -> None:
-    with pytest.raises(PlanRefused, match=text) as refused:
+    with pytest.raises(PlanRefusedError, match=text) as refused:
         through_points(points, [LIMITS] * 2)
     assert refused.value.joint == joint

@@ -12,10 +12,10 @@ import trio
 
 from canopen_master import (
     ChainError,
-    HaltNotConfirmed,
+    HaltNotConfirmedError,
     Host,
     MasterError,
-    NodeIdTaken,
+    NodeIdTakenError,
     NotHeld,
     Watchdog,
     open_master,
@@ -153,7 +153,7 @@ def heartbeats(cable: Link) -> list[Frame]:
 async def test_a_drive_that_does_not_confirm_its_halt_keeps_watching_and_stops_by_itself() -> None:
     async with one_drive() as (host, node):
         cable = Link()
-        with pytest.raises(HaltNotConfirmed):
+        with pytest.raises(HaltNotConfirmedError):
             async with open_master(cable) as master:
                 with trio.move_on_after(2):
                     await MOTIONS["pv"](master, NODE)
@@ -247,7 +247,7 @@ async def test_a_foreign_heartbeat_with_our_node_id_is_an_error_before_anything_
     async with simulated(3, 4) as host, trio.open_nursery() as nursery:
         nursery.start_soon(beat, 127)
         async with open_master(BUS) as master:
-            with pytest.raises(NodeIdTaken, match="another node 127 was heard .* Try: .*--master-id"):
+            with pytest.raises(NodeIdTakenError, match="another node 127 was heard .* Try: .*--master-id"):
                 await master.run(drive.enable(master.device(master.node(3)).axis))
             with pytest.raises(ChainError, match="node-ID"):
                 await arm_of(master, 3, 4).initialise()
@@ -263,7 +263,7 @@ async def test_a_foreign_heartbeat_with_our_node_id_is_an_error_before_anything_
 async def test_two_masters_with_one_node_id_do_not_both_enable_drives() -> None:
     async with simulated(3, 4), open_master(BUS) as first, open_master(BUS) as second:
         await first.run(drive.enable(first.device(first.node(3)).axis))
-        with pytest.raises(NodeIdTaken):
+        with pytest.raises(NodeIdTakenError):
             await second.run(drive.enable(second.device(second.node(4)).axis))
 
 
@@ -271,7 +271,7 @@ async def test_two_masters_with_one_node_id_do_not_both_enable_drives() -> None:
 async def test_a_node_of_our_node_id_that_was_used_is_an_error() -> None:
     async with simulated(3, 127), open_master(BUS) as master:
         await master.node(127).read("statusword")
-        with pytest.raises(NodeIdTaken):
+        with pytest.raises(NodeIdTakenError):
             await master.run(drive.enable(master.device(master.node(3)).axis))
 
 

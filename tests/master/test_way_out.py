@@ -15,7 +15,7 @@ from functools import partial
 import pytest
 import trio
 
-from canopen_master import AxisSettings, HaltNotConfirmed, HomingStyle, Host, Master, open_master
+from canopen_master import AxisSettings, HaltNotConfirmedError, HomingStyle, Host, Master, open_master
 from canopen_proto.application import PlainMemory
 from canopen_proto.dictionary import Direction
 from canopen_proto.drives.axis import command, enable, set_mode
@@ -233,5 +233,5 @@ def test_a_drive_that_still_moves_is_told_however_the_master_is_left(way: str) -
     kinds, text = kinds_and_notes(came)
     assert [str(row) for row, speed in velocities.items() if speed and f"(node {row.node_id} on" not in text] == []
     assert len([speed for speed in velocities.values() if speed]) > len(rows) / 3
-    assert kinds == WAYS[way] or kinds == {HaltNotConfirmed}
+    assert kinds == WAYS[way] or kinds == {HaltNotConfirmedError}
     assert kinds

@@ -13,7 +13,7 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_transports import (
     BusState,
-    FrameNotSent,
+    FrameNotSentError,
     PythonCanTransport,
     ReceiveOverrun,
     Transport,
@@ -71,13 +71,13 @@ async def test_bus_off_is_told_and_left_by_initialising_anew(peak: ctypes.CDLL) 
             while not isinstance(one, PythonCanTransport) or one.received == 0:
                 await trio.sleep(0.01)
         peak.stand_in_status(CHANNEL_1, BUS_OFF)
-        with pytest.raises(FrameNotSent, match="nothing acknowledges") as refused:
+        with pytest.raises(FrameNotSentError, match="nothing acknowledges") as refused:
             await one.send(END)
         assert refused.value.code == "CO110"
         assert number_of((await one.receive())[0]) == 1  # it came before
         off = await reported(one)
         assert (off.state, off.seen) == (BusState.BUS_OFF, "The controller is bus-off")
-        with pytest.raises(FrameNotSent, match="nothing acknowledges"):
+        with pytest.raises(FrameNotSentError, match="nothing acknowledges"):
             await one.send(END)
         assert (await reported(one)).state is BusState.ACTIVE
         await one.send(END)
@@ -125,7 +125,7 @@ async def test_unplugged_while_running_and_plugged_in_again(peak: ctypes.CDLL) -
 
 
 async def plug_in_again(peak: ctypes.CDLL, transport: Transport) -> None:
-    with pytest.raises(FrameNotSent, match="cannot send") as refused:
+    with pytest.raises(FrameNotSentError, match="cannot send") as refused:
         await transport.send(END)
     assert "unplugged" in refused.value.cause
     await trio.sleep(0.2)  # one try to open it is in vain
@@ -136,7 +136,7 @@ async def plug_in_again(peak: ctypes.CDLL, transport: Transport) -> None:
 async def test_a_sender_may_be_the_first_to_notice(peak: ctypes.CDLL) -> None:
     async with await open_transport(ONE) as one:
         peak.stand_in_plug(CHANNEL_1, 0)
-        with pytest.raises(FrameNotSent):
+        with pytest.raises(FrameNotSentError):
             await one.send(END)
         assert (await reported(one)).state is BusState.DOWN
 
@@ -222,7 +222,7 @@ async def test_listening_only_says_nothing(peak: ctypes.CDLL) -> None:
         assert peak.stand_in_listens_only(CHANNEL_1) == 1
         await other.send(END)
         assert (await one.receive())[0] == END
-        with pytest.raises(FrameNotSent, match="cannot send") as caught:
+        with pytest.raises(FrameNotSentError, match="cannot send") as caught:
             await one.send(END)
         assert caught.value.seen == "it was opened to listen only"
     async with await open_transport(f"{ONE}?listen_only=false"):

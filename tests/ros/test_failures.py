@@ -9,7 +9,7 @@ import pytest
 import trio
 
 from canopen_master import BusError
-from canopen_master.errors import MasterClosed
+from canopen_master.errors import MasterClosedError
 from canopen_proto.drives.cia402.states import POWERED
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.diagnostics import Level
@@ -263,8 +263,8 @@ def test_other_threads_call_and_get_a_clear_answer_at_the_end() -> None:
     assert found["init"] == Reply(True, "chain arm is ready")
     assert found["halt"] == Reply(True, "chain arm stands")
     assert found["posted"]
-    assert isinstance(found["closed"], MasterClosed)
-    assert isinstance(found["behind"], MasterClosed)
+    assert isinstance(found["closed"], MasterClosedError)
+    assert isinstance(found["behind"], MasterClosedError)
 
 
 def test_a_publisher_that_hangs_or_raises_holds_up_nobody() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from canopen_ros.names import NO_FILE
-from canopen_ros.parameters import PARAMETERS, NodeParameters, NoMachine, ParameterError
+from canopen_ros.parameters import PARAMETERS, NodeParameters, NoMachineError, ParameterError
 
 ARM = "arm joint1 can0 3  joint2 can0 4"
 TOML = """
@@ -84,7 +84,7 @@ def test_a_machine_file_with_other_locators(tmp_path: Path) -> None:
 
 def test_without_a_machine_the_old_sentence_is_said() -> None:
     for empty in ({}, {"chains": ""}, {"chains": []}, {"simulate": True}):
-        with pytest.raises(NoMachine) as raised:
+        with pytest.raises(NoMachineError) as raised:
             NodeParameters.from_mapping(empty)
         assert raised.value.failed == NO_FILE
 

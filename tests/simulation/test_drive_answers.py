@@ -8,7 +8,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.procedures.objects import read_int, write
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from canopen_proto.simulation.drive.answers import Answer
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from tests.drives.rig import Rig
@@ -26,7 +26,7 @@ def test_a_table_of_the_settings_refuses_falsifies_and_delays() -> None:
         (objects.SUPPORTED_DRIVE_MODES, Answer(value=1)),
         (objects.PROFILE_VELOCITY, Answer(delay=200 * MILLISECOND)),
     )
-    with pytest.raises(SdoFailed) as refused:
+    with pytest.raises(SdoTransferError) as refused:
         rig.run(read_int(rig.remote, WINDOW))
     assert refused.value.abort_code == AbortCode.DEVICE_STATE
     assert rig.run(read_int(rig.remote, 0x6502)) == 1
@@ -37,7 +37,7 @@ def test_a_table_of_the_settings_refuses_falsifies_and_delays() -> None:
 
 def test_a_refused_write_writes_nothing_and_a_late_one_acts_late() -> None:
     rig = rig_with((objects.POSITION_WINDOW, Answer(abort=AbortCode.HARDWARE_ERROR)))
-    with pytest.raises(SdoFailed):
+    with pytest.raises(SdoTransferError):
         rig.run(write(rig.remote, WINDOW, 77))
     assert rig.node.values.store[objects.POSITION_WINDOW] == 10
     rig.node.answer(WINDOW, 0, Answer(delay=300 * MILLISECOND))
@@ -64,7 +64,7 @@ def test_bytes_go_as_they_are() -> None:
 
 def test_later_than_the_master_waits() -> None:
     rig = rig_with((objects.POSITION_WINDOW, Answer(delay=3 * SECOND, value=5)))
-    with pytest.raises(SdoFailed) as late:
+    with pytest.raises(SdoTransferError) as late:
         rig.run(read_int(rig.remote, WINDOW))
     assert late.value.abort_code == 0x0504_0000
     assert rig.run(read_int(rig.remote, 0x6502)) == 0x3EF

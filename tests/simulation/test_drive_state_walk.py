@@ -118,7 +118,7 @@ def test_from_each_state_to_each_state(start: str, target: str, axis: int, by_pd
         rig.bus.run(2 * SECOND)
         assert rig.drive.state is State.SWITCH_ON_DISABLED
     elif start in FAULTS:
-        with pytest.raises(drive.DriveInFault, match=f"{rig.axis.title} is in fault.*0x{CODE:04X}.*Try: "):
+        with pytest.raises(drive.DriveInFaultError, match=f"{rig.axis.title} is in fault.*0x{CODE:04X}.*Try: "):
             rig.run(procedure)
     else:
         with pytest.raises(LocalProtocolError, match="a quick stop leads there from operation enabled, not from"):
@@ -159,7 +159,7 @@ def test_each_procedure_from_each_state(start: str, name: str, by_pdo: bool) -> 
     rig = rig_in(start, by_pdo)
     make, ends = ENDS[name]
     if start in FAULTS and name in REFUSES_FAULTS:
-        with pytest.raises(drive.DriveInFault, match=f"drive 5 is in fault.*0x{CODE:04X}.*Try: "):
+        with pytest.raises(drive.DriveInFaultError, match=f"drive 5 is in fault.*0x{CODE:04X}.*Try: "):
             rig.run(make(rig))
         return
     if start == NOT_READY and name in ("halt", "reset fault"):  # they have nothing to do, and do not wait

@@ -412,9 +412,9 @@ class MasterAndDrive(RuleBasedStateMachine):
                 says = " ".join(["its halt failed: " * task.halts, str(error), *getattr(error, "__notes__", ())])
                 assert " 5" in says, f"it does not name the drive: {says}"
                 if not self.was_disturbed:
-                    is_lost = isinstance(error, drive.ReferenceLost)  # a homing before it was cancelled
+                    is_lost = isinstance(error, drive.ReferenceLostError)  # a homing before it was cancelled
                     assert is_lost or not (self.is_clear and is_ours), f"nothing stood in the way: {says}"
-                    assert not isinstance(error, drive.DriveInFault) or "0x2310" in says or "0x3210" in says
+                    assert not isinstance(error, drive.DriveInFaultError) or "0x2310" in says or "0x3210" in says
         if not task.moves or not is_ours or "halt" in says or not (task.halts or self.has_commanded()):
             return
         if not (isinstance(ended, ProcedureFinished) and task.follows):

@@ -13,7 +13,7 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_transports import (
     BusState,
-    FrameNotSent,
+    FrameNotSentError,
     PythonCanTransport,
     ReceiveOverrun,
     TransportError,
@@ -57,7 +57,7 @@ async def test_bit_rate_and_listening_only_reach_the_adapter(bus: SimulatedBus) 
         async with await opened(other) as sender:
             await sender.send(END)
         assert (await transport.receive())[0] == END
-        with pytest.raises(FrameNotSent, match="cannot send"):
+        with pytest.raises(FrameNotSentError, match="cannot send"):
             await transport.send(END)
     assert "S5" in adapter.said
     assert "L" in adapter.said
@@ -104,7 +104,7 @@ async def test_an_adapter_that_goes_away_and_comes_back(bus: SimulatedBus) -> No
         down = await reported(transport)
         assert down.state is BusState.DOWN
         assert down.cause == "the adapter was unplugged, or its driver failed"
-        with pytest.raises(FrameNotSent, match="cannot send"):
+        with pytest.raises(FrameNotSentError, match="cannot send"):
             await transport.send(END)
         with trio.move_on_after(0.2) as scope:
             await transport.receive()
@@ -121,7 +121,7 @@ async def test_a_sender_may_be_the_first_to_notice(bus: SimulatedBus) -> None:
     adapter = bus.plug("tty")
     async with await opened(adapter) as transport, trio.open_nursery() as nursery:
         bus.unplug(adapter)
-        with pytest.raises(FrameNotSent, match="cannot send"):
+        with pytest.raises(FrameNotSentError, match="cannot send"):
             await transport.send(END)
         assert (await reported(transport)).state is BusState.DOWN
         nursery.cancel_scope.cancel()

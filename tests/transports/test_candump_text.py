@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
-from canopen_transports.candump_text import NotAFrame, parse_line
+from canopen_transports.candump_text import NotAFrameError, parse_line
 from canopen_transports.record import Record
 from tests.transports.test_tcp_framing import frames
 
@@ -49,7 +49,7 @@ def test_dates_are_those_of_this_time_zone() -> None:
     ],
 )
 def test_what_is_no_frame_of_classical_can(line: str, what: str) -> None:
-    with pytest.raises(NotAFrame, match=what):
+    with pytest.raises(NotAFrameError, match=what):
         parse_line(line)
 
 
@@ -69,7 +69,7 @@ def test_what_is_no_frame_of_classical_can(line: str, what: str) -> None:
 def test_lines_of_something_else(line: str) -> None:
     with pytest.raises(ValueError, match=r".") as seen:
         parse_line(line)
-    assert not isinstance(seen.value, NotAFrame)
+    assert not isinstance(seen.value, NotAFrameError)
 
 
 @given(frames, st.booleans(), st.integers(0, 10**10))

@@ -14,7 +14,7 @@ from canopen_proto.frame import Frame
 from canopen_transports.capture_files import read_capture
 from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.log_files import LogFileError, LogReader, log_writer
-from canopen_transports.record import LogDamaged, Record
+from canopen_transports.record import LogDamagedError, Record
 from tests.examples import examples
 
 SDO = bytes.fromhex("00000605 08 000000 4041600000000000")
@@ -162,7 +162,7 @@ def test_names_directions_and_blocks_that_are_not_known() -> None:
     ],
 )
 def test_a_damaged_file_says_what_was_seen(content: bytes, seen: str, tmp_path: Path) -> None:
-    with pytest.raises(LogDamaged, match=seen):
+    with pytest.raises(LogDamagedError, match=seen):
         read(content)
     path = tmp_path / "a.pcapng"
     path.write_bytes(content)
@@ -187,7 +187,7 @@ def test_a_file_that_is_cut_anywhere_gives_the_records_before(kind: str, tmp_pat
             for record in read_capture(io.BytesIO(whole[:size]), pytest.fail, "can0"):
                 found += [record.frame]
             ends.add(len(found))
-        except LogDamaged:
+        except LogDamagedError:
             pass
         assert found == list(EVERY_KIND[: len(found)])
     assert ends >= {0, 1, 2, 3}
@@ -198,7 +198,7 @@ def test_a_file_that_is_cut_anywhere_gives_the_records_before(kind: str, tmp_pat
 def test_any_bytes_are_a_capture_or_a_clear_error(content: bytes, begin: bytes) -> None:
     try:
         read(begin + content)
-    except LogDamaged as error:
+    except LogDamagedError as error:
         assert str(error).startswith(("the file", "a ", "the "))
 
 

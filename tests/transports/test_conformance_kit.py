@@ -17,7 +17,7 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_proto.verdict import Result
 from canopen_transports import Transport, TransportError
-from canopen_transports.conformance import CASES, NotApplicable, Site, SiteBus, TransportCase, Violation, run_all
+from canopen_transports.conformance import CASES, NotApplicable, Site, SiteBus, TransportCase, ViolationError, run_all
 from canopen_transports.conformance.__main__ import main
 from tests.transports.support import cases
 
@@ -382,7 +382,7 @@ def test_a_violation_is_a_failed_assertion() -> None:
     (case,) = [case for case in CASES if case.name == "filters"]
     with pytest.raises(NotApplicable, match="does not filter"):
         case.run(site(Shown))
-    assert issubclass(Violation, AssertionError)
+    assert issubclass(ViolationError, AssertionError)
 
 
 def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,7 @@ from canopen_proto.frame import Frame
 from canopen_transports import (
     BusState,
     BusStateChanged,
-    FrameNotSent,
+    FrameNotSentError,
     PythonCanTransport,
     driver_calls,
     open_transport,
@@ -64,7 +64,7 @@ def test_a_driver_that_does_not_come_back_from_sending_is_lost_and_opened_again(
             return fresh
 
         async with PythonCanTransport(stuck, locator=parse_locator("gs_usb:0"), reopen=reopen) as transport:
-            with pytest.raises(FrameNotSent) as caught:
+            with pytest.raises(FrameNotSentError) as caught:
                 await transport.send(SYNC)
             assert caught.value.seen == "the driver has not returned for 0.02 s"
             for state in (BusState.DOWN, BusState.UP):

@@ -16,7 +16,7 @@ import trio.testing
 from canopen_proto.frame import Frame
 from canopen_transports import (
     BusState,
-    FrameNotSent,
+    FrameNotSentError,
     PythonCanTransport,
     ReceiveOverrun,
     TransportError,
@@ -174,7 +174,7 @@ async def _send_fails(fd: int, complaint: can.CanError, seen: str, step: str) ->
         for doing in (transport.send, transport.send, lambda frame: transport.receive()):
             with pytest.raises(TransportError) as caught:
                 await doing(SYNC)
-            assert not isinstance(caught.value, FrameNotSent)  # it will not come back: we cannot open it anew
+            assert not isinstance(caught.value, FrameNotSentError)  # it will not come back: we cannot open it anew
             assert caught.value.code == "CO111"
             assert caught.value.seen.startswith(seen)
             assert "unplugged" in caught.value.cause
@@ -254,7 +254,7 @@ async def _error_frames(fd: int) -> None:
         off = await reported(transport)
         assert (off.state, off.seen) == (BusState.BUS_OFF, "controller is bus-off")
         assert off.tries[-1].endswith("restart-ms 100")
-        with pytest.raises(FrameNotSent, match="nothing acknowledges") as refused:
+        with pytest.raises(FrameNotSentError, match="nothing acknowledges") as refused:
             await transport.send(SYNC)
         assert refused.value.code == "CO110"
         assert (await reported(transport)).state is BusState.ACTIVE

@@ -15,7 +15,7 @@ from canopen_transports.wire import (
     Delivery,
     FaultHappened,
     FaultKind,
-    QueueFull,
+    QueueFullError,
     QueueOrder,
     StateReported,
     Wire,
@@ -205,7 +205,7 @@ def test_a_queue_is_bounded() -> None:
     for _ in range(2):
         wire.send(sender, SYNC, 0)
     assert not sender.has_room
-    with pytest.raises(QueueFull, match="member 0 is full: 2 frames"):
+    with pytest.raises(QueueFullError, match="member 0 is full: 2 frames"):
         wire.send(sender, SYNC, 0)
     wire.handle_timeout(0)
     assert not sender.has_room  # the one that is being sent still needs its place

@@ -8,7 +8,7 @@ import trio.testing
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
-from canopen_transports import BusState, BusStateChanged, FrameNotSent, TransportError, open_transport
+from canopen_transports import BusState, BusStateChanged, FrameNotSentError, TransportError, open_transport
 from canopen_transports.conformance.frames import END, number_of, numbered
 from canopen_transports.virtual_wire import WireTransport
 from canopen_transports.wire import FaultKind, FaultRates, frame_bits
@@ -102,7 +102,7 @@ async def test_bus_off_is_reported_and_frames_are_refused_until_it_is_over() -> 
     one.bus.bus_off(one)
     caught = await reported(one, BusStateChanged, match="bus-off")
     assert caught.tries
-    with pytest.raises(FrameNotSent, match="bus-off"):
+    with pytest.raises(FrameNotSentError, match="bus-off"):
         await one.send(SYNC)
     assert one.bus.counts[FaultKind.NOT_SENT] == 5
     one.bus.restart(one)
@@ -122,7 +122,7 @@ async def test_a_sender_that_waits_for_room_is_told_of_bus_off_and_of_the_end() 
                 await member.send(Frame(0x201))
 
     async with trio.open_nursery() as nursery:
-        nursery.start_soon(send, one, FrameNotSent)
+        nursery.start_soon(send, one, FrameNotSentError)
         nursery.start_soon(send, two, trio.ClosedResourceError)
         await trio.sleep(0.01)
         one.bus.bus_off(one)

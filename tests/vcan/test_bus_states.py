@@ -11,7 +11,7 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_transports import BusState, FrameNotSent, ReceiveOverrun, TransportError, open_transport
+from canopen_transports import BusState, FrameNotSentError, ReceiveOverrun, TransportError, open_transport
 from canopen_transports.conformance.frames import END, number_of, numbered
 from tests.transports.support import reported, trio_test
 from tests.vcan.support import error_frame, interface, ip, joined, needs_vcan, raw_socket
@@ -57,7 +57,7 @@ async def _goes_down_and_comes_back(name: str) -> None:
         assert down.seen == f"{name} is DOWN"
         assert down.tries == (f"sudo ip link set {name} up",)
         for _ in range(2):  # the first has word of it pending; the second knows it
-            with pytest.raises(FrameNotSent) as caught:
+            with pytest.raises(FrameNotSentError) as caught:
                 await one.send(numbered(4))
             assert caught.value.code == "CO111"
             assert caught.value.seen == f"{name} is DOWN"
@@ -94,7 +94,7 @@ async def _replaced(name: str) -> None:
             ip("link", "add", "dev", name, "type", "vcan")
             ip("link", "set", name, "up")
         assert seen == [BusState.DOWN, BusState.UP]
-        with pytest.raises(FrameNotSent):
+        with pytest.raises(FrameNotSentError):
             await other.send(END)
         await other.send(numbered(1))
         await other.send(END)
@@ -120,7 +120,7 @@ async def _removed(name: str) -> None:
         for number in range(3):
             await one.send(numbered(number))
         ip("link", "del", name)
-        with pytest.raises(FrameNotSent) as caught:  # the sender finds it out, not the receiver
+        with pytest.raises(FrameNotSentError) as caught:  # the sender finds it out, not the receiver
             await other.send(END)
         assert caught.value.seen == f"{name} is gone"
         assert caught.value.tries == ("plug it in again", "ip link")
@@ -157,7 +157,7 @@ async def test_a_new_interface_that_cannot_be_opened_yet_is_tried_again() -> Non
             limits = resource.getrlimit(resource.RLIMIT_NOFILE)
             resource.setrlimit(resource.RLIMIT_NOFILE, (3, limits[1]))  # no descriptor is to be had
             try:
-                with pytest.raises(FrameNotSent):
+                with pytest.raises(FrameNotSentError):
                     one.send_nowait(END)
             finally:
                 resource.setrlimit(resource.RLIMIT_NOFILE, limits)
@@ -176,7 +176,7 @@ async def _renamed(name: str) -> None:
             assert (await reported(one)).seen == f"{name} is gone"
             with raw_socket("vcan8") as stranger:
                 stranger.send(b"\x23\x01" + bytes(14))
-            with pytest.raises(FrameNotSent):
+            with pytest.raises(FrameNotSentError):
                 await one.send(END)
             with interface(name), raw_socket(name) as sender:
                 report = await reported(one)
@@ -241,7 +241,7 @@ async def _told_by_the_sender(name: str) -> None:
             nursery.start_soon(listen)
             await trio.testing.wait_all_tasks_blocked()
             ip("link", "set", name, "down")
-            with pytest.raises(FrameNotSent):
+            with pytest.raises(FrameNotSentError):
                 one.send_nowait(END)
             await trio.testing.wait_all_tasks_blocked()
             ip("link", "set", name, "up")
@@ -282,7 +282,7 @@ async def test_error_frames_become_reports() -> None:
             assert report.state is BusState.BUS_OFF
             assert "ip -details -statistics link show vcan7" in report.tries
             assert one.errors == 9
-            with pytest.raises(FrameNotSent, match="nothing acknowledges our frames") as caught:
+            with pytest.raises(FrameNotSentError, match="nothing acknowledges our frames") as caught:
                 await one.send(END)
             assert caught.value.code == "CO110"
             controller.send(error_frame(0x100))
@@ -312,7 +312,7 @@ async def test_a_report_that_is_among_the_frames_lost() -> None:
                 controller.send(number.to_bytes(2, "little") + bytes(14))
             controller.send(error_frame(0x100))
             assert (await reported(other)).state is BusState.BUS_OFF
-            with pytest.raises(FrameNotSent):
+            with pytest.raises(FrameNotSentError):
                 await other.send(END)
             while not isinstance(await other.receive(), ReceiveOverrun):
                 pass
@@ -329,7 +329,7 @@ async def test_a_controller_that_was_bus_off_before_we_came() -> None:
     with interface("vxcan7", kind="vxcan", more=("peer", "name", "vxcan8")) as name:
         async with joined(name) as one:
             assert (await reported(one)).state is BusState.BUS_OFF
-            with pytest.raises(FrameNotSent, match="nothing acknowledges our frames"):
+            with pytest.raises(FrameNotSentError, match="nothing acknowledges our frames"):
                 await one.send(END)
             ip("link", "set", "vxcan8", "up")
             async with joined("vxcan8") as other:

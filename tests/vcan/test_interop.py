@@ -9,7 +9,16 @@ import canopen
 import pytest
 import trio
 
-from canopen_master import BusChanged, FramesNotSent, SdoRefused, SdoTimeout, open_master, powerballs, simulate, standard_drives
+from canopen_master import (
+    BusChanged,
+    FramesNotSent,
+    SdoRefusedError,
+    SdoTimeoutError,
+    open_master,
+    powerballs,
+    simulate,
+    standard_drives,
+)
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, Variable
 from canopen_proto.heartbeat import HeartbeatReceived, NodeBooted
@@ -58,7 +67,7 @@ async def test_our_master_reads_and_writes_their_node() -> None:
             await node.write(DOMAIN, data)
             assert device.sdo[DOMAIN].raw == data
             assert await node.read(DOMAIN) == data
-            with pytest.raises(SdoRefused):
+            with pytest.raises(SdoRefusedError):
                 await node.read(0x2FFF)
             with master.events(NodeBooted, HeartbeatReceived) as events:
                 device.nmt.state = "PRE-OPERATIONAL"
@@ -107,7 +116,7 @@ async def test_kernel_filters_let_through_what_the_master_needs() -> None:
             assert await node.read(WIDE) == 77
             assert 1 not in master.bus().network.heard_nodes()
         async with open_master("socketcan:vcan0?filter=ids", dictionary=dictionary, sdo_timeout=0.1) as master:
-            with pytest.raises(SdoTimeout, match="frames are filtered: other nodes may be there"):
+            with pytest.raises(SdoTimeoutError, match="frames are filtered: other nodes may be there"):
                 await master.node(9).read(0x1000)
 
 
@@ -123,7 +132,7 @@ async def test_an_interface_down_amid_a_transfer_and_up_again() -> None:
 
                     async def transfer() -> None:
                         nonlocal count
-                        with pytest.raises(SdoTimeout):
+                        with pytest.raises(SdoTimeoutError):
                             while True:
                                 await node.read("manufacturer_device_name")
                                 count += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import trio
 
-from canopen_master import BusChanged, FramesNotSent, Master, SdoTimeout, open_master, powerballs, simulate
+from canopen_master import BusChanged, FramesNotSent, Master, SdoTimeoutError, open_master, powerballs, simulate
 from canopen_proto.sync import SyncSent
 from canopen_transports import BusState, open_transport
 from tests.transports.support import trio_test
@@ -21,7 +21,7 @@ async def reads_again(master: Master) -> None:
     while True:
         try:
             assert await master.node(NODE).read(NAME)
-        except SdoTimeout:
+        except SdoTimeoutError:
             continue
         return
 
@@ -46,7 +46,7 @@ async def test_error_frames_reach_the_user() -> None:
                         await inject(text)
                         report = await changes.receive()
                         assert (report.state, report.reason) == (state, reason)
-                    with pytest.raises(SdoTimeout):
+                    with pytest.raises(SdoTimeoutError):
                         await master.node(NODE).read(NAME)
                     assert (await dropped.receive()).reason == "controller is bus-off"
                     await inject("20000100#0000000000000000")
@@ -72,7 +72,7 @@ async def test_an_adapter_that_is_pulled_and_plugged_in_while_the_kernel_sends_s
                 await reads_again(master)
                 with master.events(BusChanged) as changes:
                     ip("link", "del", name)
-                    with pytest.raises(SdoTimeout):
+                    with pytest.raises(SdoTimeoutError):
                         await master.node(NODE).read(NAME)
                     assert (await changes.receive()).reason == f"{name} is gone"
                     ip("link", "add", "dev", name, "type", "vcan")

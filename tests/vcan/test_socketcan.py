@@ -11,7 +11,7 @@ import pytest
 import trio
 import trio.testing
 
-from canopen_transports import FrameNotSent, ReceiveOverrun, Transport, TransportError
+from canopen_transports import FrameNotSentError, ReceiveOverrun, Transport, TransportError
 from canopen_transports.conformance.frames import END, number_of, numbered
 from tests.transports.support import LIMIT, trio_test
 from tests.vcan.support import interface, ip, joined, needs_vcan, raw_socket, slow
@@ -221,7 +221,7 @@ async def test_a_sender_that_waits_for_room_wakes_when_the_bus_goes_and_when_it_
                     await transport.send(numbered(number))
 
         async with trio.open_nursery() as nursery:
-            nursery.start_soon(send, one, FrameNotSent)
+            nursery.start_soon(send, one, FrameNotSentError)
             nursery.start_soon(send, two, trio.ClosedResourceError)
             await trio.sleep(0.1)
             await two.aclose()

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from canopen_transports.errors import BusState as BusState
     from canopen_transports.errors import BusStateChanged as BusStateChanged
-    from canopen_transports.errors import FrameNotSent as FrameNotSent
+    from canopen_transports.errors import FrameNotSentError as FrameNotSentError
     from canopen_transports.errors import ReceiveOverrun as ReceiveOverrun
     from canopen_transports.errors import Report as Report
     from canopen_transports.errors import TransportError as TransportError
@@ -36,7 +36,7 @@ else:
     __getattr__, __dir__, __all__ = lazy_names(
         globals(),
         {
-            "canopen_transports.errors": "BusState BusStateChanged FrameNotSent ReceiveOverrun Report TransportError",
+            "canopen_transports.errors": "BusState BusStateChanged FrameNotSentError ReceiveOverrun Report TransportError",
             "canopen_transports.locator": "Locator parse_bitrate parse_locator",
             "canopen_transports.opening": "OpenTransport open_transport",
             "canopen_transports.python_can": "PythonCanTransport",

@@ -16,7 +16,7 @@ from typing import Final, TextIO
 
 from canopen_proto.frame import Frame
 from canopen_transports.error_frames import ErrorReport
-from canopen_transports.record import DEFAULT_CHANNEL, LogDamaged, Record, Skip
+from canopen_transports.record import DEFAULT_CHANNEL, LogDamagedError, Record, Skip
 
 EXAMPLE: Final = "(1436509053.850870) can0 605#4041600000000000    (a line as `candump -L` writes it)"
 
@@ -31,7 +31,7 @@ _BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2}){0,8}")
 _ERROR_FRAME: Final = 0x20000000
 
 
-class NotAFrame(ValueError):
+class NotAFrameError(ValueError):
     """The line is candump's, but not a frame of classical CAN. The text says what it is.
 
     is_overrun: it is an error frame by which the recorder's controller says that it lost frames.
@@ -49,14 +49,14 @@ def read_candump(lines: Iterable[str], skip: Skip) -> Iterator[Record]:
             continue
         try:
             yield parse_line(line.strip())
-        except NotAFrame as reason:
+        except NotAFrameError as reason:
             skip(str(reason), is_overrun=reason.is_overrun)
         except ValueError as error:
-            raise LogDamaged(str(error), number, EXAMPLE) from error
+            raise LogDamagedError(str(error), number, EXAMPLE) from error
 
 
 def parse_line(line: str) -> Record:
-    """Return the frame on a line, with its time. Raises NotAFrame; ValueError for a line that is not candump's."""
+    """Return the frame on a line, with its time. Raises NotAFrameError; ValueError for a line that is not candump's."""
     logged = _LOGGED.fullmatch(line)
     if logged is not None:
         seconds, fraction, channel, text, direction = logged.groups()
@@ -81,14 +81,14 @@ def _time_of_date(date: str) -> int:
 def _logged_frame(text: str) -> Frame:
     identifier, _, data = text.partition("#")
     if data.startswith("#"):
-        raise NotAFrame("a CAN FD frame")
+        raise NotAFrameError("a CAN FD frame")
     _check_identifier(identifier, data)
     return Frame.parse(_RAW_DLC.sub("", text))
 
 
 def _shown_frame(identifier: str, length: str, rest: str) -> Frame:
     if len(length) == 2:  # "[08]", "[64]": classical CAN has one digit
-        raise NotAFrame("a CAN FD frame")
+        raise NotAFrameError("a CAN FD frame")
     data = rest.split()[: int(length)]  # with -a, the bytes follow as text
     _check_identifier(identifier, "".join(data))
     if rest.startswith("remote request"):
@@ -102,7 +102,7 @@ def _check_identifier(identifier: str, data: str) -> None:
     if len(identifier) == 8 and int(identifier, 16) & _ERROR_FRAME:
         pairs = _BYTES.match(data)
         report = ErrorReport(int(identifier, 16), bytes.fromhex(pairs[0] if pairs else ""))
-        raise NotAFrame("an error frame", is_overrun=report.overrun)
+        raise NotAFrameError("an error frame", is_overrun=report.overrun)
 
 
 class CandumpWriter:

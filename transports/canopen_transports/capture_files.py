@@ -17,7 +17,7 @@ from typing import BinaryIO, Final, NamedTuple
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
 from canopen_proto.machine import SECOND
-from canopen_transports.record import DEFAULT_CHANNEL, LogDamaged, Record, Skip
+from canopen_transports.record import DEFAULT_CHANNEL, LogDamagedError, Record, Skip
 
 CAN_SOCKETCAN: Final = 227
 _HEAD_LENGTHS: Final = {CAN_SOCKETCAN: 0, 113: 16, 276: 20}
@@ -48,13 +48,13 @@ MAGICS: Final = frozenset(
 
 
 def read_capture(file: BinaryIO, skip: Skip, channel: str = DEFAULT_CHANNEL) -> Iterator[Record]:
-    """Yield the records of a capture of either format, in its order. Raises LogDamaged after the last that can be read.
+    """Yield the records of a capture of either format, in its order. Raises LogDamagedError after the last that can be read.
 
     skip: called with the reason, for each packet that is not a classical CAN frame. channel: the bus, where the file names none.
     """
     magic = file.read(4)
     if magic not in MAGICS:
-        raise LogDamaged("the file begins neither like pcap nor like pcapng")
+        raise LogDamagedError("the file begins neither like pcap nor like pcapng")
     if int.from_bytes(magic, "big") == _SECTION_HEADER:
         return _pcapng_records(file, skip, channel)
     return _pcap_records(file, magic, skip, channel)
@@ -97,7 +97,7 @@ def _pcapng_records(file: BinaryIO, skip: Skip, channel: str) -> Iterator[Record
             mark = _exactly(file, 4, "the head of a section")
             order = "<" if int.from_bytes(mark, "little") == _BYTE_ORDER else ">"
             if int.from_bytes(mark, "little" if order == "<" else "big") != _BYTE_ORDER:
-                raise LogDamaged("a section of the file has no byte order")
+                raise LogDamagedError("a section of the file has no byte order")
             interfaces = []
             _body(file, order, begin[4:], 4)
         else:
@@ -116,16 +116,16 @@ def _body(file: BinaryIO, order: str, length: bytes, already: int) -> bytes:
     """Read a block from behind its head to its end, where its length stands again. already: how much of it has been read."""
     (total,) = struct.unpack(order + "I", length)
     if total % 4 or _bounded(total) < 12 + already:
-        raise LogDamaged(f"a block says that it has {total} bytes")
+        raise LogDamagedError(f"a block says that it has {total} bytes")
     body = _exactly(file, total - 12 - already, "a block")
     if _exactly(file, 4, "a block") != length:
-        raise LogDamaged(f"a block of {total} bytes says something else at its end")
+        raise LogDamagedError(f"a block of {total} bytes says something else at its end")
     return body
 
 
 def _interface(body: bytes, order: str, channel: str) -> _Interface:
     if len(body) < 8:
-        raise LogDamaged("the description of an interface is too short")
+        raise LogDamagedError("the description of an interface is too short")
     options = _options(body[8:], order)
     resolution = (options.get(_OPTION_RESOLUTION) or b"\x06")[0]
     per_second = 1 << (resolution & 0x7F) if resolution & 0x80 else 10 ** (resolution & 0x7F)
@@ -136,10 +136,10 @@ def _interface(body: bytes, order: str, channel: str) -> _Interface:
 
 def _packet(body: bytes, order: str, interfaces: list[_Interface], skip: Skip) -> Iterator[Record]:
     if len(body) < 20:
-        raise LogDamaged("the head of a packet is too short")
+        raise LogDamagedError("the head of a packet is too short")
     number, high, low, length, _ = struct.unpack(order + "5I", body[:20])
     if number >= len(interfaces) or 20 + length > len(body):
-        raise LogDamaged(f"a packet of {length} bytes on interface {number} does not fit what comes before it")
+        raise LogDamagedError(f"a packet of {length} bytes on interface {number} does not fit what comes before it")
     interface = interfaces[number]
     flags = _options(body[20 + length + -length % 4 :], order).get(_OPTION_FLAGS, b"")
     sent = int.from_bytes(flags[:4], "little" if order == "<" else "big") & 3 == 2
@@ -167,13 +167,13 @@ def _options(text: bytes, order: str) -> dict[int, bytes]:
 def _exactly(file: BinaryIO, size: int, what: str) -> bytes:
     content = file.read(size)
     if len(content) < size:
-        raise LogDamaged(f"the file ends in the middle of {what}")
+        raise LogDamagedError(f"the file ends in the middle of {what}")
     return content
 
 
 def _bounded(length: int) -> int:
     if length > _LARGEST:
-        raise LogDamaged(f"a part of the file says that it has {length} bytes")
+        raise LogDamagedError(f"a part of the file says that it has {length} bytes")
     return length
 
 

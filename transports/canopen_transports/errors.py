@@ -5,8 +5,8 @@ A transport raises three kinds of exception, and no others:
 - `ValueError`: the caller passed a frame that classical CAN cannot carry. Nothing was sent.
 - `trio.ClosedResourceError`: our own side closed the transport, before or during the call. (`trio.BusyResourceError`: two tasks
   receive at once.)
-- `TransportError`: the bus cannot be opened or used. While the bus is away, `send` raises its subclass `FrameNotSent`, and the
-  transport continues to work. After any other TransportError it has ended.
+- `TransportError`: the bus cannot be opened or used. While the bus is away, `send` raises its subclass `FrameNotSentError`, and
+  the transport continues to work. After any other TransportError it has ended.
 
 A `Report` is not an error. `receive` returns it in place of a frame, in order with the frames: `ReceiveOverrun` if frames were
 lost at this place, `BusStateChanged` if the bus reported its state.
@@ -48,7 +48,7 @@ class BusState(Enum):
     PASSIVE = "error-passive"
     """An error counter is at 128 or more. A controller whose frame nobody acknowledges gets here, and no further."""
     BUS_OFF = "bus-off"
-    """The controller has left the bus. Frames do not get out (FrameNotSent) until it is ACTIVE again."""
+    """The controller has left the bus. Frames do not get out (FrameNotSentError) until it is ACTIVE again."""
     NO_ACKNOWLEDGE = "no acknowledge"
     """Nobody acknowledged a frame of ours: no other node is on the bus, or none with our bit rate. The controller repeats the
     frame."""
@@ -111,15 +111,15 @@ class BusStateChanged(Report):
         self.state = state
 
 
-class FrameNotSent(TransportError):
+class FrameNotSentError(TransportError):
     """This frame was not sent because the bus is away (interface down, bus-off). The transport continues to work.
 
     To learn when the bus is back, wait for a BusStateChanged. Then decide whether the frame should still be sent.
     """
 
     @classmethod
-    def because(cls, reason: TransportError) -> FrameNotSent:
-        """Return the same error as a FrameNotSent."""
+    def because(cls, reason: TransportError) -> FrameNotSentError:
+        """Return the same error as a FrameNotSentError."""
         return cls(reason.code, reason.locator, reason.failed, seen=reason.seen, cause=reason.cause, tries=reason.tries)
 
 

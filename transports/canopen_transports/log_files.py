@@ -27,7 +27,7 @@ from canopen_proto.explained import Explained
 from canopen_transports.candump_text import CandumpWriter, read_candump
 from canopen_transports.capture_files import MAGICS, PcapngWriter, PcapWriter, read_capture
 from canopen_transports.python_can_files import PythonCanWriter, read_blf, read_text
-from canopen_transports.record import LogDamaged, LogWriter, Record, Skip
+from canopen_transports.record import LogDamagedError, LogWriter, Record, Skip
 
 UNREADABLE: Final = "CO342"
 
@@ -111,7 +111,7 @@ class LogReader:
                     yield from self._records(file, self._kind)
         except OSError as error:
             raise _no_access("read", self.path, error) from error
-        except LogDamaged as error:
+        except LogDamagedError as error:
             place = f"{self.path}:{error.line}" if error.line else str(self.path)
             cause = "the file is damaged, or of another kind than its name says"
             tries = error.tries or (_STATS,)

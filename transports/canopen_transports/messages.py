@@ -18,29 +18,29 @@ MAX_TIMESTAMP: Final = 1 << 33
 """Seconds: what 64 bits of ns hold in a log. A larger number is not a time stamp."""
 
 
-class RefusedMessage(ValueError):
+class MessageRefusedError(ValueError):
     """A message that is not a classical CAN data or remote frame. The text is the reason."""
 
 
 def frame_of(message: can.Message) -> Frame:
-    """Return the frame in a received message. Raises RefusedMessage. The caller must sort out error frames before."""
+    """Return the frame in a received message. Raises MessageRefusedError. The caller must sort out error frames before."""
     if message.is_fd:
-        raise RefusedMessage("a CAN FD frame: CANopen runs on classical CAN")
+        raise MessageRefusedError("a CAN FD frame: CANopen runs on classical CAN")
     can_id, dlc = message.arbitration_id, message.dlc
     # The types are checked, too: udp_multicast passes on whatever was packed into a datagram.
     if not (isinstance(can_id, int) and isinstance(dlc, int) and isinstance(message.data, bytes | bytearray)):
-        raise RefusedMessage("its fields have the wrong types")
+        raise MessageRefusedError("its fields have the wrong types")
     flags = EXTENDED if message.is_extended_id else 0
     if not 0 <= can_id <= (MAX_EXTENDED_ID if flags else MAX_STANDARD_ID):
-        raise RefusedMessage(f"its CAN-ID 0x{can_id:X} is out of range")
+        raise MessageRefusedError(f"its CAN-ID 0x{can_id:X} is out of range")
     # In classical CAN a DLC of 9 to 15 means 8 bytes (ISO 11898-1); controllers report the DLC of the wire.
     if not 0 <= dlc <= 15:
-        raise RefusedMessage(f"its length {dlc} is out of range")
+        raise MessageRefusedError(f"its length {dlc} is out of range")
     length = min(dlc, MAX_LENGTH)
     if message.is_remote_frame:
         return Frame(can_id, b"", flags | REMOTE, length)
     if len(message.data) < length:
-        raise RefusedMessage(f"it announces {length} bytes and has {len(message.data)}")
+        raise MessageRefusedError(f"it announces {length} bytes and has {len(message.data)}")
     return Frame(can_id, bytes(message.data[:length]), flags)
 
 

@@ -8,7 +8,7 @@ order. Every backend sends a frame whole or not at all, so a cancel while waitin
 
 **When the bus goes away** (adapter unplugged, driver failed or hanging, interface down), a transport that was opened by a locator
 reports DOWN. It tries to open the bus again each REOPEN_PAUSE, and reports UP when it succeeds; meanwhile `send` raises
-FrameNotSent. A bus that you opened yourself cannot be opened again: the transport ends with a TransportError.
+FrameNotSentError. A bus that you opened yourself cannot be opened again: the transport ends with a TransportError.
 
 **The controller's state** is known for pcan, whose status the reader thread looks at each READ_POLL, and for SocketCAN by its
 error frames; the other backends report only that there was an error frame. After bus-off, a PEAK adapter is initialised again
@@ -39,7 +39,7 @@ from canopen_transports.errors import (
     NOT_ACKNOWLEDGED,
     BusState,
     BusStateChanged,
-    FrameNotSent,
+    FrameNotSentError,
     ReceiveOverrun,
     Report,
     TransportError,
@@ -47,7 +47,7 @@ from canopen_transports.errors import (
 from canopen_transports.leftovers import drop_garbage, has_hung_up, shut_down
 from canopen_transports.listen_only import is_listen_only
 from canopen_transports.locator import Locator
-from canopen_transports.messages import RefusedMessage, frame_of, message_of, timestamp_of
+from canopen_transports.messages import MessageRefusedError, frame_of, message_of, timestamp_of
 from canopen_transports.readers import (
     READ_POLL,
     DescriptorReader,
@@ -157,7 +157,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         """Hand the frame to the backend. Waits up to ROOM_TIME for room, then raises TransportError (CO110) with the likely
         causes.
 
-        Raises FrameNotSent while the bus is away (see this module's text), and on a bus that was opened to listen only.
+        Raises FrameNotSentError while the bus is away (see this module's text), and on a bus that was opened to listen only.
         """
         check_frame(frame)
         message = message_of(frame, self._mark)
@@ -201,7 +201,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
     def _not_sent(self, frame: Frame, seen: str = "") -> TransportError:
         doing = f"send {frame}"
         if self.listen_only:
-            return FrameNotSent(
+            return FrameNotSentError(
                 NOT_ACKNOWLEDGED,
                 self.locator,
                 f"cannot {doing} on {self.locator}",
@@ -214,7 +214,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
             why = self._bus_lost(doing)
             if self._reopen is None:
                 return why
-        return FrameNotSent.because(why)
+        return FrameNotSentError.because(why)
 
     # ---- receiving ----
 
@@ -298,7 +298,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         elif self._mark is None or message.channel != self._mark:
             try:
                 frame = frame_of(message)
-            except RefusedMessage as reason:
+            except MessageRefusedError as reason:
                 self._refuse(str(reason))
             else:
                 self.received += 1

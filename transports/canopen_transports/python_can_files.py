@@ -18,8 +18,8 @@ import can
 from can.io.blf import BLFParseError
 
 from canopen_proto.frame import REMOTE
-from canopen_transports.messages import RefusedMessage, frame_of, message_of
-from canopen_transports.record import LogDamaged, Record, Skip
+from canopen_transports.messages import MessageRefusedError, frame_of, message_of
+from canopen_transports.record import LogDamagedError, Record, Skip
 
 _READING_ERRORS: Final = (
     ValueError,  # invalid numbers and dates
@@ -50,16 +50,16 @@ def read_text(file: TextIO, kind: str, skip: Skip) -> Iterator[Record]:
         for message in reader:
             if isinstance(reader, can.ASCReader) and reader.timestamps_format == "relative":
                 seen = "each of its times counts from the line before (timestamps relative)"
-                raise LogDamaged(seen, 0, "have the program that wrote it write absolute times")
+                raise LogDamagedError(seen, 0, "have the program that wrote it write absolute times")
             found = True
             lines.entry = ""
             record = _record_of_message(message, skip)
             if record is not None:
                 yield record
     except _READING_ERRORS as error:
-        raise LogDamaged(_reason(error), lines.number) from error
+        raise LogDamagedError(_reason(error), lines.number) from error
     if lines.number and not (found or lines.has_header):
-        raise LogDamaged("the file has neither a header nor frames")
+        raise LogDamagedError("the file has neither a header nor frames")
 
 
 def read_blf(file: BinaryIO, skip: Skip) -> Iterator[Record]:
@@ -76,10 +76,10 @@ def read_blf(file: BinaryIO, skip: Skip) -> Iterator[Record]:
                 yield record
     except _READING_ERRORS as error:
         if said <= size:
-            raise LogDamaged(_reason(error)) from error
+            raise LogDamagedError(_reason(error)) from error
     if said > size:
         seen = f"the file ends in the middle, after {size} of {said} bytes"
-        raise LogDamaged(seen, 0, "copy it again, after its recorder has closed it")
+        raise LogDamagedError(seen, 0, "copy it again, after its recorder has closed it")
 
 
 def _record_of_message(message: can.Message, skip: Skip) -> Record | None:
@@ -88,7 +88,7 @@ def _record_of_message(message: can.Message, skip: Skip) -> Record | None:
         return None
     try:
         frame = frame_of(message)
-    except RefusedMessage as reason:
+    except MessageRefusedError as reason:
         skip(str(reason))
         return None
     channel = "" if message.channel is None else str(message.channel)

@@ -1,7 +1,7 @@
 """`Record`: one frame in a log; and what the readers and writers of all kinds of log files have in common.
 
 A reader is a generator of records, in the order of its file. It passes over what is not a classical CAN frame, and says so by
-`Skip`. It raises `LogDamaged` after the last record that can be read. log_files.py chooses the reader or writer of a file.
+`Skip`. It raises `LogDamagedError` after the last record that can be read. log_files.py chooses the reader or writer of a file.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Skip(Protocol):
         """is_overrun: the recorder says by this entry that it lost frames."""
 
 
-class LogDamaged(Exception):
+class LogDamagedError(Exception):
     """A file ends in the middle, or is not of its kind. The text says what was seen.
 
     line: where in the file, from 1; 0 if that is not known. tries: what to do; empty if nothing special helps.

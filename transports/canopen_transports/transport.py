@@ -39,7 +39,7 @@ class Transport(Protocol):
     async def send(self, frame: Frame) -> None:
         """Hand a frame to the bus. Returns once the bus, or the adapter's queue, has taken it; that is not yet an acknowledge.
 
-        If a queue is full, waits for room, and raises TransportError (CO110) if none comes. Raises FrameNotSent (a
+        If a queue is full, waits for room, and raises TransportError (CO110) if none comes. Raises FrameNotSentError (a
         TransportError) while a bus is away that may come back, and ValueError for a frame that classical CAN cannot carry.
         """
 

@@ -39,7 +39,7 @@ from canopen_transports.errors import (
     NOT_ACKNOWLEDGED,
     BusState,
     BusStateChanged,
-    FrameNotSent,
+    FrameNotSentError,
     Report,
     TransportError,
     bad_locator,
@@ -270,7 +270,7 @@ class WireTransport(trio.abc.AsyncResource):
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if self.member.state is BusState.BUS_OFF:
-            raise FrameNotSent(NOT_ACKNOWLEDGED, self.locator, f"{frame} was not sent", seen="the controller is bus-off")
+            raise FrameNotSentError(NOT_ACKNOWLEDGED, self.locator, f"{frame} was not sent", seen="the controller is bus-off")
         if not self.member.has_room:
             return False
         self.bus.send(self.member, frame)

@@ -22,14 +22,15 @@ Chains take two more from their modules: set-points in profile position, for dri
 mode and the PDOs for set-points by the drive's file alone (motion_plan.py).
 
 A procedure that moves the drive halts it if the procedure is cancelled or fails. While one moves the drive, another is refused
-(AxisBusy), and a stop takes over: the first ends with TakenOver (exclusive_motion.py). Bit 4 is cleared before each homing and
-each start of interpolation: both begin on its rising edge.
+(AxisBusyError), and a stop takes over: the first ends with TakenOverError (exclusive_motion.py). Bit 4 is cleared before each
+homing and each start of interpolation: both begin on its rising edge.
 
 watching.py waits, controlword.py commands, state.py changes states and modes, halting.py stops; homing.py, profile_position.py,
 target_sequence.py, velocity.py, interpolation.py and synchronous.py move; failures.py has the errors.
 
-A wait ends as soon as its goal is reached or out of reach: DriveInFault, StateLost (a quick stop or disable that was not ours),
-ModeLost (another master wrote 0x6060), DriveLost (boot-up, lost heartbeat), LimitReached, and only then StepTimeout.
+A wait ends as soon as its goal is reached or out of reach: DriveInFaultError, StateLostError (a quick stop or disable that was
+not ours), ModeLostError (another master wrote 0x6060), DriveLostError (boot-up, lost heartbeat), LimitReachedError, and only then
+StepTimeoutError.
 
 Source: IEC 61800-7-201 (CiA 402-2).
 """
@@ -42,21 +43,21 @@ from canopen_proto.drives.axis.digital_io import read_encoder as read_encoder
 from canopen_proto.drives.axis.digital_io import read_inputs as read_inputs
 from canopen_proto.drives.axis.digital_io import set_outputs as set_outputs
 from canopen_proto.drives.axis.digital_io import watch_inputs as watch_inputs
-from canopen_proto.drives.axis.failures import AccessFailed as AccessFailed
-from canopen_proto.drives.axis.failures import AxisBusy as AxisBusy
+from canopen_proto.drives.axis.failures import AxisBusyError as AxisBusyError
+from canopen_proto.drives.axis.failures import DriveAccessError as DriveAccessError
 from canopen_proto.drives.axis.failures import DriveError as DriveError
-from canopen_proto.drives.axis.failures import DriveInFault as DriveInFault
-from canopen_proto.drives.axis.failures import DriveLost as DriveLost
-from canopen_proto.drives.axis.failures import DriveTimeout as DriveTimeout
-from canopen_proto.drives.axis.failures import HomingFailed as HomingFailed
-from canopen_proto.drives.axis.failures import LimitReached as LimitReached
-from canopen_proto.drives.axis.failures import ModeLost as ModeLost
-from canopen_proto.drives.axis.failures import ModeUnsupported as ModeUnsupported
-from canopen_proto.drives.axis.failures import ReferenceLost as ReferenceLost
-from canopen_proto.drives.axis.failures import StateLost as StateLost
-from canopen_proto.drives.axis.failures import TakenOver as TakenOver
+from canopen_proto.drives.axis.failures import DriveInFaultError as DriveInFaultError
+from canopen_proto.drives.axis.failures import DriveLostError as DriveLostError
+from canopen_proto.drives.axis.failures import DriveTimeoutError as DriveTimeoutError
+from canopen_proto.drives.axis.failures import HomingError as HomingError
+from canopen_proto.drives.axis.failures import LimitReachedError as LimitReachedError
+from canopen_proto.drives.axis.failures import ModeLostError as ModeLostError
+from canopen_proto.drives.axis.failures import ModeUnsupportedError as ModeUnsupportedError
+from canopen_proto.drives.axis.failures import ReferenceLostError as ReferenceLostError
+from canopen_proto.drives.axis.failures import StateLostError as StateLostError
+from canopen_proto.drives.axis.failures import TakenOverError as TakenOverError
 from canopen_proto.drives.axis.failures import fault_of as fault_of
-from canopen_proto.drives.axis.following import OutOfBounds as OutOfBounds
+from canopen_proto.drives.axis.following import OutOfBoundsError as OutOfBoundsError
 from canopen_proto.drives.axis.following import watch_bounds as watch_bounds
 from canopen_proto.drives.axis.halting import halt as halt
 from canopen_proto.drives.axis.halting import halt_after as halt_after

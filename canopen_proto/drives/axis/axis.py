@@ -10,7 +10,7 @@ Its user's units are those of `scale` (scale.py). What it is given at each SYNC 
 
 **Reference.** A drive that boots after this master homed it counts as not homed: it may have lost its power, and its positions
 may mean something else. It `has_lost_reference` until it is homed again. Until then absolute set-points are refused
-(`drive.ReferenceLost`), unless the settings say that the drive keeps its reference. A drive that this master never homed
+(`drive.ReferenceLostError`), unless the settings say that the drive keeps its reference. A drive that this master never homed
 has no reference to lose.
 
 **A drive may act late.** A command that was not answered in time may still act at any later moment. The axis remembers that

@@ -125,8 +125,9 @@ def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[MotionBou
     """Read the units and the limits of a drive, and return the bounds for a motion without commanded positions.
 
     max_speed: in the user's unit per second; it counts if it is lower than the other limits of the speed; math.inf: there need be
-    no limit. Raises ReferenceLost if the axis has position limits, and has lost its reference; DriveError if nothing limits its
-    speed (neither max_speed, nor the settings, nor the drive), or if neither speed nor position can be watched; SdoFailed.
+    no limit. Raises ReferenceLostError if the axis has position limits, and has lost its reference; DriveError if nothing limits
+    its speed (neither max_speed, nor the settings, nor the drive), or if neither speed nor position can be watched;
+    SdoTransferError.
     """
     if max_speed is not None and not max_speed > 0:
         raise LocalProtocolError(f"max_speed must be above 0, inf for no limit; it is {max_speed!r}")

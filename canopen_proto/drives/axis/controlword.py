@@ -18,7 +18,7 @@ from canopen_proto.drives.cia402.states import Command, State
 from canopen_proto.machine import MILLISECOND, Event, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import write
-from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, current_time, sleep
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, Wait, act, current_time, sleep
 from canopen_proto.sdo.contention import SPREAD
 from canopen_proto.sync import SyncReceived, SyncSent
 
@@ -51,7 +51,7 @@ def insist(axis: Axis, controlword: int) -> Procedure[None]:
         try:
             yield from command(axis, controlword, urgent=True)
             return
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin not in (AbortOrigin.TIMEOUT, AbortOrigin.CONTESTED) or not left:
                 raise
             is_disturbed = failed.origin is AbortOrigin.CONTESTED
@@ -67,7 +67,7 @@ def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[
     for that SYNC. So two commands in a row are two PDOs, the drive sees each edge, and what it shows from then on is its answer.
     SDO is used if SYNC is not running (such an RPDO would never leave), or if the RPDO is not sent (or no longer). If the drive
     then still holds an RPDO for a SYNC, that RPDO is first replaced by one with this word (`RemoteNode.write`). urgent: as in
-    `procedures.objects.write`. Raises SdoFailed, DriveLost.
+    `procedures.objects.write`. Raises SdoTransferError, DriveLostError.
     """
     is_start = bool(controlword & ~axis.controlword & ModeControl.NEW_SET_POINT)
     if is_start:

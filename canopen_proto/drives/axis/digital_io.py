@@ -87,7 +87,7 @@ def set_outputs(axis: Axis, outputs: Mapping[int, bool], *, cannot_fall: bool = 
     """Set digital outputs, by bit number of 0x60FE; the others stay as they are.
 
     cannot_fall: the brake may be opened although the drive has no power. Raises DriveError, with nothing written, for a brake
-    that would be opened without; LocalProtocolError for a bit that is none; SdoFailed.
+    that would be opened without; LocalProtocolError for a bit that is none; SdoTransferError.
     """
     node = axis.node
     wrong = [bit for bit in outputs if not 0 <= bit < _BITS]

@@ -1,12 +1,12 @@
 """One motion command at a time on each axis: `moves` and `stops` wrap the procedures that command a drive.
 
-**A motion** (`moves`: move_to, home, run_at, set_mode, enable ...) is refused with AxisBusy, before anything is sent, while
+**A motion** (`moves`: move_to, home, run_at, set_mode, enable ...) is refused with AxisBusyError, before anything is sent, while
 another one is under way. It waits while the axis is being halted: by a stop, or as the clean-up of a motion that failed or was
 cancelled.
 
-**A stop** (`stops`: halt, quick_stop, and what leads a drive down) begins at once. The motion under way ends with TakenOver as
-soon as its present step ends (10 ms, or an answer), and sends no further controlword. The stop is responsible for the axis from
-then on: if it fails or is cancelled, the axis is halted.
+**A stop** (`stops`: halt, quick_stop, and what leads a drive down) begins at once. The motion under way ends with TakenOverError
+as soon as its present step ends (10 ms, or an answer), and sends no further controlword. The stop is responsible for the axis
+from then on: if it fails or is cancelled, the axis is halted.
 
 A procedure that another one calls (`yield from`) is a part of it. A chain that follows set-points occupies its joints.
 """
@@ -18,7 +18,7 @@ from functools import wraps
 from typing import Concatenate, Final, ParamSpec, TypeVar
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import AxisBusy, TakenOver
+from canopen_proto.drives.axis.failures import AxisBusyError, TakenOverError
 from canopen_proto.drives.axis.occupancy import Occupant
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.procedures.steps import Cancelled, Procedure, sleep
@@ -41,7 +41,7 @@ def moves(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[C
             return (yield from procedure(axis, *args, **kwargs))
         while occupancy.stops or occupancy.occupant is not None:
             if occupancy.occupant is not None and not occupancy.occupant.is_ending:
-                raise AxisBusy(axis, name, occupancy.occupant.name)
+                raise AxisBusyError(axis, name, occupancy.occupant.name)
             yield from sleep(LOOK)
         occupant = occupancy.occupy(name)
         try:
@@ -85,7 +85,8 @@ def stops(
 
 
 def _inside(axis: Axis, procedure: Procedure[T], occupant: Occupant | None) -> Procedure[T]:
-    """Run a procedure as `yield from` does. All that it calls is a part of it. An occupant that is taken over gets TakenOver."""
+    """Run a procedure as `yield from` does. All that it calls is a part of it. An occupant that is taken over gets
+    TakenOverError."""
     occupancy = axis.occupancy
     answer: object = None
     error: BaseException | None = None
@@ -108,4 +109,4 @@ def _inside(axis: Axis, procedure: Procedure[T], occupant: Occupant | None) -> P
             error = raised
         if occupant is not None and occupant.taken_over_by and not has_been_told and not isinstance(error, Cancelled):
             has_been_told = True
-            error = TakenOver(axis, occupant.name, occupant.taken_over_by)
+            error = TakenOverError(axis, occupant.name, occupant.taken_over_by)

@@ -27,7 +27,7 @@ from canopen_proto.machine import SECOND, Event
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import read_if_present
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, StepTimeout
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, StepTimeoutError
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -58,16 +58,16 @@ class DriveError(ProcedureError):
         Exception.__init__(self, f"{failed}: {reason}{self.view.describe()}" + (f". Try: {self.remedy}" if self.remedy else ""))
 
 
-class DriveTimeout(DriveError, StepTimeout):
+class DriveTimeoutError(DriveError, StepTimeoutError):
     """The drive did not reach a goal in time."""
 
 
-class AccessFailed(DriveError, SdoFailed):
+class DriveAccessError(DriveError, SdoTransferError):
     """The drive refused an object that a procedure reads or writes (6040h, 6060h, 607Ah ...), or did not answer. It has the
-    fields of SdoFailed, too."""
+    fields of SdoTransferError, too."""
 
-    def __init__(self, axis: Axis, failed: SdoFailed) -> None:
-        SdoFailed.__init__(self, failed.aborted, failed.attempt)
+    def __init__(self, axis: Axis, failed: SdoTransferError) -> None:
+        SdoTransferError.__init__(self, failed.aborted, failed.attempt)
         self.view = view_of(axis)
         found = outer_reason(self.view)
         if found is None and failed.origin is AbortOrigin.TIMEOUT:
@@ -92,36 +92,36 @@ _WHAT_TOOK_IT = (
 )
 
 
-class DriveInFault(DriveError):
+class DriveInFaultError(DriveError):
     """The drive is in Fault, or went into Fault during a wait."""
 
 
-class DriveLost(DriveError):
+class DriveLostError(DriveError):
     """The drive's node booted, fell silent (heartbeat, node guarding) or was stopped during a wait."""
 
 
-class StateLost(DriveError):
+class StateLostError(DriveError):
     """The drive left the state that was needed: a quick stop or a disable that this master did not command."""
 
 
-class ModeLost(DriveError):
+class ModeLostError(DriveError):
     """The drive shows another mode of operation (0x6061) than the one that was selected."""
 
 
-class ModeUnsupported(DriveError):
+class ModeUnsupportedError(DriveError):
     """The drive does not have a mode of operation (0x6502), or did not take it."""
 
 
-class HomingFailed(DriveError):
+class HomingError(DriveError):
     """The drive reported a homing error, or ended its homing unreferenced."""
 
 
-class LimitReached(DriveError):
+class LimitReachedError(DriveError):
     """A limit lies before the target of a move. The drive stopped at its own limit (0x607D or another), or was not moved at all
     (min_position, max_position of its settings)."""
 
 
-class AxisBusy(DriveError):
+class AxisBusyError(DriveError):
     """Another command moves the axis. Nothing was sent."""
 
     def __init__(self, axis: Axis, name: str, occupant: str) -> None:
@@ -130,7 +130,7 @@ class AxisBusy(DriveError):
         super().__init__(axis, f"cannot {name} now", reason=reason, remedy="wait for its end, or halt the drive first")
 
 
-class TakenOver(DriveError):
+class TakenOverError(DriveError):
     """A stop took the place of a command that moved the axis, and sees that the axis stands."""
 
     def __init__(self, axis: Axis, name: str, stop: str) -> None:
@@ -138,7 +138,7 @@ class TakenOver(DriveError):
         super().__init__(axis, f"was taken from {name}", reason=f"{stop} took over", looks=False)
 
 
-class ReferenceLost(DriveError):
+class ReferenceLostError(DriveError):
     """Positions of the drive may not mean what they meant before: the drive must be homed again. Nothing was sent."""
 
 
@@ -148,16 +148,16 @@ def name_of(axis: Axis) -> str:
 
 
 def accounted(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[Concatenate[Axis, P], Procedure[T]]:
-    """Let a procedure's SDO failures tell what the drive showed: they become AccessFailed."""
+    """Let a procedure's SDO failures tell what the drive showed: they become DriveAccessError."""
 
     @wraps(procedure)
     def run(axis: Axis, /, *args: P.args, **kwargs: P.kwargs) -> Procedure[T]:
         try:
             return (yield from procedure(axis, *args, **kwargs))
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if isinstance(failed, DriveError):
                 raise
-            error = AccessFailed(axis, failed)
+            error = DriveAccessError(axis, failed)
             for note in getattr(failed, "__notes__", ()):
                 error.add_note(note)
             raise error from failed
@@ -165,7 +165,7 @@ def accounted(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callab
     return run
 
 
-def fault_of(axis: Axis, when: str) -> Procedure[DriveInFault]:
+def fault_of(axis: Axis, when: str) -> Procedure[DriveInFaultError]:
     """Read the error code (0x603F) of a drive in fault; return the error to raise, with that code and the last EMCY."""
     try:
         yield from read_if_present(axis.node, objects.ERROR_CODE)
@@ -173,21 +173,23 @@ def fault_of(axis: Axis, when: str) -> Procedure[DriveInFault]:
         when = f"{when} (its error code could not be read: {error})"
     code = axis.error_code
     reason = f"0x{code:04X} {error_text(code)}" if code else ""
-    return DriveInFault(axis, f"is in fault {when}", reason=reason, remedy="find the cause, then reset the fault", looks=False)
+    return DriveInFaultError(
+        axis, f"is in fault {when}", reason=reason, remedy="find the cause, then reset the fault", looks=False
+    )
 
 
-def late(axis: Axis, failed: str, *, looks: bool = True) -> Procedure[DriveTimeout]:
+def late(axis: Axis, failed: str, *, looks: bool = True) -> Procedure[DriveTimeoutError]:
     """Return the error to raise for a drive that did not do something in time. looks: read first what tells why."""
     view = (yield from look_closer(axis)) if looks else view_of(axis)
-    return DriveTimeout(axis, failed, remedy="more time, if it is only slow", view=view)
+    return DriveTimeoutError(axis, failed, remedy="more time, if it is only slow", view=view)
 
 
-def state_lost(axis: Axis, state: State, goal: str) -> StateLost:
+def state_lost(axis: Axis, state: State, goal: str) -> StateLostError:
     """Return the error to raise for a drive that went to `state` before it reached `goal`."""
-    return StateLost(axis, f"went to {state} while waiting for {goal}", remedy=_WHAT_TOOK_IT)
+    return StateLostError(axis, f"went to {state} while waiting for {goal}", remedy=_WHAT_TOOK_IT)
 
 
-def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:
+def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLostError:
     """Return the error to raise for a drive that left `mode`."""
     view = view_of(axis)
     reason, remedy = (
@@ -196,7 +198,7 @@ def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLost:
     )
     if view.foreign is not None:
         reason = f"{view.foreign}"
-    return ModeLost(axis, f"left {mode_name(mode)} while waiting for {goal}", reason=reason, remedy=remedy, view=view)
+    return ModeLostError(axis, f"left {mode_name(mode)} while waiting for {goal}", reason=reason, remedy=remedy, view=view)
 
 
 def is_loss_of(node: AxisNode, report: Event) -> bool:
@@ -207,7 +209,7 @@ def is_loss_of(node: AxisNode, report: Event) -> bool:
     return lost or (isinstance(report, NmtStateReported) and report.state is NmtState.STOPPED)
 
 
-def node_lost(axis: Axis, report: Event, goal: str) -> DriveLost:
+def node_lost(axis: Axis, report: Event, goal: str) -> DriveLostError:
     """Return the error to raise for such an event."""
     match report:
         case HeartbeatLost(timeout=timeout):
@@ -219,13 +221,13 @@ def node_lost(axis: Axis, report: Event, goal: str) -> DriveLost:
         case _:
             seen = "it was stopped (NMT)"
     remedy = "look at the drive, its power and its cable"
-    return DriveLost(axis, f"was lost while waiting for {goal}", reason=seen, remedy=remedy)
+    return DriveLostError(axis, f"was lost while waiting for {goal}", reason=seen, remedy=remedy)
 
 
 def require_reference(axis: Axis) -> None:
-    """Raise ReferenceLost for a drive that was homed and has lost its reference since."""
+    """Raise ReferenceLostError for a drive that was homed and has lost its reference since."""
     if axis.has_lost_reference:
-        raise ReferenceLost(
+        raise ReferenceLostError(
             axis,
             "has lost its reference",
             reason="it was homed, and then reset or without power, or homed without success",

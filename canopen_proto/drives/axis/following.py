@@ -61,7 +61,17 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtoc
 from canopen_proto.multiplexer import Mux, index_of, split_mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import ABSENT, value_of
-from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError, SdoFailed, Wait, act, all_of, current_time, sleep
+from canopen_proto.procedures.steps import (
+    Cancelled,
+    Procedure,
+    ProcedureError,
+    SdoTransferError,
+    Wait,
+    act,
+    all_of,
+    current_time,
+    sleep,
+)
 from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
 SILENT_SYNCS: Final = 3
@@ -536,7 +546,7 @@ def _read(drive: Following, mux: Mux) -> Procedure[None]:
         try:
             if (yield from _ask(drive, mux, deadline)):
                 return
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.abort_code in ABSENT:
                 drive.unsent.discard(mux)
                 return
@@ -562,7 +572,7 @@ def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
         yield from act(lambda now: node.cancel(request_id, now))
         raise
     if isinstance(outcome, SdoAborted):
-        raise SdoFailed(outcome, "reading")
+        raise SdoTransferError(outcome, "reading")
     if outcome is None:
         yield from act(lambda now: node.cancel(request_id, now))
         return False
@@ -570,7 +580,7 @@ def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     return True
 
 
-class OutOfBounds(DriveError):
+class OutOfBoundsError(DriveError):
     """The watch on a drive that follows velocities or torques found something: a limit that was left, silence, another mode."""
 
 
@@ -586,7 +596,7 @@ def watch_bounds(
     """Watch a drive in csv or cst until it has to be stopped, and halt it then.
 
     following: of its axis. bounds, mode, cyclic, silent_syncs, max_missed: as of `Following.begin_with_bounds`. Raises
-    OutOfBounds, which says what was found. Halts the drive too if it is cancelled. If the halt fails, a note says so.
+    OutOfBoundsError, which says what was found. Halts the drive too if it is cancelled. If the halt fails, a note says so.
     """
     axis = following.axis
 
@@ -611,4 +621,4 @@ def _until_lost(following: Following) -> Procedure[None]:
 
     lost = yield Wait(None, axis.node, concerns, (FollowingLost,))
     assert isinstance(lost, FollowingLost)
-    raise OutOfBounds(axis, lost.cause)
+    raise OutOfBoundsError(axis, lost.cause)

@@ -126,7 +126,7 @@ def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
 
     The drive's time-out 0x6066 is not awaited: after it, the drive would stop by itself. limits: of its set-points. By default a
     drive may be off by its way in DEFAULT_TIME at its speed limit (at DEFAULT_SPEED if the user lifted the limit). Raises
-    SdoFailed.
+    SdoTransferError.
     """
     limit = axis.settings.following_error_limit
     if limit is not None:

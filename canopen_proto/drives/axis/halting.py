@@ -16,7 +16,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
 from canopen_proto.drives.axis.exclusive_motion import stops
-from canopen_proto.drives.axis.failures import TakenOver, accounted, name_of
+from canopen_proto.drives.axis.failures import TakenOverError, accounted, name_of
 from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -28,8 +28,8 @@ from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
     ProcedureError,
-    SdoFailed,
-    StepTimeout,
+    SdoTransferError,
+    StepTimeoutError,
     Wait,
     act,
     ask_for_time,
@@ -80,8 +80,9 @@ def halt(axis: Axis) -> Procedure[None]:
     stop at once. An RPDO that the drive holds for a SYNC is replaced: by the halt, or by a word that keeps a disabled drive in
     its state. Any later command without bit 8 ends the halt. The wait lasts as long as the drive slows down (0x606C, else
     0x6064). In torque modes, where bit 8 may only take the torque away, a drive that moves on gets a quick stop, and most drives
-    have no power then. Raises StepTimeout if the drive still moves and did not become slower within a step, or if it shows no
-    state for `reaction_time`; SdoFailed, DriveLost. A halt that is cancelled is not taken back: it begins again, as the clean-up.
+    have no power then. Raises StepTimeoutError if the drive still moves and did not become slower within a step, or if it shows
+    no state for `reaction_time`; SdoTransferError, DriveLostError. A halt that is cancelled is not taken back: it begins again,
+    as the clean-up.
     """
     try:
         yield from _stop(axis)
@@ -95,7 +96,7 @@ def _stop(axis: Axis) -> Procedure[None]:
     is_told = yield from halt_first(axis)
     try:
         statusword = yield from read_statusword(axis)
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if not is_told and failed.origin is not AbortOrigin.LOCAL:  # a drive that has booted has no power
             yield from insist(axis, int(Command.QUICK_STOP))
         raise
@@ -115,7 +116,7 @@ def _stop(axis: Axis) -> Procedure[None]:
             return
     try:
         yield from _wait_for_standstill(axis)
-    except StepTimeout:
+    except StepTimeoutError:
         if axis.state is not State.OPERATION_ENABLED or axis.mode not in _WITHOUT_SPEED:
             raise
         yield from command(axis, int(Command.QUICK_STOP))
@@ -125,7 +126,7 @@ def _stop(axis: Axis) -> Procedure[None]:
 def halt_first(axis: Axis) -> Procedure[bool]:
     """Send bit 8 to a drive that is enabled, or may be and does not say so within 100 ms. Return whether it was sent.
 
-    The first step of a halt: nothing before it can fail. Raises SdoFailed if the drive does not confirm it.
+    The first step of a halt: nothing before it can fail. Raises SdoTransferError if the drive does not confirm it.
     """
     statusword = axis.fresh_statusword((yield from current_time()))
     may_be = axis.state is State.OPERATION_ENABLED or may_be_enabled(axis)
@@ -169,14 +170,14 @@ def _late_state(axis: Axis) -> Procedure[State]:
         word = yield from wait_for_statusword(
             axis, lambda word: state_of(word) in POWERED, axis.reaction_time, goal, accept_fault=True, looks=False
         )
-    except StepTimeout:
+    except StepTimeoutError:
         yield from insist(axis, int(STAYS.get(axis.state, Command.DISABLE_VOLTAGE)))
         return (yield from _next_state(axis))  # it may have been enabled just before
     return state_of(word)
 
 
 def _next_state(axis: Axis) -> Procedure[State]:
-    """Return the state that the drive shows next; raise StepTimeout if it shows none for `reaction_time`."""
+    """Return the state that the drive shows next; raise StepTimeoutError if it shows none for `reaction_time`."""
     yield from ask_for_time(axis.settings.reaction_time + SECOND)
     word = yield from wait_for_statusword(
         axis,
@@ -197,12 +198,13 @@ def _halt_word(axis: Axis) -> int:
 def halt_after(axis: Axis, cause: BaseException, forget: Callable[[], Procedure[None]] | None = None) -> Procedure[None]:
     """Halt as the clean-up after `cause`. A halt that fails is noted in `cause`, or raised if `cause` is Cancelled.
 
-    forget: makes the drive's target 0, see `halt_and_forget`. After TakenOver the other command halts, and only this is done.
+    forget: makes the drive's target 0, see `halt_and_forget`. After TakenOverError the other command halts, and only this is
+    done.
     """
     if axis.occupancy.is_inside and axis.occupancy.occupant is not None:
         axis.occupancy.occupant.is_ending = True
     try:
-        if isinstance(cause, TakenOver):
+        if isinstance(cause, TakenOverError):
             if forget is not None:
                 yield from forget()
         elif forget is not None:
@@ -222,7 +224,7 @@ def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Proced
     """
     try:
         yield from halt(axis)
-    except TakenOver:
+    except TakenOverError:
         yield from forget()
         raise
     except ProcedureError:
@@ -235,7 +237,7 @@ def halt_and_forget(axis: Axis, forget: Callable[[], Procedure[None]]) -> Proced
 def coast_down(axis: Axis) -> Procedure[None]:
     """Wait until the position (0x6064) of a drive without power stays: its axis may coast. Nothing is sent.
 
-    Without a position, no power counts as standstill. Raises StepTimeout as `halt`, if the axis does not get slower.
+    Without a position, no power counts as standstill. Raises StepTimeoutError as `halt`, if the axis does not get slower.
     """
     yield from _wait_for_standstill(axis, coasts=True)
 
@@ -251,7 +253,7 @@ def _wait_for_standstill(axis: Axis, *, coasts: bool = False) -> Procedure[None]
         try:
             yield from judge.watch.until(judge.judge, timeout)
             return
-        except StepTimeout:
+        except StepTimeoutError:
             if judge.may_obey_late:
                 continue
             if before is None:

@@ -30,7 +30,7 @@ from typing import Final
 from canopen_proto.drives.axis.axis import OBEYED, Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import HomingFailed, accounted
+from canopen_proto.drives.axis.failures import HomingError, accounted
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.homing_parameters import (
     check_home_position,
@@ -90,8 +90,8 @@ def home(axis: Axis) -> Procedure[None]:
     """Home the drive, from any state without fault, and wait for the end. A drive that moves is halted first.
 
     Returns when the drive stands at its new reference. On the way, `HomingProgressed` tells what the drive shows. Raises
-    HomingFailed, DriveInFault, ModeUnsupported (also for a method that the drive lacks), StateLost, ModeLost, DriveLost,
-    StepTimeout (`homing_timeout`). After an error or a cancellation the drive is halted.
+    HomingError, DriveInFaultError, ModeUnsupportedError (also for a method that the drive lacks), StateLostError, ModeLostError,
+    DriveLostError, StepTimeoutError (`homing_timeout`). After an error or a cancellation the drive is halted.
     """
     yield from check_homing_method(axis)
     yield from halt(axis)
@@ -151,7 +151,7 @@ def _wait_for_end(axis: Axis, judge: _EndOfHoming) -> Procedure[None]:
             yield from command(axis, Command.ENABLE_OPERATION | ControlBit.HALT)  # bit 4 is 0: it has nothing to begin
             remedy = f"{_FREE}; if it is only slow, a longer reaction_time in its settings"
         failed = "reports a homing error" if ending is _Ending.FAILED else judge.why_it_stands()
-        raise HomingFailed(axis, failed, reason=(yield from _why_it_failed(axis)), remedy=remedy)
+        raise HomingError(axis, failed, reason=(yield from _why_it_failed(axis)), remedy=remedy)
 
 
 def _why_it_failed(axis: Axis) -> Procedure[str]:

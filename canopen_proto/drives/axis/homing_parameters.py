@@ -25,7 +25,7 @@ from typing import Final
 
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
-from canopen_proto.drives.axis.failures import HomingFailed, ModeUnsupported
+from canopen_proto.drives.axis.failures import HomingError, ModeUnsupportedError
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.settings import HomingStyle
 from canopen_proto.drives.axis.units import read_number
@@ -54,7 +54,7 @@ def read_homing_methods(node: AxisNode) -> Procedure[tuple[int, ...] | None]:
 
 
 def check_homing_method(axis: Axis) -> Procedure[None]:
-    """Raise ModeUnsupported if the drive cannot home by the method of its settings. Nothing was written then."""
+    """Raise ModeUnsupportedError if the drive cannot home by the method of its settings. Nothing was written then."""
     method = axis.settings.homing_method
     if method is None or axis.settings.homing is HomingStyle.SCHUNK:
         return
@@ -68,13 +68,13 @@ def check_homing_method(axis: Axis) -> Procedure[None]:
     else:
         return
     failed = f"does not home by {homing_method_name(method)}"
-    raise ModeUnsupported(axis, failed, reason=f"{reason}; nothing was sent", remedy=f"another method: {_LIST}")
+    raise ModeUnsupportedError(axis, failed, reason=f"{reason}; nothing was sent", remedy=f"another method: {_LIST}")
 
 
 def write_homing_parameters(axis: Axis) -> Procedure[None]:
     """Write what the settings say of the homing. The method was checked.
 
-    Raises LocalProtocolError for a speed or an acceleration whose number on the wire would be 0, SdoFailed.
+    Raises LocalProtocolError for a speed or an acceleration whose number on the wire would be 0, SdoTransferError.
     """
     settings, node = axis.settings, axis.node
     rates = {
@@ -102,7 +102,7 @@ def _home_offset(axis: Axis, home_position: float) -> int:
 
 
 def check_home_position(axis: Axis) -> Procedure[None]:
-    """Raise HomingFailed if a homed drive counts its home offset with the other sign than the settings say.
+    """Raise HomingError if a homed drive counts its home offset with the other sign than the settings say.
 
     The drive stands near the home point, at most as far from it as it needed to stop.
     """
@@ -112,7 +112,7 @@ def check_home_position(axis: Axis) -> Procedure[None]:
     position = yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)
     if home and abs(position + home) < abs(position - home) and abs(position + home) < abs(home) / 2:
         is_reversed = axis.settings.home_offset_reversed
-        raise HomingFailed(
+        raise HomingError(
             axis,
             f"homed, and shows {position} counts where its home position is {home}",
             reason="it takes its home offset (0x607C) with the other sign",

@@ -23,15 +23,15 @@ from canopen_proto.drives.axis.units import DriveUnits, read_units
 from canopen_proto.drives.cia402.objects import VENDOR_ID
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, upload
 
 
 @accounted
 def identify(axis: Axis) -> Procedure[None]:
     """Fill in the open settings of the axis (None): by the drive's vendor-ID (0x1018:01), and the scale of a named unit.
 
-    Reads by SDO, and only what is open and was not read before. A drive without a vendor-ID is a CiA 402 drive. Raises SdoFailed
-    if the drive does not answer, ProcedureError if it does not tell the scale of the unit.
+    Reads by SDO, and only what is open and was not read before. A drive without a vendor-ID is a CiA 402 drive. Raises
+    SdoTransferError if the drive does not answer, ProcedureError if it does not tell the scale of the unit.
     """
     if not axis.is_identified and axis.settings.homing is None:
         axis.identify((yield from _vendor_id(axis)))
@@ -47,7 +47,7 @@ def identify(axis: Axis) -> Procedure[None]:
 def _vendor_id(axis: Axis) -> Procedure[int | None]:
     try:
         data = yield from upload(axis.node.sdo, *split_mux(VENDOR_ID))
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.abort_code not in ABSENT:
             raise
         data = b""
@@ -56,6 +56,7 @@ def _vendor_id(axis: Axis) -> Procedure[int | None]:
 
 @accounted
 def learn_units(axis: Axis) -> Procedure[DriveUnits]:
-    """Read what the drive's numbers mean (its factor group), keep it in `axis.scale.units`, and return it. Raises SdoFailed."""
+    """Read what the drive's numbers mean (its factor group), keep it in `axis.scale.units`, and return it. Raises
+    SdoTransferError."""
     axis.scale.units = yield from read_units(axis.node)
     return axis.scale.units

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, ModeUnsupported, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, ModeUnsupportedError, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt_after
 from canopen_proto.drives.axis.sub_modes import LINEAR, SubMode
 from canopen_proto.drives.axis.synchronous import align_position, follow, prepare, require_carried, write_record
@@ -33,7 +33,7 @@ from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import read_if_present, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoTransferError
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +70,9 @@ def start_interpolation(
     cycle_time: ns between two SYNCs. sends_itself: the caller sends the set-points by a PDO of its own; else RPDOs that the node
     exchanges must carry all objects of a record. sub_mode: how a record is made (sub_modes.py). buffer: how the drive's buffer is
     used; None: it is left as it is. The actual position is read and becomes the first set-point, so that nothing jumps. Raises
-    ReferenceLost, ModeUnsupported (also if the drive refuses the sub-mode), DriveInFault, StateLost, ModeLost, DriveLost,
-    StepTimeout; DriveError if no RPDO carries set-points, or none is sent, or the buffer is too small. The drive is halted if
-    this is cancelled.
+    ReferenceLostError, ModeUnsupportedError (also if the drive refuses the sub-mode), DriveInFaultError, StateLostError,
+    ModeLostError, DriveLostError, StepTimeoutError; DriveError if no RPDO carries set-points, or none is sent, or the buffer is
+    too small. The drive is halted if this is cancelled.
     """
     require_reference(axis)
     require_carried(axis, sub_mode.objects, sends_itself)
@@ -110,10 +110,10 @@ def _set_up(axis: Axis, sub_mode: SubMode, buffer: InterpolationBuffer | None) -
         yield from write(axis.node, objects.BUFFER_CLEAR, 0)
     try:
         yield from _ensure(axis, objects.INTERPOLATION_SUB_MODE_SELECT, sub_mode.number)
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.origin is not AbortOrigin.PEER:
             raise
-        raise ModeUnsupported(
+        raise ModeUnsupportedError(
             axis,
             f"refused interpolation sub-mode {sub_mode.number} (0x60C0): {failed}",
             remedy="the sub-mode that its manual names, as `sub_mode`",

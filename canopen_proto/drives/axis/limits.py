@@ -180,7 +180,7 @@ _OF_DRIVE: Final = "of the drive"
 
 @accounted
 def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure[SetPointLimits]:
-    """Return the limits of an axis, by its settings and by its drive. Raises SdoFailed if the drive does not answer.
+    """Return the limits of an axis, by its settings and by its drive. Raises SdoTransferError if the drive does not answer.
 
     mode: in which it is going to follow set-points.
     """

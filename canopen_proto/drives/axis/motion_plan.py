@@ -75,7 +75,7 @@ from canopen_proto.pdo.slots import (
     spare_tpdos,
 )
 from canopen_proto.procedures.objects import read_if_present
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, download
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, download
 from canopen_proto.remote_node import RemoteNode
 
 MODES: Final = (Mode.CYCLIC_SYNCHRONOUS_POSITION, Mode.INTERPOLATED_POSITION, Mode.PROFILE_POSITION)
@@ -107,7 +107,7 @@ class Obstacle(NamedTuple):
     reason: str
 
 
-class NoMotionPlan(ProcedureError):
+class NoMotionPlanError(ProcedureError):
     """No mode can be used to give a drive set-points. obstacles: each mode that was tried, and its obstacle."""
 
     def __init__(self, message: str, obstacles: Sequence[Obstacle]) -> None:
@@ -225,8 +225,8 @@ def plan_motion(
     """Return how a drive with this dictionary follows set-points; see this module's text.
 
     cycle_time: ns between two SYNCs. modes: 0x6502 as the drive shows it; None: not read. wish: the only mode to be considered.
-    axis: of the node, 0 for the first one. lean: as few TPDOs as possible. Raises NoMotionPlan, which names each mode and its
-    obstacle.
+    axis: of the node, 0 for the first one. lean: as few TPDOs as possible. Raises NoMotionPlanError, which names each mode and
+    its obstacle.
     """
     wish = wish if wish is None else Mode(wish)  # a plain number is as good
     choice = _PdoChoice(dictionary, node_id, axis)
@@ -243,7 +243,7 @@ def plan_motion(
         rejected.append(Obstacle(mode, obstacle))
     source = dictionary.source or "its dictionary"
     told_obstacles = "; ".join(f"{short_name(each.mode)}: {each.reason}" for each in rejected)
-    raise NoMotionPlan(
+    raise NoMotionPlanError(
         f"{_title(node_id, axis)} cannot follow set-points by {source}: {told_obstacles}. "
         "Try: the file of this very drive and firmware; its manual on modes (0x6502) and PDO mapping",
         rejected,
@@ -262,7 +262,7 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
     for step in (yield from steps_to_destroy(node, plan.spare)):
         try:
             yield from download(node.sdo, *step)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.PEER:
                 raise  # else it goes on to send what nobody needs
     yield from read_commanded(node, plan.extras)
@@ -270,8 +270,8 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
 
 
 def pending_steps(node: RemoteNode, plan: MotionPlan) -> Procedure[list[Write]]:
-    """Return the writes that `exchange_planned` would make in the node now, in order; the node is only read. Raises SdoFailed,
-    StrangePdo, UnexpectedLength."""
+    """Return the writes that `exchange_planned` would make in the node now, in order; the node is only read. Raises
+    SdoTransferError, InvalidPdoError, UnexpectedLengthError."""
     steps = yield from _steps_to_destroy(node, plan)
     steps += yield from steps_to_destroy(node, plan.spare)
     for pdo in plan.pdos:
@@ -284,7 +284,8 @@ def _steps_to_destroy(node: RemoteNode, plan: MotionPlan) -> Procedure[list[Writ
 
 
 def read_modes(node: AxisNode) -> Procedure[int | None]:
-    """Return the supported modes that the drive shows (0x6502), for `plan_motion`; None if it shows none. Raises SdoFailed."""
+    """Return the supported modes that the drive shows (0x6502), for `plan_motion`; None if it shows none. Raises
+    SdoTransferError."""
     modes = yield from read_if_present(node, objects.SUPPORTED_DRIVE_MODES)
     return modes if isinstance(modes, int) and modes else None
 

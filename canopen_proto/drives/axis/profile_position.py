@@ -8,7 +8,7 @@ from typing import Final
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReached, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import EXACT, limits_of
@@ -29,7 +29,7 @@ from canopen_proto.drives.cia402.positioning import (
 from canopen_proto.drives.cia402.states import Command, ControlBit, State, StatusBit
 from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.procedures.objects import read_if_present, read_int, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeout, current_time, sleep
+from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeoutError, current_time, sleep
 from canopen_proto.remote_node import FRESH
 
 NO_WINDOW: Final = 2**32 - 1
@@ -57,10 +57,10 @@ def move_to(
     Bit 5 is always set: it drops a target that a halt has kept, or that is under way. A drive in another mode is halted first.
     The position (0x6062, 0x6064) shows whether the target is reached: bit 10 also rises when a drive stops at a software limit.
     direction: the way to the target of an axis without end, in the user's direction; None leaves 0x60F2 as it is.
-    timeout: ns for the whole way. Raises LimitReached; nothing is sent if the target is beyond min_position or max_position of
-    the settings, if 0x6081 is beyond their max_speed, or if the target does not fit 0x607A (ValueRangeError). Raises
-    DriveInFault, StateLost, ModeLost, DriveLost, ModeUnsupported, StepTimeout; ReferenceLost for a position that is not relative.
-    The drive is halted if this fails or is cancelled.
+    timeout: ns for the whole way. Raises LimitReachedError; nothing is sent if the target is beyond min_position or max_position
+    of the settings, if 0x6081 is beyond their max_speed, or if the target does not fit 0x607A (ValueRangeError). Raises
+    DriveInFaultError, StateLostError, ModeLostError, DriveLostError, ModeUnsupportedError, StepTimeoutError; ReferenceLostError
+    for a position that is not relative. The drive is halted if this fails or is cancelled.
     """
     if not relative:
         require_reference(axis)
@@ -93,10 +93,10 @@ def move_to(
         given_at = yield from current_time()
         try:
             yield from wait_for_acknowledge(axis, True)
-        except StepTimeout as refused:
+        except StepTimeoutError as refused:
             limit = yield from limit_before(axis, target)
             if limit:
-                raise LimitReached(axis, "did not take its target", reason=limit, remedy=OTHER_TARGET) from refused
+                raise LimitReachedError(axis, "did not take its target", reason=limit, remedy=OTHER_TARGET) from refused
             axis.leave_unanswered("a target")
             raise
         axis.started_at = OBEYED
@@ -158,14 +158,14 @@ def make_room(axis: Axis, word: int) -> Procedure[None]:
     """Command `word`, which ends no halt, and wait until the drive has room for a set-point (bit 12 = 0).
 
     A halted drive keeps its queue of set-points. If that is full, the drive is led to another mode and back, as its settings
-    allow: CiA 402 empties the queue with the mode. Raises StepTimeout if it has no other mode in which it stands.
+    allow: CiA 402 empties the queue with the mode. Raises StepTimeoutError if it has no other mode in which it stands.
     """
     halted = axis.controlword & ControlBit.HALT
     yield from command(axis, word | halted)
     try:
         yield from wait_for_acknowledge(axis, False, axis.settings.reaction_time if halted else None)
         return
-    except StepTimeout:
+    except StepTimeoutError:
         if not halted or not axis.statusword & ModeStatus.SET_POINT_ACKNOWLEDGE:
             raise
         has_left = (yield from takes(axis, Mode.HOMING)) or (yield from takes(axis, Mode.INTERPOLATED_POSITION))
@@ -178,10 +178,10 @@ def make_room(axis: Axis, word: int) -> Procedure[None]:
 
 
 def require_within_limits(axis: Axis, start: int, target: int) -> None:
-    """Raise LimitReached for a target beyond the limits of the settings. start, target: counts."""
+    """Raise LimitReachedError for a target beyond the limits of the settings. start, target: counts."""
     limit = limits_of(axis).position_excess(axis.scale.from_counts(start), axis.scale.from_counts(target))
     if limit is not None:
-        raise LimitReached(
+        raise LimitReachedError(
             axis,
             f"was not moved to {axis.scale.from_counts(target):g}",
             reason=f"{limit.source} say {limit.value:g}; it got no such target",
@@ -190,7 +190,7 @@ def require_within_limits(axis: Axis, start: int, target: int) -> None:
 
 
 def require_profile_speed(axis: Axis) -> Procedure[None]:
-    """Raise LimitReached if the drive's own profile velocity (0x6081) is beyond max_speed of the settings.
+    """Raise LimitReachedError if the drive's own profile velocity (0x6081) is beyond max_speed of the settings.
 
     A drive without 0x6081, or whose velocity unit cannot be converted, is not judged.
     """
@@ -205,7 +205,7 @@ def require_profile_speed(axis: Axis) -> Procedure[None]:
         return
     speed = axis.scale.amount_from_counts(number * unit)
     if speed > limit * EXACT:
-        raise LimitReached(
+        raise LimitReachedError(
             axis,
             f"was not moved at {speed:g} per second",
             reason=f"that is its profile velocity (0x6081 = {number}); the settings (max_speed) say {limit:g}; nothing was sent",
@@ -257,7 +257,7 @@ def wait_for_target(axis: Axis, target: int, given_at: Time, timeout: Time, rela
     if not limit and statusword & StatusBit.INTERNAL_LIMIT:
         limit = "an internal limit of the drive is active (bit 11)"
     if limit or (is_there is False and not relative):  # 0x60F2: the drive decides what a relative target counts from
-        raise LimitReached(
+        raise LimitReachedError(
             axis,
             f"stands at {axis.scale.from_counts(position):g} ({position} counts), "
             f"not at its target {axis.scale.from_counts(target):g} ({target} counts)",

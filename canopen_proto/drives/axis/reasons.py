@@ -75,7 +75,7 @@ def outer_reason(view: DriveView) -> Reason | None:
 def look_at(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView | None]:
     """Read what a drive shows, by SDO, by number, whatever the dictionary has. Returns None for a node without a statusword.
 
-    settings: name the maker's bits (`sto_input`, `brake_bit`). Raises SdoFailed if the node does not answer.
+    settings: name the maker's bits (`sto_input`, `brake_bit`). Raises SdoTransferError if the node does not answer.
     """
     statusword = yield from read_number(node, objects.STATUSWORD)
     if statusword is None:

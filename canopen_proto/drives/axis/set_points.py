@@ -97,7 +97,7 @@ class RecordSetPoint(SetPoint):
     __slots__ = ("_period", "_position", "_sub_mode", "_variables")
 
     def __init__(self, dictionary: ObjectDictionary, store: MutableMapping[Mux, Value], sub_mode: SubMode, period: Time) -> None:
-        """period: ns between two records. Raises ObjectNotFound if the dictionary lacks an object of the record."""
+        """period: ns between two records. Raises ObjectNotFoundError if the dictionary lacks an object of the record."""
         self._variables = [dictionary.variable(mux) for mux in sub_mode.objects]
         super().__init__(self._variables[0], store)
         self._sub_mode = sub_mode

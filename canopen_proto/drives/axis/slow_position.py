@@ -61,8 +61,8 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
     """Make the drive take targets in profile position mode; return the position where it starts, which is its first target.
 
     RPDOs that are exchanged with the node and carry controlword or target are used; without, both go by SDO. Raises
-    ReferenceLost, ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost, StepTimeout, SdoFailed. The drive is halted if
-    this is cancelled.
+    ReferenceLostError, ModeUnsupportedError, DriveInFaultError, StateLostError, ModeLostError, DriveLostError, StepTimeoutError,
+    SdoTransferError. The drive is halted if this is cancelled.
     """
     require_reference(axis)
     axis.set_points.select(Mode.PROFILE_POSITION)
@@ -108,7 +108,7 @@ def profile_lag(axis: Axis, cycle_time: Time) -> Procedure[Time]:
     """Return how far the drive may be behind its set-points, in ns: handshakes, and its ramps from 0 to its profile velocity.
 
     cycle_time: ns between two SYNCs. Speed and ramps (0x6081, 0x6083, 0x6084) are the drive's; their quotient is a time if their
-    units belong together, as in all drives known. Raises SdoFailed if the drive does not answer.
+    units belong together, as in all drives known. Raises SdoTransferError if the drive does not answer.
     """
     speed = yield from _amount(axis, objects.PROFILE_VELOCITY)
     up = yield from _amount(axis, objects.PROFILE_ACCELERATION)

@@ -9,7 +9,7 @@ from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, put
 from canopen_proto.drives.axis.digital_io import return_brake
 from canopen_proto.drives.axis.exclusive_motion import moves, stops
-from canopen_proto.drives.axis.failures import DriveTimeout, ModeUnsupported, accounted, fault_of, state_lost
+from canopen_proto.drives.axis.failures import DriveTimeoutError, ModeUnsupportedError, accounted, fault_of, state_lost
 from canopen_proto.drives.axis.halting import halt, halt_after, may_be_enabled
 from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait, read_statusword, wait_for_statusword
@@ -19,7 +19,7 @@ from canopen_proto.drives.cia402.modes import Mode, ModeControl, mode_name, supp
 from canopen_proto.drives.cia402.states import FAULT_STATES, POWERED, Command, ControlBit, State, next_command, state_of
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.procedures.objects import read_if_present, read_int
-from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed, StepTimeout, act, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoTransferError, StepTimeoutError, act, current_time
 
 _POWER: Final = {State.READY_TO_SWITCH_ON: 1, State.SWITCHED_ON: 2, State.OPERATION_ENABLED: 3}
 """How far a state is on the way to Operation enabled; 0 for all other states."""
@@ -44,11 +44,11 @@ def _leaves(state: State) -> Callable[[int], bool]:
 def change_state(axis: Axis, target: State) -> Procedure[int]:
     """Lead the drive to the state `target`, one command after the other; return the statusword.
 
-    A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLost for a drive that goes down
-    when it is led up, or reaches a state twice: something else commands it. Raises DriveInFault, DriveLost, StepTimeout,
-    SdoFailed. On the way to Operation enabled, `axis.watchdog` first makes the drive watch its master. On the way to any other
-    state, the drive first gets its brake back if this master has opened it. To Operation enabled it counts as a motion, else as a
-    stop, see exclusive_motion.py.
+    A drive in fault is not reset: `reset_fault` does that, by the user's decision. Raises StateLostError for a drive that goes
+    down when it is led up, or reaches a state twice: something else commands it. Raises DriveInFaultError, DriveLostError,
+    StepTimeoutError, SdoTransferError. On the way to Operation enabled, `axis.watchdog` first makes the drive watch its master.
+    On the way to any other state, the drive first gets its brake back if this master has opened it. To Operation enabled it
+    counts as a motion, else as a stop, see exclusive_motion.py.
     """
     lead = _change_state_up if target is State.OPERATION_ENABLED else _change_state_down
     return (yield from lead(axis, target))
@@ -79,7 +79,7 @@ def _lead(axis: Axis, target: State) -> Procedure[int]:
             if step is not None:
                 yield from (insist if state in POWERED and not goes_up else command)(axis, int(step))
             statusword = yield from wait_for_statusword(axis, _leaves(state), axis.settings.state_timeout, str(target))
-        except (Cancelled, StepTimeout, SdoFailed):
+        except (Cancelled, StepTimeoutError, SdoTransferError):
             axis.leave_unanswered(f"the way to {target}")
             raise
         if step is not None:
@@ -93,16 +93,18 @@ def settle(axis: Axis) -> Procedure[None]:
     """Make sure that the drive has obeyed all that it was commanded: lead it to another state, and wait until it shows it.
 
     An enabled drive slows down by its ramp and has no power then. Others go one state down, or from the lowest one up: there they
-    have no power either. Raises DriveTimeout if the drive does not show the state within `state_timeout`: it may still act.
+    have no power either. Raises DriveTimeoutError if the drive does not show the state within `state_timeout`: it may still act.
     """
     state = state_of((yield from read_statusword(axis)))
     left = axis.unanswered or "what it was commanded before"
     axis.leave_unanswered(left)
     try:
         yield from change_state(axis, _ANOTHER_STATE.get(state, State.SWITCH_ON_DISABLED))
-    except StepTimeout as late:
+    except StepTimeoutError as late:
         failed = f"has not answered within {axis.settings.state_timeout / SECOND:g} s (state_timeout), and may still obey {left}"
-        raise DriveTimeout(axis, failed, reason=late.reason if isinstance(late, DriveTimeout) else "", remedy=ACTS_LATE) from late
+        raise DriveTimeoutError(
+            axis, failed, reason=late.reason if isinstance(late, DriveTimeoutError) else "", remedy=ACTS_LATE
+        ) from late
     axis.unanswered = ""
 
 
@@ -133,7 +135,7 @@ def _change_state_down(axis: Axis, target: State) -> Procedure[int]:
 def reset_fault(axis: Axis) -> Procedure[None]:
     """Clear a fault by a rising edge of bit 7. A drive without a fault stays as it is, or at worst loses its power.
 
-    Returns when the drive has left Fault. Raises DriveInFault if it stays there: the cause persists.
+    Returns when the drive has left Fault. Raises DriveInFaultError if it stays there: the cause persists.
     """
     statusword = yield from wait_for_statusword(
         axis,
@@ -154,7 +156,7 @@ def reset_fault(axis: Axis) -> Procedure[None]:
             "the end of its fault",
             accept_fault=True,
         )
-    except StepTimeout as stuck:
+    except StepTimeoutError as stuck:
         raise (yield from fault_of(axis, "that a fault reset did not clear")) from stuck
     yield from command(axis, 0)
 
@@ -162,7 +164,7 @@ def reset_fault(axis: Axis) -> Procedure[None]:
 @moves
 @accounted
 def enable(axis: Axis) -> Procedure[None]:
-    """Lead the drive to Operation enabled. Raises DriveInFault, StepTimeout, SdoFailed.
+    """Lead the drive to Operation enabled. Raises DriveInFaultError, StepTimeoutError, SdoTransferError.
 
     In velocity, torque and cyclic modes the drive then obeys its last target at once, from whatever source: select a mode first,
     or call `select_motionless_mode`.
@@ -171,12 +173,12 @@ def enable(axis: Axis) -> Procedure[None]:
 
 
 def require_mode(axis: Axis, mode: int) -> Procedure[None]:
-    """Raise ModeUnsupported if 0x6502 lacks a mode of the standard. Nothing is written; without 0x6502 any mode may do."""
+    """Raise ModeUnsupportedError if 0x6502 lacks a mode of the standard. Nothing is written; without 0x6502 any mode may do."""
     modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
     if isinstance(modes, int) and not supported(modes, mode):
         has = ", ".join(mode_name(each) for each in supported_modes(modes)) or "none"
         reason = f"0x6502 = 0x{modes:08X}, which is {has}"
-        raise ModeUnsupported(axis, f"does not support {mode_name(mode)}", reason=reason, remedy=_ANOTHER)
+        raise ModeUnsupportedError(axis, f"does not support {mode_name(mode)}", reason=reason, remedy=_ANOTHER)
 
 
 @moves
@@ -184,10 +186,10 @@ def require_mode(axis: Axis, mode: int) -> Procedure[None]:
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
     """Select a mode of operation and wait until the drive shows it. 0x6060 goes by the live RPDO that carries it, else by SDO.
 
-    Raises ModeUnsupported, with nothing written, if 0x6502 lacks the mode (without 0x6502 the mode is simply tried); also if the
-    drive does not take up the mode within `state_timeout`. waive_check: write the mode although 0x6502 lacks it (Schunk's
-    homing). Modes of the maker, below 0, have no bit in 0x6502. Raises DriveInFault, StateLost (the drive was enabled, and no
-    longer is), DriveLost.
+    Raises ModeUnsupportedError, with nothing written, if 0x6502 lacks the mode (without 0x6502 the mode is simply tried); also if
+    the drive does not take up the mode within `state_timeout`. waive_check: write the mode although 0x6502 lacks it (Schunk's
+    homing). Modes of the maker, below 0, have no bit in 0x6502. Raises DriveInFaultError, StateLostError (the drive was enabled,
+    and no longer is), DriveLostError.
 
     A drive that by its settings (mode_change_state, changes_mode_halted) takes no other mode in its present state is first halted
     and led down to a state in which it does; it stays there. One that shows the mode already is left as it is.
@@ -226,14 +228,14 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
 
     try:
         yield from watch.until(is_shown, axis.settings.state_timeout)
-    except DriveTimeout as late:
+    except DriveTimeoutError as late:
         axis.leave_unanswered(mode_name(mode))
         shown = axis.mode or Mode.NO_MODE
         if axis.node.rpdo_of(objects.MODES_OF_OPERATION) is not None:
             # An RPDO cannot be refused: it would go on asking, and the drive might obey at any later time.
             yield from act(lambda now: put(axis, objects.MODES_OF_OPERATION, shown, now))
         failed = f"did not take up {mode_name(mode)}; it shows {mode_name(shown)} in 0x6061"
-        raise ModeUnsupported(axis, failed, reason=late.reason, remedy=late.remedy, view=late.view) from late
+        raise ModeUnsupportedError(axis, failed, reason=late.reason, remedy=late.remedy, view=late.view) from late
 
 
 def _state_below(axis: Axis, state: State) -> State | None:
@@ -256,7 +258,7 @@ def quick_stop(axis: Axis) -> Procedure[None]:
     stopped = (State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED)
     try:
         yield from wait_for_statusword(axis, lambda word: state_of(word) in stopped, axis.settings.state_timeout, "a quick stop")
-    except StepTimeout:
+    except StepTimeoutError:
         axis.leave_unanswered("a quick stop")
         raise
 

@@ -40,7 +40,7 @@ from canopen_proto.drives.cia402.states import Command, State, state_of
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import ABSENT, read_if_present, read_int, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoTransferError, current_time
 
 Align: TypeAlias = Callable[[Axis], Procedure[float]]
 """Makes what the drive has now its set-point, and returns it in the user's unit."""
@@ -55,8 +55,8 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
     """Make the drive follow one position per SYNC in cyclic synchronous position mode; return the position where it starts.
 
     cycle_time: ns between two SYNCs. sends_itself: the caller sends the set-points by a PDO of its own; else an RPDO that the
-    node exchanges must carry 0x607A. Raises ReferenceLost, ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost,
-    StepTimeout; DriveError if no RPDO carries set-points, or none is sent.
+    node exchanges must carry 0x607A. Raises ReferenceLostError, ModeUnsupportedError, DriveInFaultError, StateLostError,
+    ModeLostError, DriveLostError, StepTimeoutError; DriveError if no RPDO carries set-points, or none is sent.
     """
     require_reference(axis)
     carried = (objects.TARGET_POSITION,)
@@ -187,7 +187,7 @@ def clear_offsets(axis: Axis, mode: Mode) -> Procedure[None]:
             continue
         try:
             yield from write(node, mux, 0)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.abort_code not in ABSENT:
                 raise
 
@@ -201,7 +201,7 @@ def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
     if objects.INTERPOLATION_TIME_UNITS not in node.dictionary:
         return
     _, most = range_of(node.dictionary.variable(objects.INTERPOLATION_TIME_UNITS).data_type) or (0, 255)
-    refused: SdoFailed | None = None
+    refused: SdoTransferError | None = None
     for exponent in _EXPONENTS:
         units, rest = divmod(cycle_time, 10 ** (9 + exponent))
         if rest or not 1 <= units <= most:
@@ -209,7 +209,7 @@ def _set_interpolation_period(axis: Axis, cycle_time: Time) -> Procedure[None]:
         try:
             yield from write(node, objects.INTERPOLATION_TIME_INDEX, exponent)
             yield from write(node, objects.INTERPOLATION_TIME_UNITS, units)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.PEER:
                 raise
             refused = refused or failed

@@ -23,7 +23,7 @@ from typing import Final
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReached, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, accounted, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.profile_position import (
@@ -48,7 +48,7 @@ from canopen_proto.drives.cia402.states import Command, State
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.procedures.objects import read_if_present, write
-from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeout, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, StepTimeoutError, current_time
 
 
 class Start(enum.Enum):
@@ -105,10 +105,10 @@ def move_along(axis: Axis, targets: Iterable[ProfileTarget], *, timeout: Time) -
     """Profile position: go to one target after the other, and wait for the end. Does nothing without targets.
 
     timeout: ns for the whole way. All limits of the settings (min_position, max_position, max_speed) are checked before anything
-    is sent, and again where a target counts from a position that only shows on the way. Raises LimitReached, DriveError (the
+    is sent, and again where a target counts from a position that only shows on the way. Raises LimitReachedError, DriveError (the
     drive lacks an object, or a queue, that a target needs), LocalProtocolError (a velocity unit that is not known; an end
-    velocity of the last target), ValueRangeError, ReferenceLost, DriveInFault, StateLost, ModeLost, DriveLost, ModeUnsupported,
-    StepTimeout. The drive is halted if this fails or is cancelled.
+    velocity of the last target), ValueRangeError, ReferenceLostError, DriveInFaultError, StateLostError, ModeLostError,
+    DriveLostError, ModeUnsupportedError, StepTimeoutError. The drive is halted if this fails or is cancelled.
     """
     points = tuple(targets)
     if not points:
@@ -195,12 +195,14 @@ class _Feeder:
         return self._axis.scale.to_counts(point.position) - self._axis.settings.offset
 
     def _profile_of(self, point: ProfileTarget) -> dict[Mux, int]:
-        """Return the values of a target's profile on the wire. Raises LimitReached for a speed beyond max_speed."""
+        """Return the values of a target's profile on the wire. Raises LimitReachedError for a speed beyond max_speed."""
         axis, limit = self._axis, self._axis.settings.max_speed
         fastest = max(point.velocity or 0.0, point.end_velocity)
         if limit is not None and fastest > limit:
             reason = f"the settings (max_speed) say {limit:g}; nothing was sent"
-            raise LimitReached(axis, f"was not moved at {fastest:g} per second", reason=reason, remedy=OTHER_TARGET, looks=False)
+            raise LimitReachedError(
+                axis, f"was not moved at {fastest:g} per second", reason=reason, remedy=OTHER_TARGET, looks=False
+            )
         found = {}
         for key, value, convert in (
             (objects.PROFILE_VELOCITY, point.velocity, axis.scale.speed_to_wire),
@@ -242,19 +244,19 @@ class _Feeder:
         self._given_at = yield from current_time()
         try:
             yield from wait_for_acknowledge(axis, True)
-        except StepTimeout as refused:
+        except StepTimeoutError as refused:
             yield from self._tell_refusal(start, refused)
             axis.leave_unanswered("a target")
             raise
         axis.started_at = OBEYED
         yield from command(axis, word)
 
-    def _tell_refusal(self, start: Start, refused: StepTimeout) -> Procedure[None]:
+    def _tell_refusal(self, start: Start, refused: StepTimeoutError) -> Procedure[None]:
         """Raise the error that says why a target was not taken; return if that is not known."""
         axis = self._axis
         limit = yield from limit_before(axis, self._target)
         if limit:
-            raise LimitReached(axis, "did not take its target", reason=limit, remedy=OTHER_TARGET) from refused
+            raise LimitReachedError(axis, "did not take its target", reason=limit, remedy=OTHER_TARGET) from refused
         if start is not Start.AT_ONCE:
             remedy = "AxisSettings(queues_set_points=False), if it keeps no set-points"
             raise DriveError(axis, "took no target while it was on its way to another one", remedy=remedy) from refused

@@ -20,7 +20,7 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.bounds import bounds_of
 from canopen_proto.drives.axis.controlword import bring, command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReached, accounted
+from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, accounted
 from canopen_proto.drives.axis.halting import halt, halt_after, halt_and_forget
 from canopen_proto.drives.axis.state import enable, require_mode, set_mode
 from canopen_proto.drives.axis.synchronous import holding_torque
@@ -44,10 +44,10 @@ def apply_torque(
     torque per second; None: the drive's own. max_speed: see `bounds_of`; without any limit of the speed nothing is done. **A load
     that the brake holds falls until the torque has grown**, if the drive had no power before.
 
-    Raises LimitReached if a limit of position or speed is left, or the torque is more than 0x6072; DriveError if the torque is
-    less than a thousandth, the slope cannot be written, or nothing limits the speed; ValueRangeError; ReferenceLost,
-    ModeUnsupported, DriveInFault, StateLost, ModeLost, DriveLost, StepTimeout, SdoFailed. The drive is halted if this fails or is
-    cancelled.
+    Raises LimitReachedError if a limit of position or speed is left, or the torque is more than 0x6072; DriveError if the torque
+    is less than a thousandth, the slope cannot be written, or nothing limits the speed; ValueRangeError; ReferenceLostError,
+    ModeUnsupportedError, DriveInFaultError, StateLostError, ModeLostError, DriveLostError, StepTimeoutError, SdoTransferError.
+    The drive is halted if this fails or is cancelled.
     """
     if duration < 0:
         raise LocalProtocolError(f"duration must not be below 0; it is {duration!r}")
@@ -59,7 +59,7 @@ def apply_torque(
     bounds = yield from bounds_of(axis, max_speed)
     most = yield from read_if_present(axis.node, objects.MAX_TORQUE)
     if isinstance(most, int) and abs(target) > most:
-        raise LimitReached(
+        raise LimitReachedError(
             axis, f"was given no torque of {torque:g}", reason=f"0x6072 allows {most / 1000:g} of the rated torque", remedy="less"
         )
     axis.node.encode(objects.TARGET_TORQUE, target)  # now: nothing may fail once the drive has power
@@ -83,7 +83,7 @@ def apply_torque(
         def judge(statusword: int, heard_at: Time) -> bool | None:
             excess = bounds.judge()
             if excess:
-                raise LimitReached(axis, excess, remedy="less torque, or another limit")
+                raise LimitReachedError(axis, excess, remedy="less torque, or another limit")
             return True if heard_at >= end else None
 
         yield from watch.until(judge, duration + axis.settings.state_timeout)

@@ -24,7 +24,7 @@ from enum import IntEnum
 from typing import Final, NamedTuple, NoReturn
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import DriveTimeout, accounted
+from canopen_proto.drives.axis.failures import DriveTimeoutError, accounted
 from canopen_proto.drives.axis.watching import POLL_INTERVAL
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Time
@@ -93,7 +93,7 @@ def arm_probe(
     """Arm a probe for these edges, the first or `each`; what it latched before is forgotten.
 
     probe: 1 or 2. positive, negative: the edges that latch. each: every edge; else the first one. source: of the edges.
-    Raises DriveTimeout if the drive does not show it as enabled within `state_timeout`, SdoFailed if it refuses;
+    Raises DriveTimeoutError if the drive does not show it as enabled within `state_timeout`, SdoTransferError if it refuses;
     LocalProtocolError for a probe other than 1 and 2, or without an edge.
     """
     if not (positive or negative):
@@ -122,7 +122,7 @@ def _command(axis: Axis, probe: int, function: int) -> Procedure[None]:
         if (yield from current_time()) >= deadline:
             goal = "enabled" if function else "disabled"
             failed = f"did not show touch probe {probe} as {goal} (0x60B9) within {axis.settings.state_timeout / SECOND:g} s"
-            raise DriveTimeout(axis, failed, remedy="look which input of the drive is its touch probe", looks=False)
+            raise DriveTimeoutError(axis, failed, remedy="look which input of the drive is its touch probe", looks=False)
         yield from sleep(POLL_INTERVAL)
 
 
@@ -137,7 +137,7 @@ def read_probe(axis: Axis, probe: int = 1) -> Procedure[ProbeReading]:
 def wait_for_probe(axis: Axis, probe: int = 1, *, timeout: Time) -> Procedure[ProbeReading]:
     """Wait until a probe that is armed has latched an edge, at most `timeout` ns; return what it has latched.
 
-    The axis is not moved by this. Raises DriveTimeout, SdoFailed.
+    The axis is not moved by this. Raises DriveTimeoutError, SdoTransferError.
     """
     deadline = (yield from current_time()) + timeout
     while True:
@@ -145,7 +145,7 @@ def wait_for_probe(axis: Axis, probe: int = 1, *, timeout: Time) -> Procedure[Pr
         if reading != ProbeReading(None, None):
             return reading
         if (yield from current_time()) >= deadline:
-            raise DriveTimeout(
+            raise DriveTimeoutError(
                 axis, f"latched nothing by touch probe {probe} within {timeout / SECOND:g} s", remedy="look at the probe's input"
             )
         yield from sleep(POLL_INTERVAL)

@@ -32,7 +32,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
-from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, upload
 
 _METRE, _RADIAN, _DEGREE, _TURN = 0x01, 0x10, 0x41, 0xB4
 _ANGLES: Final = {_RADIAN: ("radian", 2 * math.pi), _DEGREE: ("degree", 360.0), _TURN: ("turn", 1.0)}
@@ -116,7 +116,8 @@ class DriveUnits:
 
 
 def read_units(node: AxisNode) -> Procedure[DriveUnits]:
-    """Read the factor group by SDO, by number, whatever the dictionary has. Raises SdoFailed if the drive does not answer."""
+    """Read the factor group by SDO, by number, whatever the dictionary has. Raises SdoTransferError if the drive does not
+    answer."""
     values: dict[Mux, int] = {}
     for key in FACTOR_GROUP:
         value = yield from read_number(node, key, signed=key == objects.HOME_OFFSET)
@@ -132,7 +133,7 @@ def read_number(node: AxisNode, key: Mux, *, signed: bool = False) -> Procedure[
     """
     try:
         data = yield from upload(node.sdo, *split_mux(node.on_device(key)))
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.origin is AbortOrigin.PEER:
             return None
         raise

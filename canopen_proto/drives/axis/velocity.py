@@ -28,7 +28,14 @@ from typing import Final, NamedTuple
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import bring, command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReached, ModeUnsupported, accounted, late, require_reference
+from canopen_proto.drives.axis.failures import (
+    DriveError,
+    LimitReachedError,
+    ModeUnsupportedError,
+    accounted,
+    late,
+    require_reference,
+)
 from canopen_proto.drives.axis.halting import halt, halt_after, halt_and_forget, halt_ramp
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import Limit, read_limits
@@ -81,10 +88,11 @@ def run_at(
     mode: pv or vl; None: pv, else vl, whichever the drive has. acceleration, deceleration: per second², rounded down to the
     drive's unit; None: the drive's own. news: called when the drive has its command, and when it shows the velocity.
 
-    Raises with nothing sent: ModeUnsupported; LimitReached for a velocity beyond max_speed of the settings, 0x607F or 0x6080 (see
-    limits.py), and for a position limit that is too near; ReferenceLost if the settings have position limits; DriveError for a
-    unit that is not known, or a velocity below it; ValueRangeError. Later: LimitReached at a limit of the position or of the
-    drive, DriveTimeout if it does not reach the velocity, DriveInFault, StateLost, ModeLost, DriveLost. The drive is halted then.
+    Raises with nothing sent: ModeUnsupportedError; LimitReachedError for a velocity beyond max_speed of the settings, 0x607F or
+    0x6080 (see limits.py), and for a position limit that is too near; ReferenceLostError if the settings have position limits;
+    DriveError for a unit that is not known, or a velocity below it; ValueRangeError. Later: LimitReachedError at a limit of the
+    position or of the drive, DriveTimeoutError if it does not reach the velocity, DriveInFaultError, StateLostError,
+    ModeLostError, DriveLostError. The drive is halted then.
     """
     if duration is not None and duration < 0:
         raise LocalProtocolError(f"duration must not be below 0, or None for no end; it is {duration!r}")
@@ -144,7 +152,7 @@ class _Run:
             failed = f"was not run at {self._velocity:g} per second"
             reason = f"{limits.speed.source} allows {limits.speed.value:g}; nothing was sent"
             remedy = "a lower velocity; max_speed (--max-speed, AxisSettings, the machine file), if it may go as fast as that"
-            raise LimitReached(axis, failed, reason=reason, remedy=remedy, looks=False)
+            raise LimitReachedError(axis, failed, reason=reason, remedy=remedy, looks=False)
         exact = axis.settings.direction * self._velocity * axis.scale.counts_of_amount(1.0) / self._unit
         self._number = round(exact)
         if axis.scale.amount_from_counts(abs(self._number * self._unit)) > limits.speed.value * _ALL:
@@ -195,7 +203,7 @@ class _Run:
             ends = [axis.scale.amount_from_counts(each * self._ramp_unit) for each in (lowest, highest)]
             failed = f"was not run at {self._velocity:g} per second"
             reason = f"it runs at {ends[0]:g} to {ends[1]:g} only (0x6046); nothing was sent"
-            raise LimitReached(axis, failed, reason=reason, remedy="a velocity between them, or another 0x6046", looks=False)
+            raise LimitReachedError(axis, failed, reason=reason, remedy="a velocity between them, or another 0x6046", looks=False)
 
     def _plan_ramps(self) -> None:
         """Find the values of the ramps that were asked for."""
@@ -238,7 +246,7 @@ class _Run:
             way = axis.scale.amount_from_counts(self._margin)
             failed = f"was not run at {self._velocity:g} per second: it stands at {axis.scale.from_counts(position):g}"
             reason = f"it needs {way:g} to stop before {self._bound.value:g} ({self._bound.source}); nothing was sent"
-            raise LimitReached(axis, failed, reason=reason, remedy="the other direction, or a lower velocity", looks=False)
+            raise LimitReachedError(axis, failed, reason=reason, remedy="the other direction, or a lower velocity", looks=False)
 
     def _way_to_stop(self, speed: float) -> Procedure[float]:
         """Return the counts that the drive needs to stop from a speed in counts per second."""
@@ -329,7 +337,7 @@ class _Run:
         return axis.settings.reaction_time + axis.settings.state_timeout + round(slope * SECOND)
 
     def _keep_limits(self, watch: DriveWait[bool], statusword: int, heard_at: Time) -> None:
-        """Raise LimitReached if the drive has to stop now, or a limit of its own holds it."""
+        """Raise LimitReachedError if the drive has to stop now, or a limit of its own holds it."""
         axis, position = self._axis, self._axis.position_counts
         known_at = watch.heard(objects.POSITION_ACTUAL_VALUE)
         if self._is_bounded:
@@ -341,11 +349,11 @@ class _Run:
                 failed = f"was halted at {axis.scale.from_counts(position):g}"
                 reason = f"it came near {near.value:g} ({near.source})"
                 remedy = "the other direction" if near is self._bound else "look at its polarity (0x607E), and for what pulls it"
-                raise LimitReached(axis, failed, reason=reason, remedy=remedy, looks=False)
+                raise LimitReachedError(axis, failed, reason=reason, remedy=remedy, looks=False)
         stands = self._mode is Mode.PROFILE_VELOCITY and statusword & ModeStatus.SPEED_ZERO
         has_begun = heard_at - self._began >= axis.settings.reaction_time
         if stands and self._number and has_begun and statusword & StatusBit.INTERNAL_LIMIT:
-            raise LimitReached(axis, "does not run", remedy="the other direction")
+            raise LimitReachedError(axis, "does not run", remedy="the other direction")
 
     def _limit_near(self, position: int, known_at: Time) -> Limit | None:
         """Return the limit before which the drive has to be halted now."""
@@ -392,7 +400,7 @@ class _Run:
 def choose_velocity_mode(axis: Axis, wanted: Mode | None = None) -> Procedure[Mode]:
     """Return the mode in which a drive runs at a velocity: the wanted one, else pv, else vl.
 
-    Raises ModeUnsupported, which says what the drive has.
+    Raises ModeUnsupportedError, which says what the drive has.
     """
     modes = yield from read_if_present(axis.node, objects.SUPPORTED_DRIVE_MODES)
     for mode in VELOCITY_MODES if wanted is None else (wanted,):
@@ -404,7 +412,7 @@ def choose_velocity_mode(axis: Axis, wanted: Mode | None = None) -> Procedure[Mo
     names = " nor ".join(mode_name(each) for each in (VELOCITY_MODES if wanted is None else (wanted,)))
     has = ", ".join(map(mode_name, supported_modes(modes))) if isinstance(modes, int) else ""
     reason = f"it has {has} (0x6502)" if has else "its dictionary has no target for it"
-    raise ModeUnsupported(axis, f"has no {names}", reason=reason, remedy="a mode that it has", looks=False)
+    raise ModeUnsupportedError(axis, f"has no {names}", reason=reason, remedy="a mode that it has", looks=False)
 
 
 def _pair(axis: Axis, key: Mux) -> Procedure[tuple[int, int]]:

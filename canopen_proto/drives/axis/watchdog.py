@@ -36,7 +36,7 @@ from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.guarding import MAX_LIFE_TIME_FACTOR, GuardingAnswered
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time, check_node_id
 from canopen_proto.multiplexer import index_of, mux
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, Wait, act, download, upload
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, Wait, act, download, upload
 from canopen_proto.remote_node import RemoteNode
 
 ABORT_CONNECTION: Final = 0x6007
@@ -129,7 +129,7 @@ class _Gap(Exception):
 def take_hold(hold: Hold, watchdog: Watchdog) -> Procedure[None]:
     """Make the drive stop by itself if the master's heartbeat (or its guarding) stays away. See this module's text.
 
-    If the drive cannot, `hold.gap` says why. Raises SdoFailed if the drive does not answer; NotHeldError if it cannot, and
+    If the drive cannot, `hold.gap` says why. Raises SdoTransferError if the drive does not answer; NotHeldError if it cannot, and
     `watchdog.required` is set.
     """
     gaps = []
@@ -152,7 +152,7 @@ def not_held(hold: Hold) -> NotHeldError:
 def release(hold: Hold) -> Procedure[None]:
     """Write back the values that `take_hold` found, the last change first. The drive must stand: it no longer watches its master.
 
-    Raises SdoFailed if a write fails; the rest then stays in `hold.before`.
+    Raises SdoTransferError if a write fails; the rest then stays in `hold.before`.
     """
     hold.is_taken = False
     yield from _put_back(hold)
@@ -239,7 +239,7 @@ def _set(hold: Hold, index: int, subindex: int, value: int, size: int) -> Proced
         hold.before[key] = found  # before the write: a write without an answer may have been executed
     try:
         yield from download(hold.node.sdo, index, subindex, wanted)
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.origin is not AbortOrigin.PEER:
             raise
         if is_first:
@@ -274,7 +274,7 @@ def _upload(hold: Hold, index: int, subindex: int) -> Procedure[bytes | None]:
     """Read an object; return its bytes, None if the drive does not have it or does not show it."""
     try:
         return (yield from upload(hold.node.sdo, index, subindex))
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.origin is AbortOrigin.PEER:
             return None
         raise

@@ -25,7 +25,7 @@ from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, Re
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.objects import read_int, value_of
-from canopen_proto.procedures.steps import Cancelled, Procedure, SdoFailed, Wait, current_time
+from canopen_proto.procedures.steps import Cancelled, Procedure, SdoTransferError, Wait, current_time
 from canopen_proto.remote_node import FRESH
 from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
@@ -68,9 +68,9 @@ def wait_for_statusword(
     """Wait until done(statusword) is true, at most `timeout` ns; return that statusword. It must be heard during the wait.
 
     mode: the mode that 0x6061 must show meanwhile; stays: the state that the drive must stay in; None: any. looks: before a
-    time-out is raised, read what tells why; a halt has no time for that. Raises DriveInFault (unless accept_fault), DriveLost,
-    StateLost or ModeLost as soon as it is seen; DriveTimeout, which names `goal` and the obstacle; SdoFailed if the statusword
-    cannot be read.
+    time-out is raised, read what tells why; a halt has no time for that. Raises DriveInFaultError (unless accept_fault),
+    DriveLostError, StateLostError or ModeLostError as soon as it is seen; DriveTimeoutError, which names `goal` and the obstacle;
+    SdoTransferError if the statusword cannot be read.
     """
     watch: DriveWait[int] = DriveWait(axis, goal, accept_fault=accept_fault, mode=mode, stays=stays, looks=looks)
     return (yield from watch.until(lambda statusword, heard_at: statusword if done(statusword) else None, timeout))
@@ -107,7 +107,7 @@ class DriveWait(Generic[T]):
         self._due: dict[Mux, Time] = {}  # mux -> when to read it by SDO
         self._open: dict[RequestId, tuple[Mux, Time]] = {}  # the reads under way: mux, and when it was requested
         self._timed_out: set[Mux] = set()  # muxes whose last read was not answered
-        self._refused: dict[int, SdoFailed] = {}
+        self._refused: dict[int, SdoTransferError] = {}
         self._mode_seen: Time = -NEVER  # the mode known from 0x6061 was in force at this time or later
         self._reached_at: Time | None = None  # since when the judge gives a result
 
@@ -116,7 +116,7 @@ class DriveWait(Generic[T]):
         heard_at = self.axis.node.heard_at.get(mux)
         return heard_at if heard_at is not None and heard_at >= self.began else None
 
-    def refusal(self, mux: Mux) -> SdoFailed | None:
+    def refusal(self, mux: Mux) -> SdoTransferError | None:
         """Return the error with which the drive refused to have an object read; None if it did not."""
         return self._refused.get(mux)
 
@@ -217,9 +217,9 @@ class DriveWait(Generic[T]):
             if mux == _MODE:
                 self._mode_seen = asked_at
         elif mux == objects.STATUSWORD or mux in self._timed_out:
-            raise SdoFailed(report, "reading")
+            raise SdoTransferError(report, "reading")
         elif report.origin is AbortOrigin.PEER:
-            self._refused[mux] = SdoFailed(report, "reading")
+            self._refused[mux] = SdoTransferError(report, "reading")
             self._due[mux] = NEVER
         else:
             self._timed_out.add(mux)  # a single frame may have been lost

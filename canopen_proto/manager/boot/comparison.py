@@ -15,7 +15,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.manager.boot.entry import BootEntry
 from canopen_proto.parameter_storage import SIGNATURES
-from canopen_proto.procedures.steps import Procedure, SdoFailed, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, upload
 from canopen_proto.remote_node import RemoteNode
 
 TRIES: Final = 3
@@ -102,7 +102,7 @@ def _read(node: RemoteNode, index: int, subindex: int) -> Procedure[tuple[bytes 
         tries += 1
         try:
             return (yield from upload(node.sdo, index, subindex)), None, True
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             is_silent = failed.origin is AbortOrigin.TIMEOUT
             if not is_silent or tries == TRIES:
                 return None, failed.abort_code, not is_silent

@@ -52,7 +52,7 @@ from canopen_proto.manager.boot.node_boot import DEFAULT_TIMES, BootTimes, NodeH
 from canopen_proto.manager.boot.outcome import BootEnded, BootLetter, BootOutcome
 from canopen_proto.network import Network, OutageChanged
 from canopen_proto.nmt import ALL_NODES, NmtCommand, NmtMaster
-from canopen_proto.procedures.steps import Procedure, SdoFailed, Wait, act, all_of, current_time, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, Wait, act, all_of, current_time, upload
 from canopen_proto.remote_node import NMT_REACTION_TIME, RemoteNode
 
 ROUNDS: Final = 3
@@ -479,8 +479,8 @@ class NetworkBoot:
         if len(member.beats) == 1:
             try:
                 period = yield from upload(node.sdo, indices.PRODUCER_HEARTBEAT_TIME, 0)
-            except (SdoFailed, LocalProtocolError):  # it does not say, or other requests fill its queue: then it is measured
-                period = b""
+            except (SdoTransferError, LocalProtocolError):
+                period = b""  # it does not say, or other requests fill its queue: then it is measured
             if period and not any(period):  # it has answered another master's guarding
                 member.beats.clear()
                 member.sends_none_until = now + ASKED_AGAIN
@@ -499,7 +499,7 @@ class NetworkBoot:
         node, standing, period = member.node, member.node.heartbeat.timeout, b""
         try:
             period = yield from upload(node.sdo, indices.PRODUCER_HEARTBEAT_TIME, 0)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.PEER:
                 return not member.is_lost or member.is_suspended or self._is_unheard(member) or node.boots != member.boots
         except LocalProtocolError:  # other requests fill its queue, and none of them is answered

@@ -43,7 +43,7 @@ from canopen_proto.procedures.steps import (
     NOT_CONFIRMED,
     Procedure,
     ProcedureError,
-    SdoFailed,
+    SdoTransferError,
     Wait,
     act,
     current_time,
@@ -288,7 +288,7 @@ class _NodeBoot:
             return False
         try:
             return _number((yield from self._upload(indices.PROGRAM_CONTROL, 1))) == ProgramControl.STOP
-        except SdoFailed:
+        except SdoTransferError:
             return False
 
     def _configure(self) -> Procedure[None]:
@@ -396,7 +396,7 @@ class _NodeBoot:
             timeout = min(self.times.first_answer, self.until - now) if is_limited else self.times.first_answer
             try:
                 return (yield from self._upload(indices.DEVICE_TYPE, 0, timeout))
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 if failed.origin is not AbortOrigin.TIMEOUT or (attempts == TRIES and not is_limited):
                     raise self._failed(BootLetter.SILENT, failed) from failed
                 now = yield from current_time()
@@ -414,12 +414,12 @@ class _NodeBoot:
             attempts += 1
             try:
                 return (yield from self._upload(index, subindex))
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 if failed.origin is not AbortOrigin.TIMEOUT or attempts == TRIES:
                     raise self._failed(letter, failed, expected) from failed
 
     def _upload(self, index: int, subindex: int, timeout: Time = 0) -> Procedure[bytes]:
-        """Read an object once. Raises SdoFailed, _BootedAgain.
+        """Read an object once. Raises SdoTransferError, _BootedAgain.
 
         timeout: ns for the answer instead of the client's own. A late answer then counts for the next try: a constant is read.
         """
@@ -429,7 +429,7 @@ class _NodeBoot:
             sdo.timeout, sdo.late_guard = timeout, 0
         try:
             data = yield from upload(sdo, index, subindex)
-        except SdoFailed:
+        except SdoTransferError:
             self._check_boots()
             raise
         finally:
@@ -444,7 +444,7 @@ class _NodeBoot:
             sdo.timeout = max(standing, STORE_TIMEOUT)
         try:
             yield from download(sdo, index, subindex, data, block="auto")
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             self._check_boots()
             raise self._failed(BootLetter.NOT_CONFIGURED, failed, _number(data)) from failed
         finally:
@@ -455,7 +455,7 @@ class _NodeBoot:
         if self.node.boots != self.boots:
             raise _BootedAgain
 
-    def _failed(self, letter: BootLetter, failed: SdoFailed, expected: Shown = None) -> _Ended:
+    def _failed(self, letter: BootLetter, failed: SdoTransferError, expected: Shown = None) -> _Ended:
         """Return the end of the boot-up by an SDO transfer that failed."""
         remark = ""
         if failed.origin is AbortOrigin.TIMEOUT:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from canopen_proto.datatypes import DataType, is_integer, is_signed
 from canopen_proto.dictionary import Direction, Variable
-from canopen_proto.dictionary.model import NotInDictionary, did_you_mean
+from canopen_proto.dictionary.model import NotInDictionaryError, did_you_mean
 from canopen_proto.manager.linking.model import MASTER, End, KnownNode, Link, LinkProblem, Timing
 from canopen_proto.multiplexer import Mux, mapped
 from canopen_proto.pdo.slots import entry_of
@@ -131,7 +131,7 @@ class Feeds:
             return None
         try:
             variable = member.dictionary.variable(end.key)
-        except NotInDictionary as error:
+        except NotInDictionaryError as error:
             self._problem(link, end.node, str(end.key), f"{end.node}: {error}")
             return None
         entry, reason = entry_of(member.dictionary, variable.mux, direction)

@@ -31,7 +31,7 @@ from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.machine import Event
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import Procedure, SdoFailed, act, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, act, upload
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block
 from canopen_proto.sdo.codec import what_was_asked
@@ -145,7 +145,7 @@ def back_up(
 
     dictionary: the objects to read; by default the node's. only: read only these objects of it. domains: read DOMAINs too. block:
     how to read DOMAINs, see `Block`. All else may have 1 to 4 bytes, which only a plain upload brings in one frame. Raises
-    SdoFailed if the device is gone; see this module's text.
+    SdoTransferError if the device is gone; see this module's text.
     """
     dictionary = node.dictionary if dictionary is None else dictionary
     backup = Backup(node.node_id, dictionary)
@@ -188,9 +188,9 @@ def _read(node: RemoteNode, variable: Variable, block: Block, patience: Patience
     return reading_of(variable, answer)
 
 
-def reading_of(variable: Variable, answer: bytes | SdoFailed) -> Reading:
+def reading_of(variable: Variable, answer: bytes | SdoTransferError) -> Reading:
     """Return the reading of an object that follows from an answer."""
-    if isinstance(answer, SdoFailed):
+    if isinstance(answer, SdoTransferError):
         if answer.origin is AbortOrigin.CONTESTED:
             result = ReadResult.CONTESTED
         elif answer.origin is not AbortOrigin.PEER:
@@ -210,9 +210,9 @@ class Patience:
     def __init__(self) -> None:
         self._left = 1  # the first request shows whether the device is there
 
-    def note(self, answer: bytes | SdoFailed) -> None:
+    def note(self, answer: bytes | SdoTransferError) -> None:
         """Take note of an answer. Raises it, if it is a failure that shows that the device is gone."""
-        if not isinstance(answer, SdoFailed) or answer.origin is AbortOrigin.PEER:
+        if not isinstance(answer, SdoTransferError) or answer.origin is AbortOrigin.PEER:
             self._left = MAX_SILENT
             return
         self._left -= 1
@@ -220,28 +220,29 @@ class Patience:
             raise answer
 
 
-def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Patience) -> Procedure[bytes | SdoFailed]:
-    """Read an object; return its bytes or the failure. Raises SdoFailed if the device is gone."""
-    answer: bytes | SdoFailed
+def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Patience) -> Procedure[bytes | SdoTransferError]:
+    """Read an object; return its bytes or the failure. Raises SdoTransferError if the device is gone."""
+    answer: bytes | SdoTransferError
     try:
         answer = yield from upload_again(node, index, subindex, block)
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         answer = failed
     patience.note(answer)
     return answer
 
 
 def upload_again(node: RemoteNode, index: int, subindex: int, block: Block) -> Procedure[bytes]:
-    """Read an object, once more if the first transfer broke or got no answer. Raises SdoFailed if the second one fails too."""
+    """Read an object, once more if the first transfer broke or got no answer. Raises SdoTransferError if the second one fails
+    too."""
     try:
         return (yield from upload(node.sdo, index, subindex, block=block))
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if not _is_of_transfer(failed):
             raise
     return (yield from upload(node.sdo, index, subindex, block=block))
 
 
-def _is_of_transfer(failed: SdoFailed) -> bool:
+def _is_of_transfer(failed: SdoTransferError) -> bool:
     """Return whether a failure concerns only the transfer, and says nothing about the object or the device."""
     if failed.origin is AbortOrigin.PEER:
         return failed.abort_code >> 24 == _SERVICE_ERROR

@@ -50,8 +50,8 @@ from canopen_proto.procedures.steps import (
     Cancelled,
     Procedure,
     ProcedureError,
-    SdoFailed,
-    StepTimeout,
+    SdoTransferError,
+    StepTimeoutError,
     act,
     download,
     sleep,
@@ -156,7 +156,7 @@ class Restoration:
         return tuple(each.variable for each in self.open if each.variable.mux in off)
 
 
-class RestoreFailed(ProcedureError):
+class RestoreError(ProcedureError):
     """A restore did not come to its end. restoration: its progress. If a step failed, __cause__ is that error."""
 
     def __init__(self, message: str, restoration: Restoration) -> None:
@@ -164,7 +164,7 @@ class RestoreFailed(ProcedureError):
         self.restoration = restoration
 
 
-class VerifyMismatch(ProcedureError):
+class VerifyMismatchError(ProcedureError):
     """An object reads back as something else than was written."""
 
     def __init__(self, node_id: int, write: PlannedWrite, shown: bytes) -> None:
@@ -201,8 +201,8 @@ def plan_restore(
 
     everything: also write values that it has already, but not objects that could not be read. process_data: also write set-points
     and outputs (see dictionary/roles.py). skip: muxes to leave out. An ObjectRead event follows for each read. Raises
-    ObjectNotFound or ValueRangeError, with nothing sent, for an object or a value that the dictionary does not allow; SdoFailed
-    if the device is gone.
+    ObjectNotFoundError or ValueRangeError, with nothing sent, for an object or a value that the dictionary does not allow;
+    SdoTransferError if the device is gone.
     """
     roles = roles_in(dictionary, values)
     left_out = dict(download_order(dictionary, values, node.node_id).left_out)
@@ -288,7 +288,7 @@ def restore(
     nmt: the NMT master of the node's network. restoration: takes the progress; a caller that may cancel keeps it. verify: read
     each object back (except write-only ones). store: make the device store its parameters at the end.
 
-    An ObjectRestored event follows for each write. Raises RestoreFailed; this module's text says which state the node is in then.
+    An ObjectRestored event follows for each write. Raises RestoreError; this module's text says which state the node is in then.
     """
     so_far = Restoration(plan) if restoration is None else restoration
     if not plan.writes and not store:
@@ -311,7 +311,7 @@ def restore(
         raise
     except _FAILURES as failed:
         yield from _stay(node, nmt, so_far)
-        raise RestoreFailed(_told(node, so_far, str(failed)), so_far) from failed
+        raise RestoreError(_told(node, so_far, str(failed)), so_far) from failed
     so_far.is_done = True
     return so_far
 
@@ -323,7 +323,7 @@ def _write(node: RemoteNode, write: PlannedWrite, verify: bool, so_far: Restorat
     except Cancelled:
         so_far.in_doubt = write
         raise
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.not_confirmed:
             so_far.in_doubt = write
         raise
@@ -332,7 +332,7 @@ def _write(node: RemoteNode, write: PlannedWrite, verify: bool, so_far: Restorat
         block: Block = "auto" if variable.size is None else False
         shown = yield from upload_again(node, variable.index, variable.subindex, block)
         if not _shows(variable, shown, write.data):
-            raise VerifyMismatch(node.node_id, write, shown)
+            raise VerifyMismatchError(node.node_id, write, shown)
     news = ObjectRestored(node.node_id, variable.index, variable.subindex, write.data, so_far.written, len(so_far.plan.writes))
     yield from act(lambda now: node.out.events.append(news))
 
@@ -353,7 +353,7 @@ def _check_store(node: RemoteNode) -> Procedure[None]:
     """Check, before anything is written, that the device can store. Raises ProcedureError if it cannot."""
     try:
         capability = int.from_bytes((yield from upload_again(node, STORE, 1, False)), "little")
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.abort_code in ABSENT:
             raise ProcedureError("the device cannot store its parameters: it has no 0x1010:01") from failed
         raise
@@ -381,7 +381,7 @@ def _find_state(node: RemoteNode) -> Procedure[tuple[NmtState | None, Time]]:
         return None, 0
     try:
         heard = yield from wait_for_event(node, HeartbeatReceived, limit, "a heartbeat", _is_of(node))
-    except StepTimeout:
+    except StepTimeoutError:
         return None, 0  # the device does not keep to its 0x1017
     return heard.state, limit
 
@@ -395,7 +395,7 @@ def _heartbeat_limit(node: RemoteNode) -> Procedure[Time]:
     try:
         data = yield from upload_again(node, indices.PRODUCER_HEARTBEAT_TIME, 0, False)
         period = int.from_bytes(data, "little") * MILLISECOND
-    except SdoFailed as failed:
+    except SdoTransferError as failed:
         if failed.origin is not AbortOrigin.PEER:
             raise
         return 0
@@ -413,7 +413,7 @@ def _to_state(node: RemoteNode, nmt: NmtMaster, state: NmtState, limit: Time, so
         try:
             yield from wait_for_event(node, HeartbeatReceived, limit, "the heartbeat", _is_of(node, state))
             return
-        except StepTimeout:
+        except StepTimeoutError:
             continue
     shown = "sends none" if node.nmt_state is None else f"shows {node.nmt_state.name}"
     raise ProcedureError(f"node {node.node_id} was sent {NMT_TRIES} times to {state.name}, but its heartbeat {shown}")

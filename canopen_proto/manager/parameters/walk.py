@@ -24,7 +24,7 @@ from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.machine import Event, LocalProtocolError
 from canopen_proto.manager.parameters.backup import Backup, Patience, Reading, ReadResult, ask, back_up, others_doing, reading_of
 from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import Procedure, SdoFailed, act
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, act
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block
 
@@ -65,8 +65,8 @@ def walk(
     """Read all objects of a node at these indices. The result's `dictionary` describes them, as well as a walk can see them.
 
     ranges: of indices 1..0xFFFF, else LocalProtocolError. names: gives names and types to objects whose length agrees; all others
-    get them from the standards' tables. domains: also read objects that are known to be DOMAINs. Raises SdoFailed if the device
-    is gone, as `back_up` does. Stops at MAX_OBJECTS variables.
+    get them from the standards' tables. domains: also read objects that are known to be DOMAINs. Raises SdoTransferError if the
+    device is gone, as `back_up` does. Stops at MAX_OBJECTS variables.
     """
     indices = sorted({index for each in ranges for index in each})
     if indices and not 1 <= indices[0] <= indices[-1] <= 0xFFFF:
@@ -116,7 +116,7 @@ class _Walk:
         for subindex in range(2, highest + 1):
             yield from self._ask(index, subindex)
 
-    def _ask(self, index: int, subindex: int) -> Procedure[bytes | SdoFailed | None]:
+    def _ask(self, index: int, subindex: int) -> Procedure[bytes | SdoTransferError | None]:
         """Read an object and note its reading; return the answer, None if the device does not have the object."""
         known = self._known(index, subindex)
         if known is not None and known.data_type is DataType.DOMAIN and not self._domains:
@@ -124,7 +124,7 @@ class _Walk:
             return b""
         block: Block = "auto" if known is not None and known.data_type is DataType.DOMAIN else False
         answer = yield from ask(self._node, index, subindex, block, self._patience)
-        if isinstance(answer, SdoFailed) and answer.abort_code in ABSENT:
+        if isinstance(answer, SdoTransferError) and answer.abort_code in ABSENT:
             return None
         self.readings.append(_reading(index, subindex, known, answer))
         return answer
@@ -134,8 +134,9 @@ class _Walk:
         return find_standard(index, subindex) if known is None else known
 
 
-def _reading(index: int, subindex: int, known: Variable | None, answer: bytes | SdoFailed) -> Reading:
-    if known is not None and (known.access.readable or isinstance(answer, SdoFailed)):  # what cannot be read is as it is named
+def _reading(index: int, subindex: int, known: Variable | None, answer: bytes | SdoTransferError) -> Reading:
+    # What cannot be read is as it is named.
+    if known is not None and (known.access.readable or isinstance(answer, SdoTransferError)):
         reading = reading_of(known, answer)
         if reading.result is not ReadResult.WRONG_LENGTH:
             return reading

@@ -46,7 +46,7 @@ from canopen_proto.manager.programs.objects import (
     NOTHING_KNOWN,
     POLL,
     TRIES,
-    NotReached,
+    NotReachedError,
     ProgramFound,
     ProgramIdentity,
     ProgramObjects,
@@ -58,7 +58,7 @@ from canopen_proto.procedures.steps import (
     Procedure,
     ProcedureError,
     Request,
-    SdoFailed,
+    SdoTransferError,
     Wait,
     act,
     all_of,
@@ -165,7 +165,7 @@ class ProgramDownload:
         return FELL_BACK if self.fell_back else LEFT[self.step]
 
 
-class ProgramDownloadFailed(ProcedureError):
+class ProgramDownloadError(ProcedureError):
     """A program download did not come to its end.
 
     so_far: its progress. seen: the reason. remedy: a next step, or "". is_mismatch: the device shows another identification.
@@ -229,7 +229,7 @@ def download_program(
     goes back to the old one at the next reset unless 0x80 is written to 0x1F51.
 
     A ProgramProgress follows for each step, and each 100 ms while data are written. At the end the node is Pre-operational.
-    Raises ProgramDownloadFailed.
+    Raises ProgramDownloadError.
     """
     limits = DownloadLimits() if limits is None else limits
     so_far = ProgramDownload(len(image)) if so_far is None else so_far
@@ -242,7 +242,7 @@ def download_program(
     except (Cancelled, Exception) as ended:
         node.sdo.timeout = timeout
         yield from act(lambda now: node.heartbeat.set_timeout(heartbeat, now))
-        if isinstance(ended, SdoFailed | NotReached):
+        if isinstance(ended, SdoTransferError | NotReachedError):
             raise flashing.ended_by(ended) from ended
         raise
     node.sdo.timeout = timeout
@@ -254,18 +254,18 @@ def download_program(
 def look(
     node: RemoteNode, program: int = 1, so_far: ProgramDownload | None = None, limits: DownloadLimits | None = None
 ) -> Procedure[ProgramFound]:
-    """Return what a device has; nothing is written. Raises ProgramDownloadFailed, also if it takes no program this way."""
+    """Return what a device has; nothing is written. Raises ProgramDownloadError, also if it takes no program this way."""
     so_far = ProgramDownload(0) if so_far is None else so_far
     patience = TRIES * (DownloadLimits() if limits is None else limits).answer
     try:
         so_far.found = found = yield from ProgramObjects(node, program).found(patience)
-    except (SdoFailed, NotReached) as error:
-        silent = isinstance(error, NotReached)
+    except (SdoTransferError, NotReachedError) as error:
+        silent = isinstance(error, NotReachedError)
         remedy = PRE_OPERATIONAL_ADVICE if node.nmt_state is NmtState.STOPPED else "canopen scan" if silent else ""
-        raise ProgramDownloadFailed(node.node_id, so_far, str(error), remedy, is_silent=silent) from error
+        raise ProgramDownloadError(node.node_id, so_far, str(error), remedy, is_silent=silent) from error
     if found.control is None:
         seen = f"it has no program control (0x1F51:{program:02X}): it takes no program this way"
-        raise ProgramDownloadFailed(node.node_id, so_far, seen)
+        raise ProgramDownloadError(node.node_id, so_far, seen)
     return found
 
 
@@ -282,16 +282,14 @@ def updating(
 ) -> Callable[[RemoteNode, WantsSoftware], Procedure[None]]:
     """Return the function that a boot-up of CiA 302-2 calls to update a node's software: `update(node, entry)`.
 
-    image_of: returns the program of a node-ID (0x1F58 of the master); None: there is none, which is ProgramDownloadFailed.
+    image_of: returns the program of a node-ID (0x1F58 of the master); None: there is none, which is ProgramDownloadError.
     confirm, limits: as of `download_program`, whose program 1 is written.
     """
 
     def update(node: RemoteNode, entry: WantsSoftware) -> Procedure[None]:
         image = image_of(node.node_id)
         if image is None:
-            raise ProgramDownloadFailed(
-                node.node_id, ProgramDownload(0), "there is no program file for it (0x1F58 of the master)"
-            )
+            raise ProgramDownloadError(node.node_id, ProgramDownload(0), "there is no program file for it (0x1F58 of the master)")
         yield from download_program(node, nmt, image, expected_id=entry.software, confirm=confirm, limits=limits)
 
     return update
@@ -369,7 +367,7 @@ class _Flashing:
             try:
                 yield from self._write()
                 break
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 if (yield from self._is_there_after(failed)):
                     break
         self.so_far.delivered = self.so_far.size
@@ -394,7 +392,7 @@ class _Flashing:
 
             outcome = yield Request(client, submit)
             if isinstance(outcome, SdoAborted):
-                raise SdoFailed(outcome, "writing")
+                raise SdoTransferError(outcome, "writing")
 
         def tell() -> Procedure[None]:
             while (yield Wait(POLL, client, lambda ended: ended.request_id in open_request, (SdoDownloaded, SdoAborted))) is None:  # type: ignore[attr-defined]
@@ -406,7 +404,7 @@ class _Flashing:
         finally:
             client.timeout = standing
 
-    def _is_there_after(self, failed: SdoFailed) -> Procedure[bool]:
+    def _is_there_after(self, failed: SdoTransferError) -> Procedure[bool]:
         """Return whether the program is there though its transfer failed; False: write it again. Raises if that is no use."""
         limits, objects, lost = self.limits, self.objects, is_lost(failed)
         self.state = yield from objects.control(max(limits.busy, limits.start))
@@ -471,7 +469,7 @@ class _Flashing:
             identity = yield from self.objects.identity(self.limits.start)
             try:
                 self.state = yield from self.objects.control(self.limits.start, (*_RUNNING, None))
-            except NotReached as failed:
+            except NotReachedError as failed:
                 if failed.is_silent:
                     raise
                 raise self.failed(
@@ -525,7 +523,7 @@ class _Flashing:
         for attempt in range(TRIES):
             try:
                 yield from download(self.objects.node.sdo, indices.PROGRAM_CONTROL, self.objects.program, bytes((command,)))
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 is_out_of_turn = failed.abort_code == AbortCode.DEVICE_STATE and failed.origin is AbortOrigin.PEER
                 status = None
                 if is_lost(failed) or is_out_of_turn:
@@ -548,7 +546,7 @@ class _Flashing:
     def _idle(self, allowed: Collection[int]) -> Procedure[FlashStatus | None]:
         """Wait until the flash is not busy; return its status, None if it cannot be read.
 
-        Raises ProgramDownloadFailed if it stays busy, or has an error that is not allowed.
+        Raises ProgramDownloadError if it stays busy, or has an error that is not allowed.
         """
         status = yield from self.objects.settled(self.limits.busy)
         if status is None:
@@ -564,17 +562,17 @@ class _Flashing:
 
     # ---- failures ----
 
-    def failed(self, seen: str, remedy: str = "", *, is_mismatch: bool = False, is_silent: bool = False) -> ProgramDownloadFailed:
+    def failed(self, seen: str, remedy: str = "", *, is_mismatch: bool = False, is_silent: bool = False) -> ProgramDownloadError:
         """Return the error for what was seen."""
         node_id = self.objects.node.node_id
-        return ProgramDownloadFailed(node_id, self.so_far, seen, remedy, is_mismatch=is_mismatch, is_silent=is_silent)
+        return ProgramDownloadError(node_id, self.so_far, seen, remedy, is_mismatch=is_mismatch, is_silent=is_silent)
 
-    def ended_by(self, error: SdoFailed | NotReached) -> ProgramDownloadFailed:
+    def ended_by(self, error: SdoTransferError | NotReachedError) -> ProgramDownloadError:
         """Return the error for one of a step."""
-        is_silent = isinstance(error, NotReached) and error.is_silent
+        is_silent = isinstance(error, NotReachedError) and error.is_silent
         return self.failed(str(error), ELSEWHERE_ADVICE if is_silent else "", is_silent=is_silent)
 
-    def _refusal(self, failed: SdoFailed, status: FlashStatus | None) -> ProgramDownloadFailed:
+    def _refusal(self, failed: SdoTransferError, status: FlashStatus | None) -> ProgramDownloadError:
         """Return the error for a refusal, with the cause that 0x1F57 names."""
         named = status is not None and (status.is_busy or status.error)
         seen = f"; its flash status says: {status.text}" if status is not None and named else ""

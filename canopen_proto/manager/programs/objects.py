@@ -14,7 +14,7 @@ from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.manager.programs.identity import FlashStatus, flash_status
 from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, current_time, sleep, upload
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, current_time, sleep, upload
 from canopen_proto.remote_node import RemoteNode
 
 POLL: Final = 100 * MILLISECOND
@@ -33,7 +33,7 @@ _OF_A_LOSS: Final = (
 """How a device says that frames were lost, or came late."""
 
 
-class NotReached(ProcedureError):
+class NotReachedError(ProcedureError):
     """A device did not answer for a time, or not with what was awaited. is_silent: it did not answer the last time."""
 
     def __init__(self, message: str, *, is_silent: bool) -> None:
@@ -41,7 +41,7 @@ class NotReached(ProcedureError):
         self.is_silent = is_silent
 
 
-def is_lost(failed: SdoFailed) -> bool:
+def is_lost(failed: SdoTransferError) -> bool:
     """Return whether nobody said no: a frame was lost, late or in the wrong place, or the device has booted meanwhile."""
     if failed.origin is AbortOrigin.PEER:
         return failed.abort_code in _OF_A_LOSS
@@ -96,7 +96,7 @@ class ProgramFound(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ProgramObjects:
-    """The objects of one program of a node. Limits are in ns; at the limit, NotReached is raised."""
+    """The objects of one program of a node. Limits are in ns; at the limit, NotReachedError is raised."""
 
     node: RemoteNode
     program: int
@@ -142,7 +142,7 @@ class ProgramObjects:
         for _ in range(TRIES):
             try:
                 return (yield from upload(self.node.sdo, index, subindex))
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 if not is_lost(failed):
                     return None
         return None
@@ -165,20 +165,20 @@ class ProgramObjects:
                 if is_wanted(value) or (anything and (yield from current_time()) >= end):
                     return value
                 seen = "nothing" if value is None else f"0x{value:02X}"
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 if not is_lost(failed):
                     raise
             if (yield from current_time()) >= end:
                 place = f"0x{index:04X}:{self.program:02X}"
                 text = f"it still shows {seen} in {place}" if seen else f"it does not answer reading {place}"
-                raise NotReached(f"{text} after {limit / SECOND:g} s", is_silent=not seen)
+                raise NotReachedError(f"{text} after {limit / SECOND:g} s", is_silent=not seen)
             yield from sleep(POLL)
 
     def _read(self, index: int, refusal_is_none: bool) -> Procedure[int | None]:
         """Read a number once; None if the device does not have it."""
         try:
             data = yield from upload(self.node.sdo, index, self.program)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.abort_code in ABSENT or (refusal_is_none and not is_lost(failed)):
                 return None
             raise

@@ -8,7 +8,7 @@ import click
 import trio
 
 from canopen_cli.shared.options import NodeId, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
@@ -92,7 +92,7 @@ async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id:
             await node.nmt(command)
             failed = f"node {node_id}: {command.name.lower().replace('_', ' ')} was sent, and nothing will show that it is done"
             hints = (f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)", "the same without --wait")
-            raise Problem(ExitCode.NO_ANSWER, "CO210", failed, seen="it sends no heartbeat: 0x1017 is 0", tries=hints)
+            raise CommandError(ExitCode.NO_ANSWER, "CO210", failed, seen="it sends no heartbeat: 0x1017 is 0", tries=hints)
         expected = NmtState.PRE_OPERATIONAL if command in RESETS else target_of(command)
         signs: tuple[type[Event], ...] = (NodeBooted,) if command in RESETS else (HeartbeatReceived,)
         with node.events(*signs) as reports:
@@ -106,4 +106,4 @@ async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id:
         cause, tries = "it sends no heartbeat", (f"canopen write {node_id} 1017 500    (a heartbeat each 500 ms)",)
         known = missing_frame(session.network, node.remote, session.master.now(), cause, tries, pdo=False)
     failed = f"node {node_id} did not show within {WAIT_TIME:g} s that it is done"
-    raise Problem(ExitCode.NO_ANSWER, "CO210", failed, node=node_id, **known._asdict())
+    raise CommandError(ExitCode.NO_ANSWER, "CO210", failed, node=node_id, **known._asdict())

@@ -142,7 +142,7 @@ def demo(
 
 
 def check_cycle(cycle: Time) -> None:
-    """Raise a Problem for a cycle that 0x60C2 of a drive cannot hold: 1 to 255 units of 1 ms or of 0.1 ms."""
+    """Raise a CommandError for a cycle that 0x60C2 of a drive cannot hold: 1 to 255 units of 1 ms or of 0.1 ms."""
     unit = MILLISECOND if cycle % MILLISECOND == 0 else MILLISECOND // 10
     if cycle % unit or cycle > 255 * unit:
         near = max(1, round(cycle / MILLISECOND))

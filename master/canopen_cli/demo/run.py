@@ -53,7 +53,7 @@ class ShownDemonstration:
         """Cycles between two redraws."""
 
     async def run(self) -> None:
-        """Run the whole demonstration. Raises a Problem if it fails; then every drive that still listens was halted."""
+        """Run the whole demonstration. Raises a CommandError if it fails; then every drive that still listens was halted."""
         try:
             await self.demonstration.run()
         except Exception as error:
@@ -211,7 +211,7 @@ class ShownDemonstration:
 
 
 def _check_fault(task: DemonstrationTask) -> None:
-    """Raise a Problem for a fault of a node that is not in the chain."""
+    """Raise a CommandError for a fault of a node that is not in the chain."""
     description = task.chosen_chain()
     nodes = [joint.node_id for joint in description.joints]
     if task.fault is not None and task.fault[0] not in nodes:

@@ -60,7 +60,7 @@ def _in_thread(function: Callable[[], Awaitable[T]]) -> T:
 
 @contextmanager
 def held_keys() -> Iterator[HeldKeys]:
-    """Have each key at once while the block runs. Raises Problem without a terminal."""
+    """Have each key at once while the block runs. Raises CommandError without a terminal."""
     if not is_terminal():
         raise usage("CO122", "this demo needs a terminal, whose keys are held", seen="nothing was sent", tries=("canopen move",))
     with key_by_key():

@@ -29,14 +29,14 @@ class Options:
     speed: float = 0.0
 
 
-class Failed(Exception):
+class StepFailedError(Exception):
     """A step of a demo that did not succeed; __cause__ is the reason."""
 
 
 def check(succeeded: bool, otherwise: str) -> None:
     """Go on if a call returned True; else end the demo with these words and the reason."""
     if not succeeded:
-        raise Failed(otherwise) from canopen.last_error()
+        raise StepFailedError(otherwise) from canopen.last_error()
 
 
 def make_ready(options: Options) -> None:
@@ -70,7 +70,8 @@ def parse(
     pause: float | None = None,
     speed: float | None = None,
 ) -> Options | None:
-    """Parse the arguments of a demo; print `usage` and return None if there are no node-IDs, or more than `most`. Raises Problem.
+    """Parse the arguments of a demo; print `usage` and return None if there are no node-IDs, or more than `most`. Raises
+    CommandError.
 
     ids: the default node-IDs. cycles, steps, pause, speed: the defaults; None if the demo does not have the option.
     """
@@ -119,8 +120,8 @@ def run(demo: Callable[[Options], None], read_options: Callable[[], Options | No
         print("interrupted; the drives are halted", file=sys.stderr)
         return ExitCode.INTERRUPTED
     except Exception as error:  # noqa: BLE001 - any error becomes one screen
-        reason = error.__cause__ if isinstance(error, Failed) and error.__cause__ is not None else error
-        if isinstance(error, Failed):
+        reason = error.__cause__ if isinstance(error, StepFailedError) and error.__cause__ is not None else error
+        if isinstance(error, StepFailedError):
             print(clean_lines(str(error)), file=sys.stderr)
         problem = problem_of(reason)
         print(clean_lines(str(problem)), file=sys.stderr)

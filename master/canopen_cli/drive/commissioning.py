@@ -9,7 +9,7 @@ from canopen_cli.node.backup import bit_rate_of, write_dcf
 from canopen_cli.node.backup_reading import counts_text, read_all, tell_unread
 from canopen_cli.node.info import identity_facts
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import Questions
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import BusSession
@@ -61,7 +61,9 @@ class CommissioningDialogue:
         if file is None:
             self.screen.say("[yellow]no file of it was named (-e FILE.eds): names and PDOs are those of the data files[/]")
         elif file[0]["matches"] is False and not await self.questions.may("The file is another device's. Go on with it?"):
-            raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was changed", tries=("-e with the drive's own file",))
+            raise CommandError(
+                ExitCode.INTERRUPTED, "CO132", "by you: nothing was changed", tries=("-e with the drive's own file",)
+            )
 
     async def _way_back(self, dcf: str) -> None:
         self._heading("2. A way back")

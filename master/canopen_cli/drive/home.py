@@ -27,7 +27,7 @@ from canopen_proto.drives.axis.identity import identify
 from canopen_proto.drives.cia402.homing_methods import HOMING_METHODS, homing_name
 from canopen_proto.drives.cia402.modes import describe_status
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeout, all_of
+from canopen_proto.procedures.steps import Procedure, ProcedureError, StepTimeoutError, all_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -117,7 +117,7 @@ class DrivesOnBus(NamedTuple):
 
 
 def _by_bus(settings: Settings, names: Sequence[str]) -> list[DrivesOnBus]:
-    """Return the drives that these node-IDs and names mean, by their buses. Raises a Problem."""
+    """Return the drives that these node-IDs and names mean, by their buses. Raises a CommandError."""
     machine = settings.machine_file()
     nodes = [None if machine is None or NUMBER.fullmatch(each) else machine.node_of(each.strip()) for each in names]
     buses = {node.bus for node in nodes if node is not None}
@@ -178,7 +178,7 @@ def home_nodes(groups: Sequence[DrivesOnBus], homing: HomingChoice) -> None:
         axes = run(settings, screen, command, story=_story)
     except Exception as error:  # noqa: BLE001 - raised again, with a note of what was done
         problem = problem_of(error)
-        if isinstance(problem.__cause__, StepTimeout):
+        if isinstance(problem.__cause__, StepTimeoutError):
             problem.also += _story(all_stand(error))
             limits = [_limit_of(group.settings, node_id, group.axis) for group in groups for node_id in group.node_ids]
             now = (homing.limit or max(limits)) / SECOND

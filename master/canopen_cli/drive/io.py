@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.drive.session import command_drive, read_drive, unit_of_command
 from canopen_cli.shared.options import Duration, Settings, commanding, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis import ProbeReading, ProbeSource
@@ -122,13 +122,13 @@ def probe(settings: Settings, number: int, edge: str, source: str, limit: Time) 
 
 
 def _read_own(node: AxisNode, mux: Mux, what: str) -> Procedure[int]:
-    """Read an object that CiA 402 leaves to the maker. Raises a Problem that says why if there is none."""
+    """Read an object that CiA 402 leaves to the maker. Raises a CommandError that says why if there is none."""
     value = yield from read_if_present(node, mux)
     if isinstance(value, int):
         return value
     number, device = f"0x{index_of(node.on_device(mux)):04X}", f"drive {node.node_id}"
     if mux in node.dictionary:
-        raise Problem(
+        raise CommandError(
             ExitCode.SDO_ABORT,
             "CO202",
             f"{device} has no {what}: it has no object {number}",

@@ -10,7 +10,7 @@ from typing import Final, TypeAlias, TypeVar
 import click
 
 from canopen_cli.shared.options import DriveId, Settings
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import Story, run
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import BusSession, open_session
@@ -56,8 +56,8 @@ def node_of_command() -> int:
 
 
 def axis_of_command(settings: Settings) -> int:
-    """Return the axis of the node that the command is about: that of --axis, or of the joint that it names. Raises a Problem if
-    the two differ."""
+    """Return the axis of the node that the command is about: that of --axis, or of the joint that it names. Raises a CommandError
+    if the two differ."""
     meta = click.get_current_context().meta
     machine, chosen = settings.machine_file(), meta.get(AXIS)
     joint = None if machine is None else machine.joints.get(str(meta[NODE]))
@@ -167,7 +167,7 @@ def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale |
     """Return the unit of positions, and how the counts in it are found; None: as `BusSession.axis_settings` says.
 
     given: that of --in, None without it: then the unit is that of the joint in the machine file, or else the count. Raises a
-    Problem for an --in that is not the joint's unit: its limits are in that.
+    CommandError for an --in that is not the joint's unit: its limits are in that.
     """
     joint = settings.joint(node_of_command(), axis_of_command(settings))
     if joint is None or not joint.has_unit:
@@ -179,10 +179,10 @@ def unit_of_command(settings: Settings, given: str | None) -> tuple[str, Scale |
 
 
 def counts_per(node: AxisNode, unit: Unit) -> Procedure[float]:
-    """Return the counts in one unit, as the drive tells. Raises a Problem if it does not."""
+    """Return the counts in one unit, as the drive tells. Raises a CommandError if it does not."""
     found = (yield from read_units(node)).counts_per(unit)
     if found is None:
-        raise Problem(
+        raise CommandError(
             ExitCode.USAGE,
             "CO321",
             f"drive {node.node_id} does not tell how many counts a {unit} has",

@@ -11,7 +11,7 @@ import click
 
 from canopen_cli.drive.session import command_drive, joint_settings, read_drive, show_drive, take_step, unit_of_command
 from canopen_cli.shared.options import Settings, commanding, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_master.motion.single_drive import look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -127,7 +127,7 @@ def mode(settings: Settings, name: str | None) -> None:
     def select(axis: Axis, number: int) -> Procedure[DriveView]:
         view = yield from look_at_drive(axis.node)
         if view.state in POWERED:
-            raise Problem(
+            raise CommandError(
                 ExitCode.DRIVE_FAULT,
                 "CO409",
                 f"{axis.title} has power ({view.state}): in another mode it could obey an old target at once",

@@ -17,7 +17,7 @@ import click
 
 from canopen_cli.drive.session import AXIS, axis_of_command, command_drive, run_on_node, show_drive
 from canopen_cli.shared.options import Settings, commanding, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import BusSession
 from canopen_master.motion.single_drive import look_at_drive
@@ -35,7 +35,7 @@ from canopen_proto.drives.cia402.states import POWERED, Command, State, state_of
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act, all_of, download, upload
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, act, all_of, download, upload
 
 LOOKS: Final = 3
 """How often a drive that took the command is looked at, if an answer is lost."""
@@ -126,7 +126,7 @@ def _carry_out(settings: Settings, way: Stop) -> None:
 
 
 def tell(node: Node, axes: list[Axis], way: Stop, screen: Screen) -> Procedure[None]:
-    """Send the command to all axes of a node, by every way that is left. Raises a Problem if nobody confirms it."""
+    """Send the command to all axes of a node, by every way that is left. Raises a CommandError if nobody confirms it."""
     outcomes = yield from all_of(*(_told(axis, way) for axis in axes))
     silent = _unheard(axes, outcomes)
     if silent and node.nmt_state in (None, NmtState.STOPPED):
@@ -153,7 +153,7 @@ def tell(node: Node, axes: list[Axis], way: Stop, screen: Screen) -> Procedure[N
             raise failed
 
 
-def _told(axis: Axis, way: Stop) -> Procedure[SdoFailed | None]:
+def _told(axis: Axis, way: Stop) -> Procedure[SdoTransferError | None]:
     """Send the command to an axis; return how it failed. One axis keeps no other from being told.
 
     If another SDO client disturbs it, that is no silence of the drive. The drive is asked then, which waits for the end of the
@@ -163,28 +163,28 @@ def _told(axis: Axis, way: Stop) -> Procedure[SdoFailed | None]:
         try:
             yield from insist(axis, int(way.word))
             return None
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.CONTESTED:
                 return failed
         try:
             yield from read_statusword(axis)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             return failed
     return None
 
 
-def _unheard(axes: list[Axis], outcomes: list[SdoFailed | None]) -> list[tuple[Axis, SdoFailed]]:
+def _unheard(axes: list[Axis], outcomes: list[SdoTransferError | None]) -> list[tuple[Axis, SdoTransferError]]:
     """Return the axes that may not have the command, and why that is not known."""
     return [(axis, failed) for axis, failed in zip(axes, outcomes, strict=True) if failed is not None and _is_silence(failed)]
 
 
-def _seen(axis: Axis, failed: SdoFailed) -> str:
+def _seen(axis: Axis, failed: SdoTransferError) -> str:
     if failed.origin is AbortOrigin.CONTESTED:
         return f"{axis.title} cannot be understood: another SDO client on its channel {failed.aborted.others_doing}"
     return f"{axis.title} does not answer"
 
 
-def _is_silence(failed: SdoFailed) -> bool:
+def _is_silence(failed: SdoTransferError) -> bool:
     return failed.origin is not AbortOrigin.PEER
 
 
@@ -197,20 +197,20 @@ def _tell_unknown(node: Node, first: int, way: Stop, screen: Screen) -> Procedur
             if state_of(word) in POWERED:
                 yield from download(client, *split_mux(swapped(CONTROLWORD, number)), int(way.word).to_bytes(2, "little"))
                 screen.say(f"axis {number} had power too, and was told the {way.name}: `--axis {number}` looks at it")
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if _is_silence(failed):
                 screen.say(f"[yellow]whether drive {node.node_id} has an axis {number} is not known: it did not answer[/]")
             return
 
 
 def _see(axis: Axis, way: Stop) -> Procedure[None]:
-    """Bring a drive that took the command to the end of it. Raises a Problem if it does not show that it is stopped."""
+    """Bring a drive that took the command to the end of it. Raises a CommandError if it does not show that it is stopped."""
     for left in reversed(range(LOOKS)):
         try:
             yield from read_statusword(axis)
             yield from way.complete(axis)
             return
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.abort_code in ABSENT:
                 yield from look_at_drive(axis.node)
             if not _is_silence(failed):
@@ -228,13 +228,13 @@ def _view(axis: Axis) -> Procedure[DriveView]:
         return view_of(axis)
 
 
-def _not_confirmed(axis: Axis, failed: str, last: SdoFailed) -> Problem:
+def _not_confirmed(axis: Axis, failed: str, last: SdoTransferError) -> CommandError:
     """last: how the last try to hear of the drive failed."""
     number = axis.node.node_id
     cause = "wrong node-ID, no power, a loose cable, another bit rate; or only its answers are lost"
     if last.origin is AbortOrigin.CONTESTED:
         cause = f"another SDO client on its channel {last.aborted.others_doing}: end that program"
-    return Problem(
+    return CommandError(
         ExitCode.NO_ANSWER,
         "CO411",
         f"{axis.title}: {failed}. IT MAY STILL MOVE",

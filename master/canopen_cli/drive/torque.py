@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.drive.session import command_drive
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -86,11 +86,11 @@ def torque(
 
 
 def _whole(axis: Axis, unit: str, rated: float | None) -> float:
-    """Return how much of the unit is the rated torque. Raises a Problem if the drive does not tell."""
+    """Return how much of the unit is the rated torque. Raises a CommandError if the drive does not tell."""
     if unit == PER_MILLE:
         return 1000.0
     if rated is None:
-        raise Problem(
+        raise CommandError(
             ExitCode.USAGE,
             "CO321",
             f"drive {axis.node.node_id} does not tell its rated torque (0x6076)",

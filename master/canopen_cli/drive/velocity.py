@@ -9,7 +9,7 @@ import click
 
 from canopen_cli.drive.session import command_drive, unit_of_command
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
 from canopen_proto.drives.axis.axis import Axis
@@ -109,7 +109,7 @@ def _named(value: float, unit: str) -> str:
 def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
     """Make turns of the motor per minute the unit of the axis, if that of the command or the drive needs them.
 
-    Raises a Problem if the drive does not tell what a turn is.
+    Raises a CommandError if the drive does not tell what a turn is.
     """
     if unit != RPM and mode is not Mode.VELOCITY:
         return
@@ -119,7 +119,7 @@ def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
         axis.settings = replace(axis.settings, counts_per_unit=1.0, counts_per_motor_turn=60.0)
     elif turn is None:
         node_id = axis.node.node_id
-        raise Problem(
+        raise CommandError(
             ExitCode.USAGE,
             "CO321",
             f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F)",

@@ -153,7 +153,7 @@ def _commissioned(description: DeviceDescription, node_id: int | None, path: str
 
 
 def _assigned(file: DescriptionFile, assignments: tuple[str, ...]) -> list[Setting]:
-    """Return the values of --set. Raises Problem, ObjectNotFound, ConstantNotFound, ValueRangeError."""
+    """Return the values of --set. Raises CommandError, ObjectNotFoundError, ConstantNotFoundError, ValueRangeError."""
     dictionary = file.description.dictionary
     found: list[Setting] = []
     for text in assignments:

@@ -10,7 +10,7 @@ import click
 
 from canopen_cli.shared.eds_files import counts_of, counts_text, finding_as_json, finding_lines
 from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import DataError
 from canopen_data.checks import RULES, check
@@ -30,7 +30,7 @@ class _Report:
     path: str
     file: DescriptionFile | None
     findings: list[Finding]
-    problem: Problem | None = None
+    problem: CommandError | None = None
 
     def as_json(self) -> dict[str, Any]:
         if self.file is None:

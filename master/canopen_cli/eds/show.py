@@ -16,7 +16,7 @@ from canopen_data.checks.structure import field_name
 from canopen_data.description import DeviceDescription
 from canopen_data.named_files import open_description
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary.model import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary.model import Object, ObjectDictionary, ObjectNotFoundError, Variable
 
 COLUMNS = ("object", "name", "type", "access", "PDO", "default", "limits")
 
@@ -65,7 +65,7 @@ def _all(dictionary: ObjectDictionary) -> list[Chosen]:
 def _find(dictionary: ObjectDictionary, key: str) -> Iterator[Chosen]:
     """Return the objects that a key names. A number without subindex, or an object's own name, stands for all its sub-objects.
 
-    Raises ObjectNotFound.
+    Raises ObjectNotFoundError.
     """
     folded = key.strip().casefold()
     digits = folded.removeprefix("0x")
@@ -75,7 +75,7 @@ def _find(dictionary: ObjectDictionary, key: str) -> Iterator[Chosen]:
             return
     try:
         variable = dictionary.variable(key)
-    except ObjectNotFound:
+    except ObjectNotFoundError:
         inside = [
             (each, variable)
             for each in dictionary.objects.values()

@@ -130,8 +130,8 @@ class FrameChoice:
     def __init__(
         self, files: NodeFiles, nodes: tuple[int, ...] | None, services: Iterable[str], objects: Iterable[str], changes: bool
     ) -> None:
-        """nodes: None for all of them; no services and no objects: all. Raises Problem, ObjectNotFound for a word that fits
-        nothing."""
+        """nodes: None for all of them; no services and no objects: all. Raises CommandError, ObjectNotFoundError for a word that
+        fits nothing."""
         self.files = files
         self._has_parts = files.settings.verbosity > 0 or files.settings.json
         self._nodes = frozenset(nodes or ())
@@ -190,7 +190,7 @@ class FrameChoice:
         return frozenset((variable.index, variable.subindex) for variable in found)
 
     def _check(self, name: str) -> None:
-        """Raise ObjectNotFound if no node has an object of this name."""
+        """Raise ObjectNotFoundError if no node has an object of this name."""
         nodes = self._nodes or range(1, MAX_NODE_ID + 1)
         if not any(name in self.files.dictionary_of(node_id) for node_id in nodes):
             self.files.dictionary_of(min(nodes)).variable(name)

@@ -164,7 +164,7 @@ class FrameMonitor:
         return self._live is not None and self._live.is_live and not self._frames
 
     def require_frames(self) -> None:
-        """Raise a Problem if nothing in the recording was a frame."""
+        """Raise a CommandError if nothing in the recording was a frame."""
         if self._live is not None and not self._live.is_live:
             require_frames(self._live, self._live.name, self._frames)
 

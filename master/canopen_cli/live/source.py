@@ -30,7 +30,7 @@ import trio
 
 from canopen_cli.live.clocks import StampClock, trio_now
 from canopen_cli.shared.options import DEMO, Settings
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_master.simulation.serving import DEMO_LOCATOR, DEMO_NODES, simulated_drives
 from canopen_proto.machine import Time
@@ -111,7 +111,7 @@ class LiveSource(ABC):
 async def open_live_source(settings: Settings, source: Path | None) -> AsyncIterator[LiveSource]:
     """Open the file, or the bus of the options if there is none, while the block runs. source: - is standard input.
 
-    Raises Problem, TransportError, LogFileError.
+    Raises CommandError, TransportError, LogFileError.
     """
     if source is not None:
         with _open_recording(source) as recording:
@@ -128,7 +128,7 @@ async def open_live_source(settings: Settings, source: Path | None) -> AsyncIter
 
 
 def rate_of(text: str) -> int:
-    """Return the bit rate, bit/s, that the option --bitrate gives. Raises Problem."""
+    """Return the bit rate, bit/s, that the option --bitrate gives. Raises CommandError."""
     try:
         return parse_bitrate(text)
     except ValueError as error:
@@ -142,9 +142,10 @@ def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
 
 
 def require_frames(source: LogReader | LiveSource, name: str, frames: int) -> None:
-    """Raise a Problem if a recording has entries, and none of them is a frame: silence would look like a bus without faults."""
+    """Raise a CommandError if a recording has entries, and none of them is a frame: silence would look like a bus without
+    faults."""
     if source.skipped and not frames:
-        raise Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
+        raise CommandError(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
 
 
 class _BusSource(LiveSource):

@@ -19,7 +19,7 @@ from canopen_cli.live.source import FILE_OR_INPUT, LiveSource, open_live_source,
 from canopen_cli.live.top_view import SORTS, BusShown, TopView, as_json, picture, plain
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import FiniteRange, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import read_dictionary
@@ -168,11 +168,11 @@ class _Top:
     def _next_bus(self) -> None:
         self._chosen += 1
 
-    def _nothing_came(self, *, is_recording: bool) -> Problem:
+    def _nothing_came(self, *, is_recording: bool) -> CommandError:
         seen = "; ".join(self._notes.values())  # why: entries that are no frames of CAN, or the state of the bus
         if is_recording:
-            return Problem(ExitCode.BAD_FILE, "CO342", f"there is no frame in {self._source}", seen=seen)
-        return Problem(
+            return CommandError(ExitCode.BAD_FILE, "CO342", f"there is no frame in {self._source}", seen=seen)
+        return CommandError(
             ExitCode.NO_ANSWER,
             "CO210",
             f"no frame came on {self._source or self._settings.required_bus()}",

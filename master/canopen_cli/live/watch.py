@@ -24,14 +24,14 @@ from canopen_cli.live.watched import View, Watched, WatchedSample
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Duration, FiniteRange, NodeId, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import open_session, read_dictionary
 from canopen_cli.shared.values import TYPES, as_json, find_object, object_json, physical, place_text
 from canopen_master.participant.bus import BusChanged, FramesLost
 from canopen_master.plain_text import clean, json_text
-from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.drives.cia402.axes import axis_of
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT
 from canopen_proto.machine import MILLISECOND, SECOND, Time
@@ -132,12 +132,12 @@ def watch(
 def _objects(
     dictionary: ObjectDictionary, keys: Sequence[str], drive: bool, type_name: str | None
 ) -> tuple[ObjectDictionary, list[Variable]]:
-    """Return the named objects, and the dictionary with those that it lacks. Raises ObjectNotFound, Problem."""
+    """Return the named objects, and the dictionary with those that it lacks. Raises ObjectNotFoundError, CommandError."""
     variables = {each.mux: each for key in keys for each in [find_object(dictionary, key, type_name)]}
     for key in DRIVE_OBJECTS if drive else ():
         try:
             variable = dictionary.variable(key)
-        except ObjectNotFound:
+        except ObjectNotFoundError:
             continue
         variables.setdefault(variable.mux, variable)
     if not variables:
@@ -327,14 +327,14 @@ class _Watching:
         told.clear()
         told.update(remarks)
 
-    def _nothing_came(self) -> Problem:
+    def _nothing_came(self) -> CommandError:
         """Return the problem of a watch that has shown nothing."""
         node_id = self._watched.node_id
         view = self._view()
         troubles = dict.fromkeys(row.trouble for row in view.rows if row.trouble)
         heard = "nothing was heard of it" if view.heard is None else "it was heard, and sent none of them"
         objects = ", ".join(row.place for row in view.rows)
-        return Problem(
+        return CommandError(
             ExitCode.NO_ANSWER,
             "CO210",
             f"no value of {objects} of node {node_id} has come",

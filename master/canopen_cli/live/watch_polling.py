@@ -20,16 +20,16 @@ import trio
 from canopen_cli.live.watched import FRESH, Watched
 from canopen_cli.shared.session import BusSession
 from canopen_cli.shared.values import block_of
-from canopen_master.errors import NO_ANSWER, SdoError, SdoRefused
+from canopen_master.errors import NO_ANSWER, SdoError, SdoRefusedError
 from canopen_master.node import Node
 from canopen_proto.abort import AbortOrigin, text_of
 from canopen_proto.dictionary import Direction, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.frame_bits import frame_bits, worst_bits
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.pdo.configure import StrangePdo, read_pdo
-from canopen_proto.procedures.objects import UnexpectedLength
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.pdo.configure import InvalidPdoError, read_pdo
+from canopen_proto.procedures.objects import UnexpectedLengthError
+from canopen_proto.procedures.steps import SdoTransferError
 from canopen_transports.locator import bitrate_text
 
 MAX_SHARE: Final = 0.05
@@ -138,7 +138,7 @@ class Polling:
         """Read an object; return the seconds until the next time, 0 for the usual ones."""
         try:
             await self._node.read_bytes(variable.index, variable.subindex, block=block_of(variable, None))
-        except SdoRefused as refused:
+        except SdoRefusedError as refused:
             self._watched.refused(variable, f"refused: {text_of(refused.abort_code)}")
             return REFUSED_AGAIN
         except SdoError as error:
@@ -157,11 +157,11 @@ class Polling:
         is_last = False
         try:
             await self._session.master.run(read_pdo(self._node.remote, direction, number))
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.PEER:
                 return SILENT_AGAIN
             is_last = True
-        except (StrangePdo, UnexpectedLength):
+        except (InvalidPdoError, UnexpectedLengthError):
             pass  # the observer judges for itself
         self._unknown = [pdo for pdo in self._unknown[1:] if not (is_last and pdo[0] is direction)]
         return MAX_READS * self._pause if self._unknown else math.inf

@@ -22,7 +22,7 @@ from canopen_cli.lss.support import (
     windowed,
 )
 from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress
@@ -105,7 +105,7 @@ def identify(
 
     found = run(settings, screen, find)
     if not found:
-        raise Problem(
+        raise CommandError(
             ExitCode.NO_ANSWER,
             "CO211",
             "nobody answered; some devices know only fastscan (CANopenNode's)",

@@ -16,7 +16,7 @@ import trio
 
 from canopen_cli.lss.support import Lss, address_text, open_lss, windowed
 from canopen_cli.shared.options import DEMO, Duration, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -120,7 +120,7 @@ def set_bitrate(
     failed = run(settings, screen, carry_out)
     if failed:
         seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in failed)
-        raise Problem(
+        raise CommandError(
             ExitCode.PARTIAL, "CO212", f"{counted(len(failed), 'device')} did not store the new bit rate, which is in use",
             seen=seen, tries=("canopen lss store NODE", "power off and on: these have the old one again"),
         )  # fmt: skip
@@ -147,7 +147,7 @@ def _change(settings: Settings, rate: int, present: int | None, delay: Time, com
 
 
 async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
-    """Return the addresses of all devices on the bus. Raises a Problem if one cannot be reached by LSS."""
+    """Return the addresses of all devices on the bus. Raises a CommandError if one cannot be reached by LSS."""
     screen.say("[dim]looking for all devices: nodes, and devices without a node-ID[/]")
     found: list[NodeFound] = await lss.run(scan(lss.tool.scanner, ALL_NODE_IDS, listen=LISTEN))
     without = (await lss.run(survey(lss.tool, lss.pace))).found
@@ -159,7 +159,7 @@ async def _devices(lss: Lss, screen: Screen) -> list[LssAddress]:
         seen = (
             f"not selected: {', '.join(names)}" if names else "two have the same address" if addresses else "no device was found"
         )
-        raise Problem(
+        raise CommandError(
             ExitCode.NO_ANSWER, "CO211", "not every device of the bus can be reached by LSS; nothing was written", seen=seen,
             tries=("switch off what does not know LSS, and set its bit rate by hand",),
         )  # fmt: skip
@@ -175,13 +175,14 @@ def _show(screen: Screen, change: RateChange, addresses: Sequence[LssAddress]) -
 
 
 async def _switch(settings: Settings, screen: Screen, change: RateChange, addresses: Sequence[LssAddress], window: Time) -> None:
-    """Prepare the devices, let them switch, and switch our interface. Raises a Problem if one refuses: nothing is switched."""
+    """Prepare the devices, let them switch, and switch our interface. Raises a CommandError if one refuses: nothing is
+    switched."""
     settings.bus = change.locators[0]
     async with open_lss(settings, screen, window) as lss:
         refused: list[Refusal] = await lss.run(prepare(lss.tool, lss.pace, addresses, change.new, change.old))
         if refused:
             seen = "; ".join(f"{address_text(each.address)}: {each.remark}" for each in refused)
-            raise Problem(
+            raise CommandError(
                 ExitCode.PARTIAL, "CO212", f"not every device takes {change.new} kbit/s; nothing was switched", seen=seen
             )
         await lss.run(activate(lss.tool, change.delay))
@@ -199,11 +200,11 @@ async def _run_command(change: RateChange) -> None:
         if ended.returncode == 0:
             return
         seen = ended.stderr.decode(errors="replace").strip()
-        raise Problem(
+        raise CommandError(
             ExitCode.CANNOT_OPEN, "CO213", f"our interface was not switched to {change.new} kbit/s; the devices were",
             seen=seen, tries=(f"by hand: {text}", "power off and on is the way back: nothing was stored"),
         )  # fmt: skip
-    raise Problem(
+    raise CommandError(
         ExitCode.CANNOT_OPEN, "CO213", f"the interface command did not end within {COMMAND_TIME} s; the devices have switched",
         tries=("by hand; nothing was stored: power off and on is the way back",),
     )  # fmt: skip
@@ -213,7 +214,7 @@ async def _check(
     settings: Settings, screen: Screen, change: RateChange, addresses: Sequence[LssAddress], window: Time
 ) -> list[Refusal]:
     """Look for all devices at the new bit rate, and let them store it; return those that did not. If one is missing, bring the
-    others back, and raise a Problem."""
+    others back, and raise a CommandError."""
     async with open_lss(settings, screen, window) as lss:
         absent: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
         if not absent:
@@ -229,7 +230,7 @@ async def _check(
         lost: list[LssAddress] = await lss.run(missing(lss.tool, lss.pace, addresses))
     seen = f"at {change.new} kbit/s nothing from {', '.join(map(address_text, absent))}; "
     seen += f"back at {change.old} kbit/s, {'all are there' if not lost else 'missing: ' + ', '.join(map(address_text, lost))}"
-    raise Problem(
+    raise CommandError(
         ExitCode.PARTIAL, "CO212", f"not every device came to {change.new} kbit/s; nothing was stored", seen=seen,
         tries=("a longer --delay", "power off and on: each device has its old bit rate again"),
     )  # fmt: skip

@@ -26,7 +26,7 @@ from canopen_cli.lss.support import (
     windowed,
 )
 from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, node_id_of
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -78,7 +78,7 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
             address, present = await selected(lss, device)
             await lss.run(all_waiting(lss.tool))
             if present != node_id and node_id in await lss.run(nodes_there(lss.tool, [node_id])):
-                raise Problem(
+                raise CommandError(
                     ExitCode.USAGE, "CO123", f"another node has the node-ID {node_id}", seen="nothing was written",
                     tries=("canopen scan    (which are free?)",),
                 )  # fmt: skip
@@ -103,7 +103,9 @@ def store(settings: Settings, device: LssTarget, window: Time) -> None:
             address, node_id = await selected(lss, device)
             failed = await lss.run(store_all(lss.tool, lss.pace, [address]))
             if failed:
-                raise Problem(ExitCode.PARTIAL, "CO212", f"{address_text(address)} has stored nothing", seen=failed[0].remark)
+                raise CommandError(
+                    ExitCode.PARTIAL, "CO212", f"{address_text(address)} has stored nothing", seen=failed[0].remark
+                )
             screen.say(f"{escape(address_text(address))}: stored, node-ID {node_id_text(node_id)}")
 
     run(settings, screen, keep)
@@ -170,17 +172,17 @@ def assign(
         screen.say(f"[yellow]{escape(result.remark)}[/]")
     _show(settings, screen, result.done)
     if NOBODY_AGREED in result.left.values():
-        raise Problem(ExitCode.INTERRUPTED, "CO132", f"by you: {counted(len(result.done), 'node-ID')} written")
+        raise CommandError(ExitCode.INTERRUPTED, "CO132", f"by you: {counted(len(result.done), 'node-ID')} written")
     if result.unfinished:
         text, _, tries = result.unfinished.partition(" Try: ")
         failed = f"there may be more devices without a node-ID: {text}"
-        raise Problem(ExitCode.PARTIAL, "CO212", failed, tries=(*filter(None, tries.split("; ")), GO_ON))
+        raise CommandError(ExitCode.PARTIAL, "CO212", failed, tries=(*filter(None, tries.split("; ")), GO_ON))
     if absent:
         failed = f"no device has node-ID {', '.join(map(str, absent))} of {table}"
         step = "look whether these devices are on, and whether their rows have the right numbers"
-        raise Problem(ExitCode.PARTIAL, "CO212", failed, tries=(step, "canopen lss scan"))
+        raise CommandError(ExitCode.PARTIAL, "CO212", failed, tries=(step, "canopen lss scan"))
     if result.left:
-        raise Problem(
+        raise CommandError(
             ExitCode.PARTIAL,
             "CO212",
             f"{counted(len(result.left), 'device')} left without a node-ID",
@@ -207,7 +209,7 @@ async def _assign(lss: Lss, screen: Screen, questions: Questions, choose: Choice
 
 
 def read_table(path: Path | None) -> Sequence[tuple[Known, int]]:
-    """Read a table of addresses and node-IDs. Raises a Problem."""
+    """Read a table of addresses and node-IDs. Raises a CommandError."""
     assert path is not None
     rows: list[tuple[Known, int]] = []
     reader = csv.DictReader(read_text(path).splitlines(), skipinitialspace=True)
@@ -219,7 +221,7 @@ def read_table(path: Path | None) -> Sequence[tuple[Known, int]]:
         try:
             numbers = [number_of(text) if (text := (row.get(name) or "").strip()) else None for name in TABLE_COLUMNS[1:]]
             node_id = node_id_of(row["node_id"] or "")
-        except Problem as wrong:
+        except CommandError as wrong:
             raise _bad_table(f"{path}:{reader.line_num}: {wrong.failed}") from None
         if node_id in lines:
             raise _bad_table(f"{path}:{reader.line_num}: node-ID {node_id} is in line {lines[node_id]}, too")
@@ -228,8 +230,8 @@ def read_table(path: Path | None) -> Sequence[tuple[Known, int]]:
     return rows
 
 
-def _bad_table(failed: str, seen: str = "") -> Problem:
-    return Problem(ExitCode.BAD_FILE, "CO301", failed, seen=seen, tries=("correct the file",))
+def _bad_table(failed: str, seen: str = "") -> CommandError:
+    return CommandError(ExitCode.BAD_FILE, "CO301", failed, seen=seen, tries=("correct the file",))
 
 
 def _line(given: Given) -> str:
@@ -239,7 +241,7 @@ def _line(given: Given) -> str:
 
 
 def _show(settings: Settings, screen: Screen, done: Sequence[Given]) -> None:
-    """Show what became of the devices. Raises a Problem if it is not all."""
+    """Show what became of the devices. Raises a CommandError if it is not all."""
     if settings.json:
         screen.json([_as_json(given) for given in done])
     elif done:
@@ -251,7 +253,7 @@ def _show(settings: Settings, screen: Screen, done: Sequence[Given]) -> None:
     if unfinished:
         first = unfinished[0]
         failed = f"{counted(len(unfinished), 'device')} did not get everything; the first: {address_text(first.address)}"
-        raise Problem(ExitCode.PARTIAL, "CO212", failed, seen=first.remark, tries=_next_steps(first))
+        raise CommandError(ExitCode.PARTIAL, "CO212", failed, seen=first.remark, tries=_next_steps(first))
 
 
 def _next_steps(given: Given) -> tuple[str, ...]:

@@ -13,11 +13,11 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from canopen_cli.shared.chosen_machine import NUMBER
 from canopen_cli.shared.options import Duration, Kind, Settings, node_id_of
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_proto import indices
-from canopen_proto.lss.assign import LssNotSelected, own_node_id, select_only
+from canopen_proto.lss.assign import LssNotSelectedError, own_node_id, select_only
 from canopen_proto.lss.master import WINDOW
 from canopen_proto.lss.messages import UNCONFIGURED, LssAddress, LssState
 from canopen_proto.lss.scan import (
@@ -51,12 +51,12 @@ class Lss:
     pace: Pace
 
     async def run(self, procedure: Procedure[Any]) -> Any:
-        """Run a procedure; LssError and LssNotSelected become a Problem."""
+        """Run a procedure; LssError and LssNotSelectedError become a CommandError."""
         try:
             return await self.session.master.run(procedure)
-        except (LssError, LssNotSelected) as failed:
+        except (LssError, LssNotSelectedError) as failed:
             text, _, tries = str(failed).partition(" Try: ")
-            raise Problem(
+            raise CommandError(
                 ExitCode.NO_ANSWER, "CO211", text, tries=tries.split("; ") if tries else ("canopen lss scan", "canopen scan")
             ) from failed
 
@@ -96,7 +96,7 @@ class NumberBounds(Kind):
 
 
 def number_of(text: str) -> int:
-    """Return the UNSIGNED32 in a text. Raises a Problem."""
+    """Return the UNSIGNED32 in a text. Raises a CommandError."""
     try:
         number = int(text.strip(), 0)
     except ValueError:
@@ -178,7 +178,7 @@ def node_id_text(node_id: int) -> str:
 
 
 async def selected(lss: Lss, target: LssTarget) -> tuple[LssAddress, int]:
-    """Select one device; return its address and node-ID. Nothing else is selected then. Raises a Problem."""
+    """Select one device; return its address and node-ID. Nothing else is selected then. Raises a CommandError."""
     if target.node_id is not None:
         node = lss.session.node(target.node_id)
         numbers = [int.from_bytes(await node.read_bytes(indices.IDENTITY_OBJECT, each), "little") for each in (1, 2, 3, 4)]
@@ -198,7 +198,7 @@ def _only_device(tool: LssTool, pace: Pace) -> Procedure[LssAddress]:
     yield from all_waiting(tool)
     if not all(len(given) == 1 for given in numbers):
         seen = "nobody answers" if not any(numbers) else "several devices answer, or not all of its numbers came"
-        raise LssNotSelected(f"there is not exactly one device with LSS on the bus: {seen}")
+        raise LssNotSelectedError(f"there is not exactly one device with LSS on the bus: {seen}")
     return LssAddress(*(given.pop() for given in numbers))
 
 

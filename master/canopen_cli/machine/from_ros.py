@@ -84,7 +84,7 @@ def _package(text: str) -> tuple[str, Path]:
 
 
 def _check_slides(made: Imported, linear: tuple[str, ...]) -> None:
-    """Raise a Problem if --linear names no joint: a slide would be in radians."""
+    """Raise a CommandError if --linear names no joint: a slide would be in radians."""
     joints = made.machine.joints
     for name in linear:
         if name not in joints:

@@ -28,7 +28,7 @@ from canopen_master.machine_file.links import linked_buses, plan_bus
 from canopen_master.motion.chain import ChainSettings
 from canopen_master.motion.chain_file import read_chains
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.drives.axis.motion_plan import NoMotionPlan, plan_motion
+from canopen_proto.drives.axis.motion_plan import NoMotionPlanError, plan_motion
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Time
 from canopen_transports import parse_bitrate
 from canopen_transports.locator import bitrate_text, parse_locator
@@ -205,7 +205,7 @@ def _of_plans(
         plans = [
             plan_motion(dictionary, node_id, cycle, wish=chain.settings.mode, axis=joint.axis, lean=lean) for chain, joint in axes
         ]
-    except NoMotionPlan:
+    except NoMotionPlanError:
         return exchange_of_file(name, node_id, dictionary), []
     return exchange_of_plans(name, plans), [f"TPDO {pdo.number}" for plan in plans for pdo in plan.spare]
 

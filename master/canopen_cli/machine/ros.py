@@ -16,7 +16,7 @@ import click
 
 from canopen_cli.shared.new_files import write_file
 from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import counted, escape
 from canopen_ros.robot_files import URDF, robot_files
 
@@ -84,7 +84,7 @@ def init(settings: Settings, folder: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot make {path.parent}: {error.strerror}") from error
+            raise CommandError(ExitCode.BAD_FILE, "CO341", f"cannot make {path.parent}: {error.strerror}") from error
         write_file(str(path), content)
         if name.startswith(_SCRIPTS):
             path.chmod(0o755)
@@ -132,7 +132,7 @@ def _with_interpreter(script: bytes) -> bytes:
 
 
 def _machine_files(settings: Settings) -> dict[str, bytes]:
-    """Return the machine file and the files beside it that it names. Raises Problem, DataError, DictionaryError."""
+    """Return the machine file and the files beside it that it names. Raises CommandError, DataError, DictionaryError."""
     machine = settings.machine_file()
     path = settings.machine
     assert machine is not None
@@ -154,7 +154,7 @@ def _content(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO330", f"cannot read {path}: {error.strerror}") from error
+        raise CommandError(ExitCode.BAD_FILE, "CO330", f"cannot read {path}: {error.strerror}") from error
 
 
 def _next_steps(package: Path) -> Iterator[str]:

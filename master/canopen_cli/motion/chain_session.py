@@ -93,7 +93,8 @@ class ChainGroup:
 
 
 def choose_chains(settings: Settings, *names: str) -> ChosenChains:
-    """Return the chains that the options mean. names: none for the first one. Raises a Problem, DataError, DictionaryError."""
+    """Return the chains that the options mean. names: none for the first one. Raises a CommandError, DataError,
+    DictionaryError."""
     machine, is_simulated = settings.machine_file(), settings.bus == DEMO
     if machine is None:
         if not is_simulated:

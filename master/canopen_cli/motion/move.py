@@ -21,12 +21,12 @@ from canopen_cli.plot.motion import write_motion_plot
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data import text_of
 from canopen_data.path_file import PathFile, read_path
-from canopen_master.errors import MasterError, PlanRefused, SetPointRefused
+from canopen_master.errors import MasterError, PlanRefusedError, SetPointRefusedError
 from canopen_master.motion.record_format import RecordError
 from canopen_master.motion.record_reader import read_record
 from canopen_master.motion.recording import Recorder
@@ -127,7 +127,7 @@ def _take_files(settings: Settings, files: Sequence[str]) -> str | None:
 def _text(name: str) -> str:
     text = text_of(FilePath(name), name)
     if text is None:
-        raise Problem(ExitCode.BAD_FILE, "CO330", f"there is no file {name}", tries=("its path",))
+        raise CommandError(ExitCode.BAD_FILE, "CO330", f"there is no file {name}", tries=("its path",))
     return text
 
 
@@ -157,7 +157,7 @@ class _Move:
             await check_before_power(master, arm, self.targets, self.path)
             try:
                 await self._run_with_power(arm, file)
-            except (SetPointRefused, PlanRefused) as error:
+            except (SetPointRefusedError, PlanRefusedError) as error:
                 problem = problem_of(error)
                 problem.exit_code = ExitCode.DRIVE_FAULT  # not the one for "nothing was sent"
                 raise problem from error

@@ -12,7 +12,7 @@ from canopen_cli.motion.chain_session import ChainGroup
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_data.path_file import PathFile, Rounding
-from canopen_master.errors import PathRefused, PlanRefused
+from canopen_master.errors import PathRefusedError, PlanRefusedError
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import ensure_answers
@@ -31,7 +31,7 @@ _CLOSE = 1e-9
 
 
 def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
-    """Return the targets that --to names, by joint. Raises a Problem."""
+    """Return the targets that --to names, by joint. Raises a CommandError."""
     parts = [part.strip() for part in text.split(",")]
     if not any("=" in part for part in parts):
         if len(parts) != len(joints):
@@ -59,7 +59,7 @@ def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
 async def check_before_power(master: Master, arm: ChainGroup, targets: dict[str, float] | None, path: PathFile | None) -> None:
     """Check a path, or the targets, by the limits that the drives tell, before any joint has power. The drives are only read.
 
-    Raises PathRefused, PlanRefused, PackageMissing; what keeps the drives from being read.
+    Raises PathRefusedError, PlanRefusedError, PackageMissingError; what keeps the drives from being read.
     """
     for device in arm.devices:
         await master.run(_learn_limits(device))
@@ -85,7 +85,7 @@ async def _check(arm: ChainGroup, path: PathFile, limits: Sequence[JointLimits])
     """Check a path; an error tells what the rounding of the file has to do with it."""
     try:
         await check_path(arm.devices, path.path, path.path.start, limits, arm.cycle_time)
-    except PathRefused as refused:
+    except PathRefusedError as refused:
         if refused.kind in ("jerk", "acceleration"):
             number = [device.name for device in arm.devices].index(refused.joint)
             refused.add_note(_rounding_text(path.roundings[number], limits[number].jerk or math.inf))
@@ -117,7 +117,7 @@ def _rounding_text(rounding: Rounding, limit: float) -> str:
 async def legs_of(arm: ChainGroup, targets: dict[str, float] | None, path: PathFile | None) -> Legs:
     """Return the way of a chain that stands and follows set-points: to the targets, or to the start of a path and along it.
 
-    Raises PathRefused for a path beyond a limit, PlanRefused, PackageMissing.
+    Raises PathRefusedError for a path beyond a limit, PlanRefusedError, PackageMissingError.
     """
     here = arm.desired_positions
     if path is None:
@@ -139,7 +139,7 @@ def planned(arm: ChainGroup, here: Sequence[float], there: Sequence[float]) -> P
     rest = [0.0] * len(here)
     try:
         return point_to_point(PathPoint(list(here), rest, rest), there, arm.moving.path_limits)
-    except PlanRefused as error:
+    except PlanRefusedError as error:
         error.name_joint([device.name for device in arm.devices])
         raise
 

@@ -25,7 +25,7 @@ record_option = click.option(
 
 
 def check_record(settings: Settings, screen: Screen, path: Path | None) -> None:
-    """Raise a Problem or PackageMissing, before anything moves, if no recording can be written, or is wanted."""
+    """Raise a CommandError or PackageMissingError, before anything moves, if no recording can be written, or is wanted."""
     if path is not None:
         check_new_file(settings, screen, path)
         if path.suffix.lower() == PARQUET:

@@ -14,7 +14,7 @@ import trio
 from canopen_cli.net.boot_summary import NodeRow, by_state, problem_of, rows_of, success, tally
 from canopen_cli.net.support import ChosenNetwork, OpenNetwork, choose_network, machine_argument, open_network
 from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_of, run, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
@@ -60,8 +60,8 @@ class Booted:
         places = {node_id: self.chosen.place(network, node_id) for node_id in network.names}
         return rows_of(network.bus, network.entry, self.report(network), places, stopped=network.bus in self.stopped)
 
-    def problem(self) -> Problem | None:
-        """Return the Problem of nodes that are not ready; None if all are."""
+    def problem(self) -> CommandError | None:
+        """Return the CommandError of nodes that are not ready; None if all are."""
         return problem_of(self.rows(), self.chosen.networks[0].entry.startup)
 
 
@@ -120,7 +120,7 @@ def watch(settings: Settings, file: Path | None, yes: bool) -> None:
             if (lost := booted.stopped.get(network.bus))
         ]
         first = next(iter(booted.stopped.values()))
-        raise Problem(
+        raise CommandError(
             ExitCode.NO_ANSWER,
             "CO217",
             f"node {first.node_id} is mandatory and was lost; all nodes of its bus were stopped: {tally(booted.rows())}",

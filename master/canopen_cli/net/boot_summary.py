@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final
 
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import counted
 from canopen_proto.manager.boot.assignment import Startup
 from canopen_proto.manager.boot.entry import NetworkEntry
@@ -141,8 +141,8 @@ def success(rows: Sequence[NodeRow]) -> str:
     return f"{counted(len(rows), 'node')} ready: {tally(rows)}"
 
 
-def problem_of(rows: Sequence[NodeRow], startup: Startup) -> Problem | None:
-    """Return the Problem of nodes that are not ready; None if all are."""
+def problem_of(rows: Sequence[NodeRow], startup: Startup) -> CommandError | None:
+    """Return the CommandError of nodes that are not ready; None if all are."""
     bad = [row for row in rows if not row.state.is_good]
     if not bad:
         return None
@@ -151,14 +151,14 @@ def problem_of(rows: Sequence[NodeRow], startup: Startup) -> Problem | None:
     advice = _NEXT.get(first.outcome.letter, "canopen net check") if first.outcome is not None else "canopen net check"
     if not missing:
         what = f"{counted(len(bad), 'node')} not ready ({_names(bad)}): {tally(rows)}"
-        return Problem(ExitCode.PARTIAL, "CO216", what, seen=first.text, tries=(advice,), node=first.node_id)
+        return CommandError(ExitCode.PARTIAL, "CO216", what, seen=first.text, tries=(advice,), node=first.node_id)
     what = f"{counted(len(missing), 'mandatory node')} not ready ({_names(missing)}): {tally(rows)}"
     others_run = any(row.is_running for row in rows)
     tries = (advice, _ALL_FIRST) if others_run and not startup.start_all and not startup.application_starts else (advice,)
     told: dict[str, Any] = {"seen": first.text, "also": (policy(startup),), "tries": tries, "node": first.node_id}
     if any(row.is_silent for row in missing):
-        return Problem(ExitCode.NO_ANSWER, "CO215", what, **told)
-    return Problem(ExitCode.PARTIAL, "CO215", what, **told)
+        return CommandError(ExitCode.NO_ANSWER, "CO215", what, **told)
+    return CommandError(ExitCode.PARTIAL, "CO215", what, **told)
 
 
 def policy(startup: Startup) -> str:

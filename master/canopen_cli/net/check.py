@@ -10,7 +10,7 @@ import click
 
 from canopen_cli.net.support import ChosenNetwork, choose_network, machine_argument, open_network
 from canopen_cli.shared.options import Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.machine_file.boot_entries import BusNetwork
@@ -74,7 +74,7 @@ def check(settings: Settings, file: Path | None, identity: bool) -> int:
         screen.say(f"[yellow]node {node_id} on {escape(bus)} was heard, and is not in {escape(chosen.machine.source)}[/]")
     headline, status = verdict(nodes)
     if status is ExitCode.NO_ANSWER:
-        raise Problem(
+        raise CommandError(
             status,
             "CO201",
             f"no node of {chosen.machine.source} answers",

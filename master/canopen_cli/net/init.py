@@ -23,7 +23,7 @@ from canopen_cli.shared.file_identity import (
 )
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import DEMO, NodeIds, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.session import open_session
@@ -38,7 +38,7 @@ from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto import indices
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.manager.scan import ALL_NODE_IDS, LISTEN, NodeFound
-from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, all_of, upload
 
 COLUMNS: Final = ("node", "name", "device", "vendor-ID", "product code", "file")
 
@@ -84,7 +84,7 @@ def init(settings: Settings, output: str, folder: Path | None, serials: bool, no
     found, remark, periods = run(settings, screen, lambda: _find(settings, screen, node_ids or tuple(ALL_NODE_IDS)))
     found = [node for node in found if node_ids is None or node.node_id in node_ids]
     if not found:
-        raise Problem(ExitCode.NO_ANSWER, "CO201", "no node was found; nothing was written", seen=remark.strip(" .;"))
+        raise CommandError(ExitCode.NO_ANSWER, "CO201", "no node was found; nothing was written", seen=remark.strip(" .;"))
     locator = DEMO_LOCATOR if bus == DEMO else bus
     name = settings.chosen.bus or bus_name(locator)
     chosen = {node.node_id: named.get(node.node_id) or _file_of(screen, node, files) for node in found}
@@ -109,7 +109,7 @@ async def _find(settings: Settings, screen: Screen, node_ids: tuple[int, ...]) -
             def look(node_id: int) -> Procedure[None]:
                 try:
                     data = yield from upload(session.node(node_id).remote.sdo, indices.PRODUCER_HEARTBEAT_TIME)
-                except SdoFailed:  # it cannot send one, or does not say so
+                except SdoTransferError:  # it cannot send one, or does not say so
                     return
                 periods[node_id] = int.from_bytes(data[:2], "little") * MILLISECOND or HEARTBEAT
 

@@ -70,7 +70,7 @@ class OpenNetwork:
 
 
 def named_machine(settings: Settings, path: Path | None) -> MachineFile:
-    """Return the machine of the argument, else of -m or CANOPEN_MACHINE. Raises a Problem, DataError, DictionaryError."""
+    """Return the machine of the argument, else of -m or CANOPEN_MACHINE. Raises a CommandError, DataError, DictionaryError."""
     if path is not None and path.suffix.lower() in YAML:
         raise usage("CO123", f"{path} is no machine file", tries=(f"canopen machine import {path} -o cell.toml",))
     if path is not None:
@@ -83,7 +83,7 @@ def named_machine(settings: Settings, path: Path | None) -> MachineFile:
 
 
 def choose_network(settings: Settings, screen: Screen, path: Path | None) -> ChosenNetwork:
-    """Return the networks that the options mean. Raises a Problem, DataError, DictionaryError."""
+    """Return the networks that the options mean. Raises a CommandError, DataError, DictionaryError."""
     machine = named_machine(settings, path)
     listed = dict.fromkeys(node.bus for node in machine.nodes.values() if node.boot is not None)
     if not listed:

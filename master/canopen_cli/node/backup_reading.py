@@ -71,7 +71,7 @@ def reading_options(command: F) -> F:
 
 async def read_all(session: BusSession, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool) -> Backup:
     """Read what a node holds: by its own file; without one by a walk and the data files; or by a walk over `indices`. Raises
-    SdoFailed if the node is gone."""
+    SdoTransferError if the node is gone."""
     node = session.node(node_id).remote
     label = f"reading {node_text(node_id)}"
     if indices is not None:
@@ -197,6 +197,6 @@ def both_notations(variable: Variable, value: Value | None) -> str:
 
 
 def check_indices(indices: tuple[range, ...] | None, files: tuple[str, ...]) -> None:
-    """Raise a Problem for a walk together with a file: a walk does not use it."""
+    """Raise a CommandError for a walk together with a file: a walk does not use it."""
     if indices is not None and files:
         raise usage("CO001", "--walk is for a device without a file, and -e names one", tries=("one of the two",))

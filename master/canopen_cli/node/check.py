@@ -23,7 +23,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session, read_dictionary
 from canopen_data.named_files import open_description
-from canopen_master.errors import MasterError, SdoRefused
+from canopen_master.errors import MasterError, SdoRefusedError
 from canopen_master.simulation.serving import drive_maker
 from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
@@ -106,7 +106,7 @@ def check(
 
 
 def _chosen(numbers: Sequence[str], storing: bool) -> tuple[list[Case], list[Case]]:
-    """Return the named cases in their order, or all; and the cases that are left out because they store. Raises Problem."""
+    """Return the named cases in their order, or all; and the cases that are left out because they store. Raises CommandError."""
     wanted: set[str] = set()
     for number in numbers:
         found = [case.number for case in CASES if number in (case.number, case.number.partition(".")[0])]
@@ -217,11 +217,11 @@ def _demo_dictionary(node_id: int) -> ObjectDictionary:
 
 
 async def _find(session: BusSession, bench: Bench) -> None:
-    """Reset the device. Raises SdoTimeout if it shows no sign of life."""
+    """Reset the device. Raises SdoTimeoutError if it shows no sign of life."""
     try:
         await session.master.run(bench.reset())
     except ProcedureError:  # no boot-up: a case will report that
-        with suppress(SdoRefused):
+        with suppress(SdoRefusedError):
             await session.node(bench.node_id).read_bytes(indices.DEVICE_TYPE)
 
 

@@ -142,7 +142,7 @@ def list_cases(screen: Screen, cases: Sequence[Case]) -> None:
 
 
 def write_junit(path: str, report: CheckReport) -> None:
-    """Write the report as a JUnit file. Raises a Problem if it cannot be written."""
+    """Write the report as a JUnit file. Raises a CommandError if it cannot be written."""
     entries = [(each.case, each) for each in report.runs] + [(case, None) for case in report.left_out]
     entries.sort(key=lambda entry: _order(entry[0]))
     root = ElementTree.Element("testsuites", {"name": clean(f"canopen check {report.subject}")})

@@ -16,7 +16,7 @@ from rich.progress import DownloadColumn, TimeRemainingColumn, TransferSpeedColu
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.options import Duration, Kind, NodeId, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import Questions, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
@@ -29,7 +29,7 @@ from canopen_proto.manager.programs.download import (
     MAX_PROGRAM,
     DownloadLimits,
     ProgramDownload,
-    ProgramDownloadFailed,
+    ProgramDownloadError,
     ProgramProgress,
     ProgramStep,
     download_program,
@@ -148,7 +148,7 @@ def flash(
     questions = Questions(screen, agrees=yes)
     try:
         run(settings, screen, lambda: _flash(settings, screen, questions, wanted, so_far, dry_run), story=lambda _: story(so_far))
-    except ProgramDownloadFailed as failed:
+    except ProgramDownloadError as failed:
         problem = problem_of(failed)
         if failed.so_far.step is not ProgramStep.LOOK and not failed.is_mismatch:
             problem.tries = (*problem.tries, AGAIN)
@@ -161,15 +161,17 @@ def flash(
 
 
 def image_in(path: Path) -> bytes:
-    """Return the content of a file. Raises a Problem if it cannot be a program."""
+    """Return the content of a file. Raises a CommandError if it cannot be a program."""
     try:
         with path.open("rb") as file:
             image = file.read(MAX_IMAGE + 1)  # not the size that the file tells: that of /dev/zero is 0
     except OSError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)) from error
+        raise CommandError(
+            ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)
+        ) from error
     if not 0 < len(image) <= MAX_IMAGE:
         seen = f"it has more than {MAX_IMAGE} bytes" if image else "it is empty"
-        raise Problem(ExitCode.BAD_FILE, "CO340", f"{path} is no program", seen=seen, tries=("check the path",))
+        raise CommandError(ExitCode.BAD_FILE, "CO340", f"{path} is no program", seen=seen, tries=("check the path",))
     return image
 
 
@@ -201,7 +203,7 @@ async def _flash(
             what = "Start it?" if is_there else "Write it? The old program is erased."
             what = f"Nothing will verify it. {what}" if wanted.is_unverifiable(found) else what
             if not await questions.may(f"{what} The device boots (a drive stops, or coasts)."):
-                raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was written")
+                raise CommandError(ExitCode.INTERRUPTED, "CO132", "by you: nothing was written")
         downloading = download_program(
             node,
             nmt,
@@ -217,7 +219,7 @@ async def _flash(
         begun, present = trio.current_time(), _heard_nodes(session)
         try:
             await shown(session, screen, node_text(wanted.node_id), downloading, ProgramProgress, columns=COLUMNS)
-        except ProgramDownloadFailed as failed:
+        except ProgramDownloadError as failed:
             for each in sorted(_heard_nodes(session) - present) if failed.is_silent else ():
                 failed.add_note(f"{node_text(each)} has appeared meanwhile: is it the boot loader of this device?")
             raise

@@ -14,7 +14,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.description import DeviceDescription
-from canopen_master.errors import NodeSilent, SdoRefused
+from canopen_master.errors import NodeSilentError, SdoRefusedError
 from canopen_master.node import Node
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, text_for_people
@@ -24,10 +24,10 @@ from canopen_proto.drives.cia402.modes import describe_status, mode_name, suppor
 from canopen_proto.error_codes import error_text, register_names
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.multiplexer import mapped
-from canopen_proto.pdo.configure import StrangePdo, read_pdo
+from canopen_proto.pdo.configure import InvalidPdoError, read_pdo
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.objects import ABSENT
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 
 MAX_HISTORY = 8
 MAX_PDOS_SHOWN = 8
@@ -112,7 +112,7 @@ def _compared(description: DeviceDescription, facts: Facts, node_id: int) -> tup
 async def _add_health(node: Node, facts: Facts) -> None:
     period = await _standard(node, indices.PRODUCER_HEARTBEAT_TIME)
     if node.nmt_state is None and isinstance(period, int) and period:
-        with contextlib.suppress(NodeSilent):
+        with contextlib.suppress(NodeSilentError):
             await node.wait_for_heartbeat(min(1.5 * period / 1000, MAX_WAIT))
     state = node.nmt_state
     if state is not None:
@@ -139,11 +139,11 @@ async def _add_pdos(session: BusSession, node: Node, facts: Facts) -> None:
         for number in range(1, MAX_PDOS_SHOWN + 1):
             try:
                 settings = await session.master.run(read_pdo(node.remote, direction, number))
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 if failed.abort_code in ABSENT:
                     break
                 raise
-            except StrangePdo as strange:
+            except InvalidPdoError as strange:
                 facts[f"{direction}{number}"] = (None, str(strange))
                 continue
             if not settings.cob_id & COB_ID_INVALID:
@@ -191,7 +191,7 @@ async def _standard(node: Node, index: int, subindex: int = 0) -> Value | None:
     """Read an object with the type of the standard; None if the device refuses."""
     try:
         data = await node.read_bytes(index, subindex)
-    except SdoRefused:
+    except SdoRefusedError:
         return None
     variable = find_standard(index, subindex)
     data_type = variable.data_type if variable is not None else DataType.OCTET_STRING

@@ -16,7 +16,7 @@ from typing import IO, Any, Final
 import trio
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.values import object_json
 from canopen_master.node import Node
@@ -72,7 +72,7 @@ async def read_into_file(
 async def write_from_file(screen: Screen, node: Node, variable: Variable, path: str, block: Block, verify: bool) -> FileTransfer:
     """Write the content of a file to an object, and with `verify` read it back and compare.
 
-    Raises Problem if the file cannot be read or the device reads back something else, and what Node.write_stream raises.
+    Raises CommandError if the file cannot be read or the device reads back something else, and what Node.write_stream raises.
     """
     started = trio.current_time()
     with _opened(path) as file, progress(screen, node, variable, size_of(file)) as show:
@@ -101,7 +101,7 @@ async def _compare(screen: Screen, node: Node, variable: Variable, path: str, bl
                 is_equal = is_equal and file.read(len(piece)) == piece
             if is_equal and not file.read(1):
                 return
-    raise Problem(
+    raise CommandError(
         ExitCode.VERIFY_MISMATCH,
         "CO205",
         f"node {node.node_id} took {path} for {variable.label}, but shows something else: {stream.size} bytes",
@@ -124,7 +124,7 @@ def _opened(path: str) -> Iterator[IO[bytes]]:
         try:
             file = stack.enter_context(open(path, "rb"))
         except OSError as error:
-            raise Problem(
+            raise CommandError(
                 ExitCode.BAD_FILE, "CO340", f"cannot read {path}: {error.strerror}", tries=("check the path",)
             ) from error
         yield file

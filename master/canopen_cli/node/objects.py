@@ -10,7 +10,7 @@ import click
 from canopen_cli.node.object_files import FileTransfer, read_into_file, write_from_file
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.options import NodeId, Settings, common, enabling
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
@@ -255,7 +255,7 @@ async def _write(
         if request.verify and variable.access.readable:
             shown = await read_object(node, variable, block)
             if shown.value != value:
-                raise Problem(
+                raise CommandError(
                     ExitCode.VERIFY_MISMATCH,
                     "CO205",
                     f"node {node_id} took {_shown(after)} for {variable.label}, but shows {_shown(shown)}",

@@ -12,7 +12,7 @@ import click
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.node.restore_output import show, story, tell_unread, told
 from canopen_cli.shared.options import NodeId, Settings, common
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
@@ -27,7 +27,7 @@ from canopen_proto.manager.parameters.backup import ObjectRead, upload_again
 from canopen_proto.manager.parameters.restore import ObjectRestored, Restoration, plan_restore
 from canopen_proto.manager.parameters.restore import restore as carry_out
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 
 IDENTITY: Final = ((1, "vendor-ID"), (2, "product code"))
 """Subindices of 0x1018 that show whether a device is of the type that a file describes."""
@@ -112,9 +112,9 @@ def restore(
 
 
 def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, disturbed: bool = True) -> ObjectDictionary:
-    """Return the dictionary of a file. Raises a Problem if the file is of another node, or sets nothing.
+    """Return the dictionary of a file. Raises a CommandError if the file is of another node, or sets nothing.
 
-    disturbed: also of a backup that another SDO client has disturbed; else that is a Problem too.
+    disturbed: also of a backup that another SDO client has disturbed; else that is a CommandError too.
     """
     from canopen_data.backup_file import disturbance_of
     from canopen_data.named_files import open_description
@@ -179,7 +179,8 @@ def _claim(session: BusSession, wanted: SettingsToRestore) -> AbstractAsyncConte
 
 
 async def _check_identity(session: BusSession, wanted: SettingsToRestore) -> None:
-    """Return a Problem if the device is not of the type that the file describes. A number that either lacks is no difference."""
+    """Return a CommandError if the device is not of the type that the file describes. A number that either lacks is no
+    difference."""
     node = session.node(wanted.node_id)
     for subindex, name in IDENTITY:
         variable = wanted.dictionary.get(indices.IDENTITY_OBJECT, subindex)
@@ -188,13 +189,13 @@ async def _check_identity(session: BusSession, wanted: SettingsToRestore) -> Non
             continue
         try:
             data = await session.master.run(upload_again(node.remote, indices.IDENTITY_OBJECT, subindex, False))
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.origin is not AbortOrigin.PEER:
                 raise
             continue
         found = int.from_bytes(data, "little")
         if found and found != expected:
-            raise Problem(
+            raise CommandError(
                 ExitCode.DIFFERENT,
                 "CO207",
                 f"{node_text(wanted.node_id)} is not of the type that {wanted.path} describes; nothing was written",

@@ -8,12 +8,12 @@ from typing import Any, Final
 
 from canopen_cli.node.backup_reading import both_notations
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.values import as_json, hex_text, object_json, place_text
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.manager.parameters.backup import ReadResult
-from canopen_proto.manager.parameters.restore import PlannedWrite, Restoration, RestoreFailed, VerifyMismatch
+from canopen_proto.manager.parameters.restore import PlannedWrite, Restoration, RestoreError, VerifyMismatchError
 from canopen_proto.multiplexer import index_of, split_mux, subindex_of
 from canopen_proto.nmt import NmtState
 
@@ -119,17 +119,17 @@ def _places(variables: Sequence[Variable]) -> str:
     return ", ".join(places[:MAX_NAMED]) + rest
 
 
-def told(error: Exception, so_far: Sequence[Restoration], path: str) -> Problem:
-    """Return the Problem for a failure, with what was written before it."""
-    if not isinstance(error, RestoreFailed):
+def told(error: Exception, so_far: Sequence[Restoration], path: str) -> CommandError:
+    """Return the CommandError for a failure, with what was written before it."""
+    if not isinstance(error, RestoreError):
         return problem_of(error)
     reason = error.__cause__ or error
     found = error.restoration
     node_id = found.plan.node_id
-    if isinstance(reason, VerifyMismatch):
+    if isinstance(reason, VerifyMismatchError):
         write = reason.write
         value = both_notations(write.variable, write.value)
-        problem = Problem(
+        problem = CommandError(
             ExitCode.VERIFY_MISMATCH,
             "CO205",
             f"node {node_id} took {value} for {write.variable.label}, but shows something else",

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from canopen_cli.shared.new_files import check_writable
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_master.demonstration.recording import JointTrack, Recording
 
 if TYPE_CHECKING:
@@ -23,7 +23,8 @@ _ERROR = "#d9730d"
 
 
 def check_plot(path: Path) -> None:
-    """Raise a Problem, before anything moves, if no picture could be written: no matplotlib, no folder, an unknown format."""
+    """Raise a CommandError, before anything moves, if no picture could be written: no matplotlib, no folder, an unknown
+    format."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
     except ImportError as missing:
@@ -33,7 +34,7 @@ def check_plot(path: Path) -> None:
             tries=("pip install 'canopen-proto[plot]'",),
         ) from None
     if not path.parent.is_dir():
-        raise Problem(
+        raise CommandError(
             ExitCode.BAD_FILE,
             "CO341",
             f"cannot write {path}: the folder {path.parent} does not exist",
@@ -46,7 +47,7 @@ def check_plot(path: Path) -> None:
 
 
 def write_plot(path: Path, recording: Recording, title: str, subtitle: str) -> None:
-    """Draw the recording into a file; its suffix tells the format. Raises Problem if it cannot be written."""
+    """Draw the recording into a file; its suffix tells the format. Raises CommandError if it cannot be written."""
     from matplotlib.figure import Figure
 
     rows = -(-len(recording.joints) // COLUMNS)
@@ -86,11 +87,11 @@ def write_titles(figure: Figure, title: str, subtitle: str) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a picture; its suffix tells the format. Raises Problem if it cannot be written."""
+    """Write a picture; its suffix tells the format. Raises CommandError if it cannot be written."""
     try:
         figure.savefig(path, dpi=130)
     except OSError as error:
-        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {error.strerror}") from None
+        raise CommandError(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {error.strerror}") from None
 
 
 def style(axes: Axes, unit: str) -> None:

@@ -30,7 +30,7 @@ _SHORT: Final = {"degree": "°", "radian": "rad", "millimetre": "mm", "count": "
 
 
 def write_motion_plot(path: Path, curves: MotionCurves) -> None:
-    """Draw the curves into a file; its suffix tells the format. Raises Problem if it cannot be written."""
+    """Draw the curves into a file; its suffix tells the format. Raises CommandError if it cannot be written."""
     from matplotlib.figure import Figure
 
     units = list(dict.fromkeys(joint.unit for joint in curves.joints))

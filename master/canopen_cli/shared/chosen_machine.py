@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from canopen_cli.shared.importing import importing
-from canopen_cli.shared.problem import Problem, usage
+from canopen_cli.shared.problem import CommandError, usage
 
 if TYPE_CHECKING:
     from canopen_master.machine_file import MachineFile
@@ -49,7 +49,7 @@ class ChosenMachine:
         return None if option is None and is_other and not self.bus else self._file
 
     def node_id(self, machine: MachineFile, name: str, *, any_axis: bool = False) -> int:
-        """Return the node-ID of a joint or node, and choose its bus. Raises a Problem.
+        """Return the node-ID of a joint or node, and choose its bus. Raises a CommandError.
 
         any_axis: the command is about one drive. Others take no joint on a further axis: they would be about the first one.
         """
@@ -70,7 +70,7 @@ class ChosenMachine:
         return node.node_id
 
     def choose(self, machine: MachineFile, bus: str, why: str) -> None:
-        """Choose the bus. why: the name that it is chosen for. Raises a Problem if another one is chosen already."""
+        """Choose the bus. why: the name that it is chosen for. Raises a CommandError if another one is chosen already."""
         if self.bus and self.bus != bus:
             raise usage(
                 "CO121",
@@ -89,8 +89,8 @@ class ChosenMachine:
             return None
         return machine.buses[self.bus].locator if bus is None or bus in machine.buses else bus
 
-    def unclear(self, machine: MachineFile) -> Problem:
-        """Return the Problem of a command whose bus is not clear."""
+    def unclear(self, machine: MachineFile) -> CommandError:
+        """Return the CommandError of a command whose bus is not clear."""
         names = ", ".join(machine.buses)
         tries = (f"-b {next(iter(machine.buses))}", "the name of a joint or a node in place of its node-ID")
         return usage("CO121", f"which bus of {machine.source}?", seen=f"its buses are {names}", tries=tries)

@@ -30,8 +30,8 @@ def description_of(files: DeviceFiles, node_id: int) -> DeviceDescription | None
 def read_device_files(texts: Sequence[str], names: ObjectDictionary, screen: Screen, encoding: str = "") -> DeviceFiles:
     """Read the files of the options -e. names: the dictionary of the data files. encoding: of the files, "" for a guess.
 
-    Tells how many errors a file has. Raises DataError if a file cannot be read; a Problem if it describes nothing, or if its node
-    is not clear.
+    Tells how many errors a file has. Raises DataError if a file cannot be read; a CommandError if it describes nothing, or if its
+    node is not clear.
     """
     files: dict[int | None, DeviceDescription] = {}
     if not texts:

@@ -13,26 +13,26 @@ from typing import Final
 
 import click
 
-from canopen_cli.shared.problem import NO_ROOM, ExitCode, Problem, usage
+from canopen_cli.shared.problem import NO_ROOM, CommandError, ExitCode, usage
 from canopen_master import errors
 from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.datatypes import ValueRangeError
-from canopen_proto.dictionary import NotInDictionary
-from canopen_proto.drives.axis import DriveError, DriveInFault, HomingFailed, ModeUnsupported
+from canopen_proto.dictionary import NotInDictionaryError
+from canopen_proto.drives.axis import DriveError, DriveInFaultError, HomingError, ModeUnsupportedError
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.manager.programs.download import ProgramDownloadFailed
-from canopen_proto.procedures.objects import UnexpectedLength
-from canopen_proto.procedures.steps import ProcedureError, SdoFailed
+from canopen_proto.manager.programs.download import ProgramDownloadError
+from canopen_proto.procedures.objects import UnexpectedLengthError
+from canopen_proto.procedures.steps import ProcedureError, SdoTransferError
 from canopen_transports import TransportError
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
 
 
-def problem_of(error: BaseException) -> Problem:
-    """Return the Problem for an exception. An exception that nobody foresaw is CO900: our own mistake."""
-    if isinstance(error, Problem):
+def problem_of(error: BaseException) -> CommandError:
+    """Return the CommandError for an exception. An exception that nobody foresaw is CO900: our own mistake."""
+    if isinstance(error, CommandError):
         error.also += [note for note in getattr(error, "__notes__", ()) if note not in error.also]
         return error
     if isinstance(error, BaseExceptionGroup):
@@ -42,7 +42,7 @@ def problem_of(error: BaseException) -> Problem:
         problem.seen, problem.cause = in_words_of_files(problem.seen), in_words_of_files(problem.cause)
         problem.tries = tuple(map(in_words_of_files, problem.tries))
     else:
-        problem = Problem(
+        problem = CommandError(
             ExitCode.INTERNAL,
             "CO900",
             f"this should not happen: {type(error).__name__}: {error}",
@@ -54,36 +54,36 @@ def problem_of(error: BaseException) -> Problem:
     return problem
 
 
-def _of_group(group: BaseExceptionGroup[BaseException]) -> Problem:
-    """Return the Problem for the first error that matters, and mention the others in it."""
+def _of_group(group: BaseExceptionGroup[BaseException]) -> CommandError:
+    """Return the CommandError for the first error that matters, and mention the others in it."""
     problems = sorted((problem_of(each) for each in group.exceptions), key=lambda each: each.exit_code is ExitCode.INTERNAL)
     first, rest = problems[0], problems[1:]
     first.also += [f"{each.code}: {each.failed}" for each in rest if each.failed != first.failed]
     return first
 
 
-def _of_expected(error: BaseException) -> Problem | None:
+def _of_expected(error: BaseException) -> CommandError | None:
     match error:
         case TransportError():
             return _spoken(error, _of_bus(error.code))
         case errors.BusError():
             return _spoken(error, _of_bus(error.code))
-        case errors.SdoTimeout() | errors.NodeSilent():
+        case errors.SdoTimeoutError() | errors.NodeSilentError():
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
             return _spoken(error, ExitCode.SDO_ABORT)
-        case errors.ChainFileError() | errors.NotADrive():
+        case errors.ChainFileError() | errors.NoDriveInFileError():
             return _spoken(error, ExitCode.BAD_FILE)
         case (
-            errors.UnknownChain()
-            | errors.SetPointRefused()
-            | errors.PlanRefused()
-            | errors.PackageMissing()
-            | errors.DeviceRefused()
-            | errors.DemonstrationRefused()
+            errors.UnknownChainError()
+            | errors.SetPointRefusedError()
+            | errors.PlanRefusedError()
+            | errors.PackageMissingError()
+            | errors.DeviceRefusedError()
+            | errors.DemonstrationRefusedError()
         ):
             return _spoken(error, ExitCode.USAGE)
-        case errors.RealtimeRefused():
+        case errors.RealtimeRefusedError():
             return _spoken(error, ExitCode.PERMISSION)
         case errors.NodeError():
             return _spoken(error, ExitCode.SDO_ABORT)
@@ -91,11 +91,11 @@ def _of_expected(error: BaseException) -> Problem | None:
             return _of_chain(error)
         case Explained():  # of a file: DataError, DictionaryError, LogFileError, ScriptError, StateFileError
             return _spoken(error, ExitCode.BAD_FILE)
-        case SdoFailed():
+        case SdoTransferError():
             return _of_sdo(error)
         case ProcedureError():
             return _of_procedure(error)
-        case NotInDictionary():
+        case NotInDictionaryError():
             failed, _, hint = str(error).partition("; ")
             return usage("CO302", failed, tries=(hint,) if hint else ())
         case ValueRangeError():
@@ -103,11 +103,11 @@ def _of_expected(error: BaseException) -> Problem | None:
         case LocalProtocolError():
             return usage("CO120", str(error), seen="nothing was sent")
         case OSError(errno=number) if number in NO_ROOM:
-            return Problem(
+            return CommandError(
                 ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
             )
         case PermissionError():
-            return Problem(ExitCode.PERMISSION, "CO109", str(error))
+            return CommandError(ExitCode.PERMISSION, "CO109", str(error))
         case click.UsageError():
             return _of_usage(error)
         case click.ClickException():
@@ -115,7 +115,7 @@ def _of_expected(error: BaseException) -> Problem | None:
     return None
 
 
-def _of_usage(error: click.UsageError) -> Problem:
+def _of_usage(error: click.UsageError) -> CommandError:
     command = error.ctx.command_path if error.ctx is not None else "canopen"
     tries = [f"{command} --help"]
     if isinstance(error, click.NoSuchOption) and re.match(r"-[0-9.]", error.option_name):
@@ -176,9 +176,9 @@ def _as_key(setting: re.Match[str]) -> str:
     return f"{setting['key']} = {value} of its {entry} in the machine file"
 
 
-def _spoken(error: Explained, exit_code: ExitCode) -> Problem:
-    """Return the Problem for an error that brings its own words."""
-    return Problem(
+def _spoken(error: Explained, exit_code: ExitCode) -> CommandError:
+    """Return the CommandError for an error that brings its own words."""
+    return CommandError(
         exit_code,
         error.code,
         error.failed,
@@ -200,8 +200,8 @@ _OF_CHAIN = {
 }
 
 
-def _of_chain(error: errors.MasterError) -> Problem:
-    """Return the Problem for a chain. The error of the joint that caused it may know more."""
+def _of_chain(error: errors.MasterError) -> CommandError:
+    """Return the CommandError for a chain. The error of the joint that caused it may know more."""
     problem = _spoken(error, _OF_CHAIN.get(error.code, ExitCode.DRIVE_FAULT))
     below = _of_expected(error.__cause__) if error.__cause__ is not None else None
     if below is not None:
@@ -212,11 +212,11 @@ def _of_chain(error: errors.MasterError) -> Problem:
     return problem
 
 
-def _of_sdo(error: SdoFailed) -> Problem:
+def _of_sdo(error: SdoTransferError) -> CommandError:
     silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # our own side ended it
     code = errors.NO_ANSWER if silent else _SDO_CODES.get(error.origin, errors.GIVEN_UP)
     failed, _, seen = (error.failed if isinstance(error, DriveError) else str(error)).partition(": ")
-    return Problem(
+    return CommandError(
         ExitCode.NO_ANSWER if silent or error.not_confirmed else ExitCode.SDO_ABORT,
         code,
         failed,
@@ -233,10 +233,10 @@ def _of_sdo(error: SdoFailed) -> Problem:
 _SDO_CODES: Final = {AbortOrigin.PEER: errors.REFUSED, AbortOrigin.CONTESTED: errors.CONTESTED}
 
 
-def _of_flash(error: ProgramDownloadFailed) -> Problem:
+def _of_flash(error: ProgramDownloadError) -> CommandError:
     failed = f'the program download to node {error.node_id} ended at "{error.so_far.step}"'
     status = ExitCode.NO_ANSWER if error.is_silent else ExitCode.DRIVE_FAULT
-    return Problem(
+    return CommandError(
         ExitCode.VERIFY_MISMATCH if error.is_mismatch else status,
         "CO214",
         failed,
@@ -248,25 +248,25 @@ def _of_flash(error: ProgramDownloadFailed) -> Problem:
 
 
 _OF_DRIVE = {
-    DriveInFault: errors.CHAIN_FAULT,
-    HomingFailed: errors.HOMING_FAILED,
-    ModeUnsupported: errors.MODE_UNSUPPORTED,
+    DriveInFaultError: errors.CHAIN_FAULT,
+    HomingError: errors.HOMING_FAILED,
+    ModeUnsupportedError: errors.MODE_UNSUPPORTED,
 }
 
 
-def _of_procedure(error: ProcedureError) -> Problem:
+def _of_procedure(error: ProcedureError) -> CommandError:
     failed, _, hint = str(error).partition(". Try: ")
     what, _, seen = failed.partition(": ")
     tries = (hint,) if hint else ()
     match error:
-        case ProgramDownloadFailed():
+        case ProgramDownloadError():
             return _of_flash(error)
-        case UnexpectedLength():
+        case UnexpectedLengthError():
             what, _, cause = failed.partition("; ")
-            return Problem(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)
+            return CommandError(ExitCode.SDO_ABORT, errors.UNEXPECTED_ANSWER, what, cause=cause)
         case DriveError():
             code = next((code for kind, code in _OF_DRIVE.items() if isinstance(error, kind)), errors.PROCEDURE_FAILED)
             tries = (error.remedy,) if error.remedy else ()
             seen, cause = error.view.describe(), error.reason
-            return Problem(ExitCode.DRIVE_FAULT, code, error.failed, seen=seen, cause=cause, tries=tries, node=error.node_id)
-    return Problem(ExitCode.DRIVE_FAULT, errors.PROCEDURE_FAILED, what, seen=seen, tries=tries)
+            return CommandError(ExitCode.DRIVE_FAULT, code, error.failed, seen=seen, cause=cause, tries=tries, node=error.node_id)
+    return CommandError(ExitCode.DRIVE_FAULT, errors.PROCEDURE_FAILED, what, seen=seen, tries=tries)

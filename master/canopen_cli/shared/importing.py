@@ -16,7 +16,7 @@ LIBRARIES: Final = frozenset({"click", "rich", "trio", "can", "tomli_w"})
 """The libraries of the extra `master`. The core and the data files need none of them."""
 
 
-class LibraryMissing(Exception):
+class LibraryMissingError(Exception):
     """Raised if one of LIBRARIES is not installed."""
 
     def __init__(self, library: str) -> None:
@@ -25,7 +25,7 @@ class LibraryMissing(Exception):
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Import within this block. Raises LibraryMissing in place of the ModuleNotFoundError of one of LIBRARIES."""
+    """Import within this block. Raises LibraryMissingError in place of the ModuleNotFoundError of one of LIBRARIES."""
     # Keep another handler: a shell sets SIG_IGN for background jobs. And only the main thread may set one.
     raises = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     ends = raises and threading.current_thread() is threading.main_thread()
@@ -37,7 +37,7 @@ def importing() -> Iterator[None]:
         library = (missing.name or "").partition(".")[0]
         if library not in LIBRARIES:
             raise
-        raise LibraryMissing(library) from None
+        raise LibraryMissingError(library) from None
     finally:
         if ends:
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -15,26 +15,26 @@ from typing import IO
 import click
 
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen
 from canopen_master.plain_text import clean
 from canopen_master.whole_file import whole_file
 
 
 def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs: str) -> None:
-    """Raise a Problem if there is no folder for the file, if it is one of the inputs, or if it exists and the user does not want
-    it overwritten.
+    """Raise a CommandError if there is no folder for the file, if it is one of the inputs, or if it exists and the user does not
+    want it overwritten.
 
     Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). If the path is not a
     regular file (/dev/null, a pipe), nothing is asked: nothing is overwritten there.
     """
     target = Path(path)
     if not target.parent.is_dir():
-        raise Problem(
+        raise CommandError(
             ExitCode.BAD_FILE, "CO341", f"cannot write {path}: there is no folder {target.parent}", tries=("write elsewhere",)
         )
     if target.is_dir():
-        raise Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: it is a folder", tries=("the name of a file",))
+        raise CommandError(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: it is a folder", tries=("the name of a file",))
     _check_no_input(target, inputs)
     if settings.force or not target.is_file():
         return
@@ -42,11 +42,12 @@ def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs
         tries = (f"another name than {path}", "the same with --force")
         raise usage("CO135", f"{path} is there already, and was not overwritten", seen="nothing was done", tries=tries)
     if not click.confirm(f"{clean(str(path))} is there already. Overwrite it?", err=True):
-        raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was done")
+        raise CommandError(ExitCode.INTERRUPTED, "CO132", "by you: nothing was done")
 
 
 def check_writable(path: str | Path) -> None:
-    """Raise a Problem if the file cannot be opened for writing. For files that are written where they stand, not as `new_file`.
+    """Raise a CommandError if the file cannot be opened for writing. For files that are written where they stand, not as
+    `new_file`.
 
     One that is not there is made and removed again: nothing else tells for sure. Pipes and devices are not tried.
     """
@@ -64,7 +65,7 @@ def check_writable(path: str | Path) -> None:
 
 
 def write_file(path: str, data: bytes, *inputs: str) -> None:
-    """Write a file as `whole_file` does. Raises a Problem if it is one of the inputs, or cannot be written."""
+    """Write a file as `whole_file` does. Raises a CommandError if it is one of the inputs, or cannot be written."""
     _check_no_input(Path(path), inputs)
     try:
         with whole_file(path) as file:
@@ -75,7 +76,7 @@ def write_file(path: str, data: bytes, *inputs: str) -> None:
 
 @contextmanager
 def new_file(path: str) -> Iterator[IO[bytes]]:
-    """Open a file as `whole_file` does. Raises a Problem if it cannot be opened."""
+    """Open a file as `whole_file` does. Raises a CommandError if it cannot be opened."""
     with ExitStack() as stack:
         try:
             file = stack.enter_context(whole_file(path))
@@ -84,11 +85,11 @@ def new_file(path: str) -> Iterator[IO[bytes]]:
         yield file
 
 
-def _cannot_write(path: str, error: OSError | ValueError) -> Problem:
+def _cannot_write(path: str, error: OSError | ValueError) -> CommandError:
     reason = error.strerror if isinstance(error, OSError) else error
     if isinstance(error, PermissionError):
-        return Problem(ExitCode.PERMISSION, "CO109", f"cannot write {path}: {reason}", tries=("another folder",))
-    return Problem(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",))
+        return CommandError(ExitCode.PERMISSION, "CO109", f"cannot write {path}: {reason}", tries=("another folder",))
+    return CommandError(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: {reason}", tries=("write elsewhere",))
 
 
 def _check_no_input(target: Path, inputs: Iterable[str]) -> None:

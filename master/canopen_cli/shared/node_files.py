@@ -18,8 +18,8 @@ from canopen_proto.dictionary import ObjectDictionary
 class NodeFiles:
     """The files of the nodes on the bus of the options, with the side files of --overlay over them.
 
-    A file of the machine is read when its node is asked for. Raises DataError, DictionaryError, Problem for one that cannot be
-    used.
+    A file of the machine is read when its node is asked for. Raises DataError, DictionaryError, CommandError for one that cannot
+    be used.
     """
 
     def __init__(self, settings: Settings, screen: Screen, names: ObjectDictionary) -> None:
@@ -67,7 +67,7 @@ def overlaid(dictionary: ObjectDictionary, paths: Iterable[str], screen: Screen)
 
     With -v, names without an object are told.
 
-    Raises UnusableFile if a file cannot be read, DictionaryError for its faults.
+    Raises UnusableFileError if a file cannot be read, DictionaryError for its faults.
     """
     for path in paths:
         dictionary, findings = lay_over(dictionary, read_text(Path(path)), path)

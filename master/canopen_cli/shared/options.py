@@ -19,7 +19,7 @@ import click
 
 from canopen_cli.shared.chosen_machine import MACHINE_VARIABLE, NUMBER, ChosenMachine
 from canopen_cli.shared.importing import importing
-from canopen_cli.shared.problem import Problem, usage
+from canopen_cli.shared.problem import CommandError, usage
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 
@@ -62,7 +62,7 @@ class Settings:
     verbosity: int = 0
     no_color: bool = False
     clock: trio.abc.Clock | None = None
-    late: Problem | None = None
+    late: CommandError | None = None
     master_id: int | None = None
     dry_run: bool = False
     notes: list[str] = field(default_factory=list)
@@ -131,7 +131,7 @@ class Settings:
         return machine is not None and machine.node_of(text) is not None
 
     def node_id(self, text: str, *, any_axis: bool = False) -> int:
-        """Return the node-ID in a text, or that of the joint or node of this name in the machine file. Raises a Problem.
+        """Return the node-ID in a text, or that of the joint or node of this name in the machine file. Raises a CommandError.
 
         any_axis: see ChosenMachine.
         """
@@ -146,7 +146,7 @@ class Settings:
         return self.bus or os.environ.get(BUS_VARIABLE) or None
 
     def required_bus(self, first: str = "-b demo                        six simulated drives, for trying things out") -> str:
-        """Return the bus as `named_bus` does. Raises a Problem if there is none. first: what to try first."""
+        """Return the bus as `named_bus` does. Raises a CommandError if there is none. first: what to try first."""
         bus, machine = self.named_bus(), self.machine_file()
         if bus is None and machine is not None:
             raise self.chosen.unclear(machine)
@@ -267,7 +267,7 @@ class Fault(Kind):
 
 
 def node_id_of(text: str) -> int:
-    """Return the node-ID in a text. Raises a Problem (CO120) that says what was perhaps meant."""
+    """Return the node-ID in a text. Raises a CommandError (CO120) that says what was perhaps meant."""
     text = text.strip()
     try:
         node_id = int(text, 16 if text.lower().startswith("0x") else 10)

@@ -1,7 +1,7 @@
 """A failure as one screen for people, one JSON object for programs, and one exit status for scripts.
 
-A command that cannot go on raises a `Problem`: what failed (node, object, value), what was seen, the likely cause, what to try
-next. `failures.problem_of` makes one of every other exception. A traceback is shown with -vv only.
+A command that cannot go on raises a `CommandError`: what failed (node, object, value), what was seen, the likely cause, what to
+try next. `failures.problem_of` makes one of every other exception. A traceback is shown with -vv only.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a file system that cannot take more data."""
 
 
-class Problem(Explained, Exception):
+class CommandError(Explained, Exception):
     """A command cannot go on. code: "CO201" and the like; node, index, subindex, abort: what it is about, else None."""
 
     def __init__(
@@ -71,7 +71,7 @@ class Problem(Explained, Exception):
         self.subindex = subindex
         self.abort = abort
 
-    def on_bus(self, bus: str | None, machine: str | None = None) -> Problem:
+    def on_bus(self, bus: str | None, machine: str | None = None) -> CommandError:
         """Add the bus of -b, and the machine file of -m, to each command that it advises, so that the next command asks the same
         bus. Returns itself."""
         options = "".join(
@@ -98,9 +98,9 @@ class Problem(Explained, Exception):
         }
 
 
-def usage(code: str, failed: str, **more: Any) -> Problem:
-    """Make a Problem about what the user typed."""
-    return Problem(ExitCode.USAGE, code, failed, **more)
+def usage(code: str, failed: str, **more: Any) -> CommandError:
+    """Make a CommandError about what the user typed."""
+    return CommandError(ExitCode.USAGE, code, failed, **more)
 
 
 _ON_A_BUS = re.compile(

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import click
 import trio
 
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, escape
 from canopen_master.plain_text import clean
 
@@ -75,7 +75,7 @@ class Questions:
             read = await read_input()
             if not read:
                 self._screen.say("")
-                raise Problem(ExitCode.INTERRUPTED, "CO132", "by the end of the input")
+                raise CommandError(ExitCode.INTERRUPTED, "CO132", "by the end of the input")
             self._input += read
         line, _, self._input = self._input.partition(b"\n")
         return line.decode(errors="replace")
@@ -87,18 +87,18 @@ def is_asked(screen: Screen) -> bool:
 
 
 def require_somebody(screen: Screen, question: str, yes: bool) -> None:
-    """Raise a Problem if a question has to be answered, now or after minutes of looking, and there is nobody to ask."""
+    """Raise a CommandError if a question has to be answered, now or after minutes of looking, and there is nobody to ask."""
     if not (yes or is_asked(screen)):
         raise usage("CO122", f"{question}. This must be confirmed", seen="nothing was sent", tries=("the same with --yes",))
 
 
 def confirm(screen: Screen, question: str, yes: bool, *, needed: bool) -> None:
-    """Ask the user to confirm a dangerous command, unless --yes did. Raises a Problem if it is not confirmed."""
+    """Ask the user to confirm a dangerous command, unless --yes did. Raises a CommandError if it is not confirmed."""
     if yes or not needed:
         return
     require_somebody(screen, question, yes)
     if not click.confirm(f"{clean(question)}. Go on?", err=True):
-        raise Problem(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
+        raise CommandError(ExitCode.INTERRUPTED, "CO132", "by you: nothing was sent")
 
 
 async def read_input() -> bytes:

@@ -19,7 +19,7 @@ import trio
 import trio.testing
 
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import BusSession, open_session
@@ -148,14 +148,14 @@ def prepare(served: SimulatedDevices, likenesses: Sequence[Likeness]) -> None:
 
 
 def likeness_of(node: Node) -> Procedure[Likeness]:
-    """Read the drives of a node. Raises a Problem if no simulated drive can stand for it."""
+    """Read the drives of a node. Raises a CommandError if no simulated drive can stand for it."""
     yield from ensure_answers(node)
     axes = axes_of(node.dictionary) or (0,)
     ranges = [sorted({index_of(swapped(mux(index), axis)) for axis in axes for index in drive_dictionary().objects})]
     read = yield from walk(node.remote, ranges, names=node.remote.dictionary)
     obstacle = drive_obstacle(read.dictionary)
     if obstacle:
-        raise Problem(
+        raise CommandError(
             ExitCode.USAGE,
             "CO410",
             f"no simulated drive can stand for {node_text(node.node_id)}, so nothing was rehearsed",

@@ -2,7 +2,7 @@
 
 The first Ctrl-C, SIGTERM, or SIGHUP (the terminal is gone) cancels the command. The master then halts moving drives before it
 closes the bus; canopen_master/session.py says how long that may take. A second one meanwhile changes nothing, since drives must
-not be left running. The result is a `Problem` with exit status 130, which says what was done.
+not be left running. The result is a `CommandError` with exit status 130, which says what was done.
 
 With --trace all traffic of the buses is recorded meanwhile, including the last frames of that ending.
 """
@@ -21,10 +21,10 @@ import trio
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import DEMO, Settings
-from canopen_cli.shared.problem import ExitCode, Problem, usage
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
-from canopen_master.errors import HaltNotConfirmed
+from canopen_master.errors import HaltNotConfirmedError
 from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.watchdog import LOGGER
 from canopen_transports.tracing import Trace, recording
@@ -52,8 +52,8 @@ def run(
 
     story: told on interruption. devices: this command is about its simulated devices. reads: a log file that it reads.
 
-    Raises a Problem with status 130 after a Ctrl-C, a Problem if --trace would overwrite a file, LogFileError if --trace cannot
-    begin, and what the command raises.
+    Raises a CommandError with status 130 after a Ctrl-C, a CommandError if --trace would overwrite a file, LogFileError if
+    --trace cannot begin, and what the command raises.
     """
     if settings.clock is None and settings.named_bus() == DEMO:
         settings.clock = PatientClock()
@@ -89,7 +89,7 @@ def run_until_interrupted(
     screen.tell_at_once()
     try:
         run(settings, screen, command, devices=devices, reads=reads)
-    except Problem as ended:
+    except CommandError as ended:
         if ended.exit_code is not ExitCode.INTERRUPTED:
             raise
         screen.say("ended")
@@ -118,8 +118,8 @@ def _warnings_on(screen: Screen) -> Iterator[None]:
         LOGGER.removeHandler(handler)
 
 
-def _missing(path: Path, trace: Trace) -> Problem | None:
-    """Return a Problem if the trace lacks something."""
+def _missing(path: Path, trace: Trace) -> CommandError | None:
+    """Return a CommandError if the trace lacks something."""
     from canopen_transports.log_files import LOSSES
 
     tries = ("--trace FILE.log, where there is room",)
@@ -131,7 +131,7 @@ def _missing(path: Path, trace: Trace) -> Problem | None:
         seen, tries = f"{trace.lost} frames were lost before they could be recorded", ("once more, on a computer less busy",)
     else:
         return None
-    return Problem(ExitCode.BAD_FILE, "CO343", f"the trace {path} is not complete", seen=seen, tries=tries)
+    return CommandError(ExitCode.BAD_FILE, "CO343", f"the trace {path} is not complete", seen=seen, tries=tries)
 
 
 def same_file(one: Path, other: Path) -> bool:
@@ -178,10 +178,10 @@ async def _run(screen: Screen, command: Callable[[], Awaitable[T]], story: Story
     return results[0]
 
 
-def _interrupted(number: int, story: Story, failure: BaseException | None) -> Problem:
+def _interrupted(number: int, story: Story, failure: BaseException | None) -> CommandError:
     names = {signal.SIGINT: "Ctrl-C", HANG_UP: "the end of its terminal"}
     name = names.get(number) or signal.Signals(number).name
-    problem = Problem(ExitCode.INTERRUPTED, "CO132", f"interrupted by {name}")
+    problem = CommandError(ExitCode.INTERRUPTED, "CO132", f"interrupted by {name}")
     problem.also = story(all_stand(failure)) + notes_of(failure)
     errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure
     if errors is not None and not isinstance(errors, trio.Cancelled):
@@ -193,10 +193,13 @@ def _interrupted(number: int, story: Story, failure: BaseException | None) -> Pr
 
 
 def all_stand(error: BaseException | None) -> bool:
-    """Return whether all drives confirmed that they stand: no exception is HaltNotConfirmed, and none has a note about it."""
+    """Return whether all drives confirmed that they stand: no exception is HaltNotConfirmedError, and none has a note about
+    it."""
     if isinstance(error, BaseExceptionGroup):
         return all(all_stand(each) for each in error.exceptions)
-    is_halt = isinstance(error, HaltNotConfirmed) or (error is not None and isinstance(error.__cause__, HaltNotConfirmed))
+    is_halt = isinstance(error, HaltNotConfirmedError) or (
+        error is not None and isinstance(error.__cause__, HaltNotConfirmedError)
+    )
     return not is_halt and not notes_of(error)
 
 

@@ -25,7 +25,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from canopen_cli.shared.problem import ExitCode, Problem
+from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.plain_text import clean, clean_lines, json_text
 
 WIDTH_OFF_TERMINAL: Final = 200
@@ -194,7 +194,7 @@ class Screen:
         elif self.verbosity >= 1:
             self.err.print(Text(clean(text), style="dim"), soft_wrap=True)
 
-    def problem(self, problem: Problem) -> None:
+    def problem(self, problem: CommandError) -> None:
         """Show an error; with -vv also the traceback."""
         trace = ""
         if self.verbosity >= 2 and problem.__cause__ is not None:

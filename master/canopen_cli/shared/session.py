@@ -16,14 +16,14 @@ import trio
 from canopen_cli.shared.failures import advice, problem_of
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings
-from canopen_cli.shared.problem import Problem
+from canopen_cli.shared.problem import CommandError
 from canopen_cli.shared.screen import Screen, escape
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription
 from canopen_data.findings import Severity
 from canopen_master.claims.channel_claim import SHORT, channel_claim
 from canopen_master.claims.further_channels import FurtherChannels
-from canopen_master.errors import NO_ANSWER, SdoTimeout
+from canopen_master.errors import NO_ANSWER, SdoTimeoutError
 from canopen_master.master import Master
 from canopen_master.node import Node
 from canopen_master.session import open_master
@@ -34,7 +34,7 @@ from canopen_proto.drives.axis.settings import AxisSettings
 from canopen_proto.drives.cia402.axes import with_axis
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 from canopen_transports import open_transport
 from canopen_transports.record import Record
 from canopen_transports.tracing import tapped
@@ -69,18 +69,18 @@ class BusSession:
         return self.master.node(node_id, dictionary)
 
     def claim(self, node_id: int, *files: ObjectDictionary) -> AbstractAsyncContextManager[None]:
-        """Have an SDO channel of a node, to read much of it; see channel_claim.py. Raises ChannelTaken.
+        """Have an SDO channel of a node, to read much of it; see channel_claim.py. Raises ChannelTakenError.
 
         files: what the command knows of the device besides its own file, for the further channels.
         """
         return channel_claim(self.bus, node_id, further=self._further(node_id, files))
 
     def claim_to_write(self, node_id: int) -> AbstractAsyncContextManager[None]:
-        """Have a node without other programs of ours, to write to it; see channel_claim.py. Raises ChannelTaken."""
+        """Have a node without other programs of ours, to write to it; see channel_claim.py. Raises ChannelTakenError."""
         return channel_claim(self.bus, node_id, writes=True)
 
     def turn(self, node_id: int) -> AbstractAsyncContextManager[None]:
-        """Have an SDO channel of a node for a few reads, behind a long transfer of another program. Raises ChannelTaken."""
+        """Have an SDO channel of a node for a few reads, behind a long transfer of another program. Raises ChannelTakenError."""
         return channel_claim(self.bus, node_id, SHORT, brief=True, further=self._further(node_id, ()))
 
     def _further(self, node_id: int, files: Iterable[ObjectDictionary]) -> FurtherChannels:
@@ -130,7 +130,7 @@ def simulated_drives(devices: Iterable[tuple[str, int]]) -> AbstractAsyncContext
 async def open_session(
     settings: Settings, screen: Screen, *, heard: Callable[[Record], None] | None = None
 ) -> AsyncIterator[BusSession]:
-    """Open a master on the bus of the options while the block runs. Raises Problem, BusError, DictionaryError, DataError.
+    """Open a master on the bus of the options while the block runs. Raises CommandError, BusError, DictionaryError, DataError.
 
     heard: is called with each frame on the bus, those that we send too. Raises also TransportError then.
     """
@@ -156,19 +156,20 @@ async def open_session(
             raise await _explained(session.node(silence.node_id), session, silence) from error
 
 
-def _silence_in(error: Exception) -> SdoTimeout | SdoFailed | None:
+def _silence_in(error: Exception) -> SdoTimeoutError | SdoTransferError | None:
     """Return the missing answer in an exception, also in a group that a nursery made of it; else None."""
     if isinstance(error, ExceptionGroup) and len(error.exceptions) == 1:
         return _silence_in(error.exceptions[0])
-    if isinstance(error, SdoTimeout) and error.code == NO_ANSWER:  # SdoNotConfirmed: may also be a transfer that we gave up
+    # SdoNotConfirmedError may also be a transfer that we gave up.
+    if isinstance(error, SdoTimeoutError) and error.code == NO_ANSWER:
         return error
-    if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
+    if isinstance(error, SdoTransferError) and error.origin is AbortOrigin.TIMEOUT:
         return error
     return None
 
 
-async def _explained(node: Node, session: BusSession, error: SdoTimeout | SdoFailed) -> Problem:
-    """Return the Problem for a missing answer, with what was heard until now and a little longer."""
+async def _explained(node: Node, session: BusSession, error: SdoTimeoutError | SdoTransferError) -> CommandError:
+    """Return the CommandError for a missing answer, with what was heard until now and a little longer."""
     if not node.was_enabled:  # else a drive may move and must be halted first
         with trio.move_on_after(LISTEN_ON):
             while not _is_explained(node, session.network):

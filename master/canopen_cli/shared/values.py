@@ -7,7 +7,7 @@ from typing import Any, Final
 from canopen_cli.shared.problem import usage
 from canopen_data.eds.writer_values import bytes_text
 from canopen_proto.datatypes import DataType, Value, is_number, text_for_people
-from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary import Object, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.dictionary.standard import find_standard
 from canopen_proto.indices import COMMUNICATION_AREA
 from canopen_proto.sdo.client import AUTO_BLOCK, Block
@@ -90,10 +90,10 @@ def block_of(variable: Variable, block: bool | None) -> Block:
 
 def find_object(dictionary: ObjectDictionary, key: str, type_name: str | None) -> Variable:
     """Return the object that a key names, or that --type describes. A communication object that the dictionary lacks is that
-    of the standard. Raises ObjectNotFound, Problem."""
+    of the standard. Raises ObjectNotFoundError, CommandError."""
     try:
         return dictionary.variable(key)
-    except ObjectNotFound as unknown:
+    except ObjectNotFoundError as unknown:
         index, _, subindex = key.lower().removeprefix("0x").replace(".", ":").partition(":")
         try:
             place = int(index, 16), int(subindex or "0", 16)
@@ -112,7 +112,7 @@ def find_object(dictionary: ObjectDictionary, key: str, type_name: str | None) -
 def parse_value(dictionary: ObjectDictionary, variable: Variable, text: str) -> Value:
     """Return the value that a user typed for an object: a constant's name, a number, a text, or bytes in hexadecimal.
 
-    Raises ConstantNotFound for an unknown name, else Problem. Range and limits are not checked here.
+    Raises ConstantNotFoundError for an unknown name, else CommandError. Range and limits are not checked here.
     """
     if any(constant.name == text for constant in dictionary.constants_of(variable)):
         return dictionary.value_from(variable, text)

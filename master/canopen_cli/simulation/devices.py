@@ -47,7 +47,7 @@ class SimulatedIds(NodeIds):
 def named_devices(files: Sequence[str], node_ids: tuple[int, ...] | None, common: DeviceEntry) -> PlantFile:
     """Return the devices that the arguments name: "5=drive.eds", "drive.eds" with --id, "plant.toml".
 
-    common: the options for all of them. Raises Problem, DataError, DictionaryError.
+    common: the options for all of them. Raises CommandError, DataError, DictionaryError.
     """
     plants = [name for name in files if name.lower().endswith(PLANT_SUFFIX)]
     if plants:
@@ -97,7 +97,7 @@ def machine_of(files: Sequence[str], settings: Settings) -> MachineFile | None:
 
 
 def buses_of(machine: MachineFile, settings: Settings) -> dict[str, str] | None:
-    """Return the bus of -b, if it is given: its locator by its name. Raises Problem."""
+    """Return the bus of -b, if it is given: its locator by its name. Raises CommandError."""
     if settings.bus is None:
         return None
     locator = settings.required_bus()

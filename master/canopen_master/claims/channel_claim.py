@@ -55,7 +55,7 @@ _INSIDE: Final = ("virtual", "file")
 _ALIASES: Final = {"localhost": "127.0.0.1", "::1": "127.0.0.1"}
 
 
-class ChannelTaken(NodeError):
+class ChannelTakenError(NodeError):
     """Another program of ours uses the node's SDO channel; nothing was sent over it."""
 
 
@@ -125,8 +125,8 @@ async def channel_claim(
     command. writes: have the node for itself. further: the channels to use instead of the first, for a program that only reads;
     the client of its node is on one of them then, and back on the first one afterwards.
 
-    Raises ChannelTaken if other programs have them for longer than that. Does nothing where there is nothing to claim. With
-    `further` also BusError, MasterClosed.
+    Raises ChannelTakenError if other programs have them for longer than that. Does nothing where there is nothing to claim. With
+    `further` also BusError, MasterClosedError.
     """
     name = _name_of(locator, node_id)
     if name is None:
@@ -170,11 +170,11 @@ def _part(index: int) -> str:
     return f"/{index:04X}"
 
 
-def _taken(locator: str, node_id: int, patience: float, holder: str, further: FurtherChannels | None) -> ChannelTaken:
+def _taken(locator: str, node_id: int, patience: float, holder: str, further: FurtherChannels | None) -> ChannelTakenError:
     seen = f"{holder}, for {patience:g} s at least"
     if further is not None:
         seen += "".join(f"; its further channel 0x{index:04X} {why}" for index, why in further.unusable.items())
-    return ChannelTaken(
+    return ChannelTakenError(
         CHANNEL_TAKEN,
         node_id,
         locator,

@@ -21,7 +21,7 @@ from typing import Final
 
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import SdoError, SdoRefused
+from canopen_master.errors import SdoError, SdoRefusedError
 from canopen_master.node import Node
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
@@ -64,7 +64,7 @@ class FurtherChannels:
         """Have the node's client use a channel, and tell it, if the device has it; else the client stays on the first one.
 
         holder: says who uses the first one. Sends reads over that channel alone. Open requests of the client end. Raises
-        BusError, MasterClosed.
+        BusError, MasterClosedError.
         """
         self._move(self._channels[index][0])
         is_there = False
@@ -119,7 +119,7 @@ class FurtherChannels:
                     is_own = cob_id & 0x1FFF_FFFF == base + self.node.node_id
                     return "" if is_own else f"answered, but its 0x{index_of_id:04X} is not that of node {self.node.node_id}"
         except SdoError as error:
-            refused = isinstance(error, SdoRefused)
+            refused = isinstance(error, SdoRefusedError)
             return f"refused to be read: abort 0x{error.abort_code:08X}" if refused else "of the file did not answer"
         return "" if adds_node_id else "answered, but not whose it is: the device has neither 0x1200 nor 0x1014"
 
@@ -127,7 +127,7 @@ class FurtherChannels:
         """Return a value of the device; None if it does not have the object."""
         try:
             return int.from_bytes(await self.node.read_bytes(index, subindex), "little")
-        except SdoRefused as refused:
+        except SdoRefusedError as refused:
             if refused.abort_code in _ABSENT:
                 return None
             raise

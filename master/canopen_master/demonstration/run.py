@@ -22,7 +22,7 @@ import trio
 from canopen_master.demonstration.recording import JointTrack, Recording
 from canopen_master.demonstration.swing import SwingPath
 from canopen_master.demonstration.task import DemonstrationTask
-from canopen_master.errors import ChainFileError, DemonstrationRefused
+from canopen_master.errors import ChainFileError, DemonstrationRefusedError
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.motion.chain import Chain, ChainSettings, ChainState
 from canopen_master.motion.chain_file import same_nodes
@@ -179,7 +179,7 @@ class Demonstration:
         """tell: is called with each event, and must not block. around: a block around all that the chain does: a recorder, a
         picture.
 
-        Raises UnknownChain, ChainFileError, DataError; LocalProtocolError for a fault of a node that is not in the chain.
+        Raises UnknownChainError, ChainFileError, DataError; LocalProtocolError for a fault of a node that is not in the chain.
         """
         self.task = task
         self._tell = tell
@@ -291,7 +291,7 @@ class Demonstration:
                 seen, tries = "only Schunk's joints tell it", ("DemonstrationTask.scale = math.degrees(1000), or whatever it is",)
                 if self.task.machine is not None:
                     tries = (f'unit = "degree" in [joints.{device.name}]',)
-                raise DemonstrationRefused(f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
+                raise DemonstrationRefusedError(f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
         self._tell(JointsEnabled(len(arm.devices), trio.current_time() - start, _modes(arm)))
 
     async def _home(self, arm: Chain) -> None:

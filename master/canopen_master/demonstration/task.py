@@ -8,7 +8,7 @@ from typing import Final
 
 from canopen_master.assembly import described
 from canopen_master.demonstration.swing import MAX_SPEED
-from canopen_master.errors import UNKNOWN_CHAIN, DemonstrationRefused, UnknownChain
+from canopen_master.errors import UNKNOWN_CHAIN, DemonstrationRefusedError, UnknownChainError
 from canopen_master.machine_file import MachineFile
 from canopen_master.motion.chain_file import ChainDescription, JointDescription, read_chains
 from canopen_master.simulation.drive_files import DriveFile
@@ -52,17 +52,17 @@ class DemonstrationTask:
         return self.files.get(joint.node_id, self.files.get(None))
 
     def _chains_of_file(self) -> tuple[ChainDescription, ...]:
-        """Return the chains of the machine file or the chain file. Raises UnknownChain for a machine without chains."""
+        """Return the chains of the machine file or the chain file. Raises UnknownChainError for a machine without chains."""
         machine = self.machine
         if machine is None:
             return read_chains(self.chains)
         if not machine.chains:
             tries = ('[chains.arm] with joints = ["shoulder", "elbow"]',)
-            raise UnknownChain(UNKNOWN_CHAIN, f"{machine.source} has no chain, and a demonstration moves one", tries=tries)
+            raise UnknownChainError(UNKNOWN_CHAIN, f"{machine.source} has no chain, and a demonstration moves one", tries=tries)
         return tuple(described(chain, machine) for chain in machine.chains.values())
 
     def chosen_chain(self) -> ChainDescription:
-        """Return the chain that is to move. Raises UnknownChain, ChainFileError, DataError."""
+        """Return the chain that is to move. Raises UnknownChainError, ChainFileError, DataError."""
         chains = self._chains_of_file()
         if self.chain is None:
             return chains[0]
@@ -70,7 +70,7 @@ class DemonstrationTask:
             if each.name == self.chain:
                 return each
         names = ", ".join(each.name for each in chains)
-        raise UnknownChain(
+        raise UnknownChainError(
             UNKNOWN_CHAIN,
             f"{chains[0].source} has no chain {self.chain!r}",
             seen=f"its chains are: {names}",
@@ -87,7 +87,7 @@ class DemonstrationTask:
         return virtual_buses(description.buses)
 
     def axis_of(self, joint: JointDescription) -> AxisSettings:
-        """Return the settings of a joint. Raises DemonstrationRefused for a real joint of a machine that does not turn."""
+        """Return the settings of a joint. Raises DemonstrationRefusedError for a real joint of a machine that does not turn."""
         file, machine = self.file_of(joint), self.machine
         if self.bus is None:
             # Every simulated drive sends millidegrees, whatever its file says.
@@ -99,5 +99,7 @@ class DemonstrationTask:
         axis = machine.joints[joint.name].settings
         if axis.unit is Unit.MILLIMETRE or (axis.unit is None and axis.counts_per_unit is not None):
             seen = "its unit is not known" if axis.unit is None else f"its unit is the {axis.unit}"
-            raise DemonstrationRefused(f"{joint.name} cannot swing by an angle", seen=seen, tries=("canopen drive NODE move",))
+            raise DemonstrationRefusedError(
+                f"{joint.name} cannot swing by an angle", seen=seen, tries=("canopen drive NODE move",)
+            )
         return axis

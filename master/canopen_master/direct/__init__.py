@@ -25,7 +25,7 @@ then `init_master_thread()`; the chains in `chain_map` then take commands from a
 """
 
 from canopen_master.direct.chain import ChainCalls
-from canopen_master.direct.connection import AlreadyConnected, NotConnected
+from canopen_master.direct.connection import AlreadyConnectedError, NotConnectedError
 from canopen_master.direct.incoming import IncomingPdos
 from canopen_master.direct.session import Session
 
@@ -82,10 +82,10 @@ init_incoming_pdo_processor_thread = _session.init_incoming_pdo_processor_thread
 init_master_thread = _session.init_master_thread
 
 __all__ = [
-    "AlreadyConnected",
+    "AlreadyConnectedError",
     "ChainCalls",
     "IncomingPdos",
-    "NotConnected",
+    "NotConnectedError",
     "Session",
     "chain_map",
     "close_connection",

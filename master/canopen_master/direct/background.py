@@ -29,7 +29,7 @@ from typing import Any, Final, Generic, TypeAlias, TypeVar
 
 import trio
 
-from canopen_master.errors import MasterClosed
+from canopen_master.errors import MasterClosedError
 from canopen_master.plain_text import clean_lines
 from canopen_proto.machine import LocalProtocolError
 
@@ -92,13 +92,13 @@ class Background(Generic[T]):
     def call(self, function: Callable[[T], Awaitable[R]]) -> R:
         """Run an async function of the context in the thread, wait for its end, and return its result or raise its error.
 
-        If the context is over, raises the error that ended it, or MasterClosed. If interrupted, takes the call back and waits for
-        its clean-up. Raises LocalProtocolError if called in that very thread, which would wait for itself.
+        If the context is over, raises the error that ended it, or MasterClosedError. If interrupted, takes the call back and
+        waits for its clean-up. Raises LocalProtocolError if called in that very thread, which would wait for itself.
         """
         if threading.current_thread() is self._thread:
             raise LocalProtocolError("the blocking API was called in the master's own thread; call it in another one")
         if self._token is None:
-            raise MasterClosed
+            raise MasterClosedError
         future: Future[R] = Future()
         scope = trio.CancelScope()
         try:
@@ -134,7 +134,7 @@ class Background(Generic[T]):
             self._error = error
         if not self._entered.done():
             self._was_told = True
-            self._entered.set_exception(self._error or MasterClosed())
+            self._entered.set_exception(self._error or MasterClosedError())
         if self._error is not None and not self._was_told and not threading.main_thread().is_alive():
             print(clean_lines(str(self._error)), file=sys.stderr)  # no caller is left to get it
 
@@ -178,7 +178,7 @@ class Background(Generic[T]):
         """Return why the thread takes no calls now."""
         self._was_told = True
         failure = self._failure(self._context) if self._entered.done() else None
-        return failure or self._error or MasterClosed()
+        return failure or self._error or MasterClosedError()
 
     def _soon(self, function: Callable[[], object]) -> None:
         """Run something in the thread, unless that is over."""

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path as FilePath
 from typing import TypeVar
 
-from canopen_master.direct.connection import Connection, NotConnected
-from canopen_master.errors import BusError, MasterClosed
+from canopen_master.direct.connection import Connection, NotConnectedError
+from canopen_master.errors import BusError, MasterClosedError
 from canopen_master.master import Master
 from canopen_master.motion.chain import Chain, ChainState
 from canopen_master.motion.chain_file import ChainDescription
@@ -29,7 +29,7 @@ class ChainCalls:
     """One chain; see this module's text. name, joints: as in the chain file. Positions are in millidegrees, or what the drives
     count in, one per joint in the order of the file; with a machine file they are in the units of the joints.
 
-    Raises NotConnected before open_connection, and MasterClosed or BusError after its end.
+    Raises NotConnectedError before open_connection, and MasterClosedError or BusError after its end.
     """
 
     def __init__(self, connection: Connection, description: ChainDescription, in_counts: bool = True) -> None:
@@ -86,7 +86,7 @@ class ChainCalls:
         """Record what the chain does while a block runs, a row for each SYNC: `with chain.record("run.csv"): chain.move(...)`.
 
         path: Parquet if it ends in ".parquet", else CSV. Rows begin once the chain is ready to move. Raises OSError;
-        PackageMissing without pyarrow for Parquet; at the end RecordError if rows are missing. See `Chain.record`.
+        PackageMissingError without pyarrow for Parquet; at the end RecordError if rows are missing. See `Chain.record`.
         """
         recorder = self._ask(lambda chain: chain.recorder(path))
         try:
@@ -94,7 +94,7 @@ class ChainCalls:
         finally:
             try:
                 self._ask(lambda chain: recorder.close())
-            except (NotConnected, MasterClosed, BusError):
+            except (NotConnectedError, MasterClosedError, BusError):
                 recorder.close()  # the connection has ended, and nothing records any more
         recorder.wait()
 
@@ -114,7 +114,7 @@ class ChainCalls:
         """Iterate over the SYNC cycles from now on: `for cycle in chain.cycles(): chain.set_pos(...)`. Each `next` waits for one.
 
         If this thread is late, a path that uses `cycle.time` takes longer, but never jumps. From the first cycle on, each cycle
-        needs a set-point: after 10 cycles in a row without one, the chain is halted. Raises ChainFault, ChainHalted,
+        needs a set-point: after 10 cycles in a row without one, the chain is halted. Raises ChainFaultError, ChainHaltedError,
         and ChainError for a chain that is not in IP mode.
         """
 
@@ -131,8 +131,8 @@ class ChainCalls:
     def set_pos(self, positions: Sequence[float]) -> None:
         """Give the set-points to send behind the next SYNC. They are repeated until others are given.
 
-        Raises SetPointRefused for a wrong count, a value that does not fit, or one beyond the limits of its joint; ChainFault if
-        a joint has failed; ChainHalted; and ChainError for a chain that is not in IP mode.
+        Raises SetPointRefusedError for a wrong count, a value that does not fit, or one beyond the limits of its joint;
+        ChainFaultError if a joint has failed; ChainHaltedError; and ChainError for a chain that is not in IP mode.
         """
 
         async def give(chain: Chain) -> None:

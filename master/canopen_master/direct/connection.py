@@ -17,10 +17,10 @@ import trio
 from canopen_data import DataError, load_dictionary
 from canopen_data.findings import DictionaryError
 from canopen_master.direct.background import Background
-from canopen_master.errors import MASTER_CLOSED, MasterClosed, MasterError
+from canopen_master.errors import MASTER_CLOSED, MasterClosedError, MasterError
 from canopen_master.machine_file import MachineFile
 from canopen_master.master import Master
-from canopen_master.participant.dispatch import ProcedureTakenBack
+from canopen_master.participant.dispatch import ProcedureTakenBackError
 from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.session import MasterSession, open_master
 from canopen_master.simulation.host import IN_PROCESS, DeviceMaker, powerballs, simulate
@@ -36,14 +36,14 @@ OPENING_ERRORS: Final = (MasterError, TransportError, DataError, DictionaryError
 """The errors for which `open` returns False."""
 
 
-class NotConnected(MasterError):
+class NotConnectedError(MasterError):
     """There is no open connection."""
 
     def __init__(self, failed: str = "there is no open connection") -> None:
         super().__init__(MASTER_CLOSED, failed, tries=("open_connection(bus) first",))
 
 
-class AlreadyConnected(MasterError):
+class AlreadyConnectedError(MasterError):
     """A connection is open already, and a session has only one."""
 
     def __init__(self, bus: str) -> None:
@@ -105,7 +105,7 @@ class Connection:
         with self._lock:
             try:
                 if self.is_open:
-                    raise AlreadyConnected(self.bus)
+                    raise AlreadyConnectedError(self.bus)
                 self._end()
                 if dictionary is None:
                     dictionary, _ = load_dictionary()  # now, so that a fault in the files is raised now
@@ -132,16 +132,16 @@ class Connection:
     def close(self) -> None:
         """Halt what moves and end the thread. Without an open connection it does nothing.
 
-        Raises HaltNotConfirmed, or BusError if the bus failed and no call has met that error yet.
+        Raises HaltNotConfirmedError, or BusError if the bus failed and no call has met that error yet.
         """
         with self._lock:
             self._end()
 
     def call(self, function: Callable[[Master], Awaitable[R]]) -> R:
-        """Run an async function of the master in its thread. Returns and raises as that; NotConnected without a master."""
+        """Run an async function of the master in its thread. Returns and raises as that; NotConnectedError without a master."""
         background = self._background
         if background is None:
-            raise NotConnected
+            raise NotConnectedError
         return background.call(function)
 
     def attempt(self, function: Callable[[Master], Awaitable[object]]) -> bool:
@@ -151,9 +151,9 @@ class Connection:
         """
         try:
             self.call(function)
-        except (NotConnected, MasterClosed):
+        except (NotConnectedError, MasterClosedError):
             raise
-        except (ProcedureError, ProcedureTakenBack, MasterError) as error:
+        except (ProcedureError, ProcedureTakenBackError, MasterError) as error:
             self._errors.last = error
             return False
         self._errors.last = None

@@ -27,7 +27,7 @@ from typing import Final, TypeVar
 import trio
 
 from canopen_master.direct.hand_sync import HandSync
-from canopen_master.errors import NOT_HEARD, NodeSilent
+from canopen_master.errors import NOT_HEARD, NodeSilentError
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import ensure_answers, failure_of, follow, stop
@@ -57,7 +57,7 @@ from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import CYCLIC_TYPES
 from canopen_proto.procedures.objects import ABSENT, read_int, write
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
 from canopen_proto.sync import SyncReceived, SyncSent
 
 T = TypeVar("T")
@@ -207,7 +207,7 @@ class DirectDrive:
         self._device.limits = await self._run(read_limits(self.axis))
 
     async def wait_for(self, constant: str, timeout: Time) -> None:
-        """Wait until the statusword bears a constant; StepTimeout after `timeout` ns."""
+        """Wait until the statusword bears a constant; StepTimeoutError after `timeout` ns."""
         wanted = self.node.dictionary.constant("statusword", constant)
         # The constant waited for may be that of a fault.
         waiting = drive.wait_for_statusword(self.axis, wanted.is_in, timeout, constant, accept_fault=True)
@@ -342,7 +342,7 @@ class DirectDrive:
     def _checked(self, position: float) -> float:
         """Return a set-point that the drive can take, in the unit of its axis.
 
-        Raises ValueRangeError or SetPointRefused for one that the drive cannot hold, or that is beyond its limits.
+        Raises ValueRangeError or SetPointRefusedError for one that the drive cannot hold, or that is beyond its limits.
         """
         counts = position if self.in_counts else self.axis.scale.to_counts(position)
         self.node.dictionary.variable(objects.INTERPOLATION_SET_POINT).encode(counts)
@@ -391,7 +391,7 @@ class DirectDrive:
             cause, tries = f"{likely.what}; or {cause}", [likely.remedy, *tries]
         network = self.master.bus(self.node.bus).network
         known = missing_frame(network, self.node.remote, self.master.now(), cause, tries, pdo=True)
-        return NodeSilent(NOT_HEARD, self.node.node_id, self.node.bus, failed, **known._asdict())
+        return NodeSilentError(NOT_HEARD, self.node.node_id, self.node.bus, failed, **known._asdict())
 
     def _require_first_axis(self, function: str) -> None:
         """Raise LocalProtocolError for a further axis of a node: no PDO of PDOs.csv carries its set-points."""
@@ -417,7 +417,7 @@ class DirectDrive:
         if _SYNC_TIME_OUT in remote.dictionary:
             try:
                 yield from write(remote, _SYNC_TIME_OUT, 0)
-            except SdoFailed as failed:
+            except SdoTransferError as failed:
                 if failed.abort_code not in ABSENT:
                     raise
 

@@ -8,8 +8,8 @@ Three kinds of result:
 - commands that take time (init_device, homing ...) return True or False, as the manual says; `last_error` says why it was False,
   to the thread that called;
 - calls that only send, or ask for a value (send_sdo, send_pos, get_pos ...), raise SdoError, ProcedureError, BusError;
-- a wrong call always raises, with nothing sent: NotConnected, LocalProtocolError (node-ID 200), ObjectNotFound, ConstantNotFound,
-  ValueRangeError.
+- a wrong call always raises, with nothing sent: NotConnectedError, LocalProtocolError (node-ID 200), ObjectNotFoundError,
+  ConstantNotFoundError, ValueRangeError.
 
 The direct half sends no SYNC by itself: `send_pos` gives a set-point, `send_sync` sends the rPDOs and SYNC. The master half sends
 SYNC periodically, and has its chains in `chain_map`.
@@ -140,14 +140,14 @@ class Session:
     def init_listener_thread(self) -> None:
         """Do nothing: `open_connection` has begun to listen. It is there for the manual's order of calls.
 
-        PDOs of the devices go to `incoming_pdos`. Raises NotConnected.
+        PDOs of the devices go to `incoming_pdos`. Raises NotConnectedError.
         """
         self._call(_nothing)
 
     def close_connection(self) -> None:
         """Halt the drives, close the buses, end the thread. Does nothing without a connection.
 
-        Raises HaltNotConfirmed if a drive did not confirm that it stands; BusError for a bus that failed unnoticed.
+        Raises HaltNotConfirmedError if a drive did not confirm that it stands; BusError for a bus that failed unnoticed.
         """
         self._connection.close()
 
@@ -218,9 +218,9 @@ class Session:
         """Read an object, or with a value (or a constant's name) write it: `send_sdo(12, "controlword", "sm_shutdown")`.
 
         Once the device has answered, returns the value read or written, with the names of the constants that it bears. Raises
-        SdoTimeout, SdoRefused, SdoGivenUp (all SdoError), and the errors of wrong calls (see this module's text). A controlword
-        that enables the drive may raise NodeIdTaken or NotHeldError (both ProcedureError), with nothing written: the drive must
-        watch over this program first; see `watchdog` of `open_connection`.
+        SdoTimeoutError, SdoRefusedError, SdoGivenUpError (all SdoError), and the errors of wrong calls (see this module's text).
+        A controlword that enables the drive may raise NodeIdTakenError or NotHeldError (both ProcedureError), with nothing
+        written: the drive must watch over this program first; see `watchdog` of `open_connection`.
         """
 
         async def transfer(master: Master) -> Message:
@@ -237,7 +237,7 @@ class Session:
         `send_pos`. Returns False if the device refuses; it then has its old PDO again.
 
         number: by default that of its COB-ID in the predefined connection set. transmission_type: 1 for each SYNC. The device is
-        pre-operational meanwhile. Raises PdoNotFound.
+        pre-operational meanwhile. Raises PdoNotFoundError.
         """
 
         async def define(master: Master) -> None:
@@ -276,11 +276,12 @@ class Session:
         Where somebody else sends SYNC, the rPDO is sent at once.
 
         position: absolute, in millidegrees (the drive's counts). The rPDO also carries the controlword that was commanded last.
-        Raises SetPointRefused, with nothing sent, for a position beyond the drive's limits (0x607D), or further from the last one
-        than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises LocalProtocolError before
-        enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveInFault in fault, NodeSilent if its
-        PDOs no longer come, else ProcedureError. The error names our own SYNC first if that was late. If the drive is a joint of
-        a chain, the master's next cycle sends the set-point; raises ChainFault and ChainHalted as the chain does.
+        Raises SetPointRefusedError, with nothing sent, for a position beyond the drive's limits (0x607D), or further from the
+        last one than its speed limit allows in an interval (`set_sync_interval`; see `set_max_speed`). Raises LocalProtocolError
+        before enable_ip_mode. A drive that does not follow is halted, and the next call raises: DriveInFaultError in fault,
+        NodeSilentError if its PDOs no longer come, else ProcedureError. The error names our own SYNC first if that was late. If
+        the drive is a joint of a chain, the master's next cycle sends the set-point; raises ChainFaultError and ChainHaltedError
+        as the chain does.
         """
 
         drive = self._following.get(node)

@@ -22,7 +22,7 @@ from canopen_master.machine_file.model import ChainEntry, JointEntry, MachineFil
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.download_order import Write
 from canopen_proto.dictionary.roles import SET_POINTS
-from canopen_proto.drives.axis.motion_plan import NoMotionPlan, plan_motion
+from canopen_proto.drives.axis.motion_plan import NoMotionPlanError, plan_motion
 from canopen_proto.drives.cia402.axes import swapped
 from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION
 from canopen_proto.manager.linking import KnownNode, LinkError, LinkPlan, plan_links
@@ -116,7 +116,7 @@ def _used_by_chains(
                     lean=lean,
                     feed_forward=settings.feed_forward,
                 )
-            except NoMotionPlan:
+            except NoMotionPlanError:
                 break
             yield from (*plan.pdos, *plan.destroyed, *plan.spare)
 

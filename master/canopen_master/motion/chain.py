@@ -20,12 +20,12 @@ that took set-points along, so a late loop makes the path slower (see cycles.py)
 chain that follows set-points, and wait for a halt under way. Then the procedure itself halts each joint once more and sees that
 it stands (canopen_proto.drives.axis.halt); a joint that does not stand is an error.
 
-**A joint that follows set-points has no other motion command** (`drive.AxisBusy`). A stop of one joint (`drive.halt` ...) takes
-over and halts the chain.
+**A joint that follows set-points has no other motion command** (`drive.AxisBusyError`). A stop of one joint (`drive.halt` ...)
+takes over and halts the chain.
 
 **Supervision** (supervision.py), from the end of `initialise` to `shut_down`: a joint that fails, or does not follow its
 set-points, stops its whole chain: the running command is cancelled, all joints are halted, and until `recover` every further
-command raises ChainFault, which says what the joint did.
+command raises ChainFaultError, which says what the joint did.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from typing import Final, NamedTuple, TypeVar, cast
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefused
+from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefusedError
 from canopen_master.motion.bus_room import make_room
 from canopen_master.motion.chain_errors import (
     chain_halted,
@@ -56,7 +56,7 @@ from canopen_master.motion.cycles import Cycles, SetPointSource
 from canopen_master.motion.device import Device
 from canopen_master.motion.gap_guard import GapGuard
 from canopen_master.motion.joint_procedures import (
-    JointFailed,
+    JointError,
     failure_of,
     find,
     follow,
@@ -72,7 +72,7 @@ from canopen_master.motion.moving import Moving
 from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.recording import Recorder, recording
 from canopen_master.motion.supervision import Supervision
-from canopen_master.participant.dispatch import ProcedureTakenBack
+from canopen_master.participant.dispatch import ProcedureTakenBackError
 from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis import home, home_if_needed
 from canopen_proto.drives.axis.reasons import Reason
@@ -132,7 +132,7 @@ class Chain(ChainView, Moving):
     async def initialise(self) -> None:
         """Make the joints ready to move: PDOs, NMT start, SYNC, fault reset, Operation enabled. Joints that move are halted.
 
-        Raises ChainFault if a fault stays, ChainError for a joint that does not answer, does not stand, or refuses, and
+        Raises ChainFaultError if a fault stays, ChainError for a joint that does not answer, does not stand, or refuses, and
         before it sets anything up if the PDOs do not fit on the bus (bus_room.py).
         """
         participant, settings = self._participant, self.settings
@@ -205,7 +205,7 @@ class Chain(ChainView, Moving):
         self._supervision.begin_following(followed, self.settings.max_silent_cycles, cycle_time)  # which may stop it at once
 
     async def halt(self) -> None:
-        """Stop all joints and wait until they stand. A running command ends with ChainHalted.
+        """Stop all joints and wait until they stand. A running command ends with ChainHaltedError.
 
         A chain that moves along a path brakes along it first, for LONGEST_STOP at most, and chains that move with it do so, too.
         The joints stay enabled. Raises ChainError, which names a joint that did not confirm that it stands.
@@ -269,7 +269,7 @@ class Chain(ChainView, Moving):
     def cycles(self) -> Cycles:
         """The SYNC cycles from now on, as an async iterator. Read the path at `Cycle.time`. A late loop gets the newest cycle.
 
-        Raises ChainFault if a joint fails, ChainHalted if the chain is halted; both once the other joints stand.
+        Raises ChainFaultError if a joint fails, ChainHaltedError if the chain is halted; both once the other joints stand.
         """
         self._require("give cycles", ChainState.FOLLOWING)
         return Cycles(self._set_points, self.why_stopped)
@@ -279,9 +279,9 @@ class Chain(ChainView, Moving):
         """Give the next set-points, one per joint, in the user's unit; they are sent behind the next SYNC.
 
         cycles: how many cycles the way takes, on a straight line from the last set-points; none of them counts as missed. Raises
-        SetPointRefused, with nothing changed, for a wrong count, a number that is not finite or does not fit, a position or a
-        speed beyond the `limits` of the joint, a joint without a scale, or a step beyond `max_step` per cycle. Raises ChainFault,
-        ChainHalted or ChainError if the chain follows no set-points.
+        SetPointRefusedError, with nothing changed, for a wrong count, a number that is not finite or does not fit, a position or
+        a speed beyond the `limits` of the joint, a joint without a scale, or a step beyond `max_step` per cycle. Raises
+        ChainFaultError, ChainHaltedError or ChainError if the chain follows no set-points.
         """
         self.require_free("follow set-points")
         self._set_points.give(positions, cycles)
@@ -299,8 +299,8 @@ class Chain(ChainView, Moving):
         """Record what the chain does while an `async with` block runs: a row for each SYNC, see record_format.py.
 
         path: of the file, Parquet if it ends in ".parquet", else CSV; an older one is overwritten. Rows begin once the chain is
-        initialised. Raises OSError; PackageMissing without pyarrow for Parquet; at the end RecordError if rows are missing. A
-        block that ends by an error or is cancelled waits for nothing: `Recorder.wait` does.
+        initialised. Raises OSError; PackageMissingError without pyarrow for Parquet; at the end RecordError if rows are missing.
+        A block that ends by an error or is cancelled waits for nothing: `Recorder.wait` does.
         """
         return recording(lambda: self.recorder(path))
 
@@ -312,7 +312,7 @@ class Chain(ChainView, Moving):
     # ---- along a path: see path_motion.py and moving.py ----
 
     def check_open(self) -> None:
-        """Raise BusError if a bus has failed, MasterClosed if the master has been left."""
+        """Raise BusError if a bus has failed, MasterClosedError if the master has been left."""
         self._participant.check_open()
 
     def require_following(self, what: str) -> None:
@@ -371,11 +371,11 @@ class Chain(ChainView, Moving):
             running.procedure.begin(all_of(*procedures))
             results = cast("list[T]", await running.procedure.outcome())
             if self._running is not running:  # it was stopped at the moment of its end
-                raise ProcedureTakenBack
+                raise ProcedureTakenBackError
             return results
-        except JointFailed as failed:
+        except JointError as failed:
             raise joint_failed(self.name, operation, failed) from failed.error
-        except ProcedureTakenBack:
+        except ProcedureTakenBackError:
             error = await self.why_stopped()
             raise error or chain_halted(self.name, "while it was stopped") from None
         finally:
@@ -464,7 +464,7 @@ class Chain(ChainView, Moving):
         if motion is not None:  # other chains move with this one
             motion.end(f"because chain {self.name} was stopped {why}")
 
-    async def _joints_stopped(self) -> list[JointFailed | None]:
+    async def _joints_stopped(self) -> list[JointError | None]:
         """Wait until the joints that were told to stop stand. Returns the failures of those that did not confirm it."""
         await trio.lowlevel.checkpoint()
         if self.state is ChainState.STOPPING and self.motion is not None:
@@ -522,7 +522,7 @@ class Chain(ChainView, Moving):
         set_points = self._set_points
         try:
             set_points.on_sync(sync.skipped)
-        except SetPointRefused as error:
+        except SetPointRefusedError as error:
             assert self.motion is not None  # a loop gets this error itself
             self.motion.fail(error)
         if set_points.missed_in_row >= self.settings.max_missed_cycles:

@@ -14,40 +14,40 @@ from canopen_master.errors import (
     NO_ANSWER,
     REFUSED,
     ChainError,
-    ChainFault,
-    ChainHalted,
+    ChainFaultError,
+    ChainHaltedError,
 )
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import JointFailed
+from canopen_master.motion.joint_procedures import JointError
 from canopen_master.silence import sdo_silence
 from canopen_proto.abort import AbortOrigin
-from canopen_proto.drives.axis import DriveError, DriveInFault, ReferenceLost
+from canopen_proto.drives.axis import DriveError, DriveInFaultError, ReferenceLostError
 from canopen_proto.drives.axis.reasons import Reason, outer_reason
 from canopen_proto.drives.axis.view import view_of
 from canopen_proto.drives.axis.watchdog import NotHeldError
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.steps import SdoTransferError
 
 FIND: Final = "find the cause"
 """The step before a recovery."""
 
 
-def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
+def joint_failed(chain: str, operation: str, failed: JointError) -> ChainError:
     """The error for a joint whose procedure failed in `operation`."""
     device, error = failed.device, failed.error
-    if isinstance(error, DriveInFault):
+    if isinstance(error, DriveInFaultError):
         return joint_fault(chain, device, "is in fault", Reason(error.reason, FIND) if error.reason else None)
-    if isinstance(error, ReferenceLost):
+    if isinstance(error, ReferenceLostError):
         return reference_lost(chain, operation, [device])
     code, what, seen, cause = CHAIN_FAILED, str(error), "", ""
     tries: tuple[str, ...] = ()
     if isinstance(error, DriveError):
         what, cause, tries = error.failed, error.reason, (error.remedy,) if error.remedy else ()
         seen = device.describe()
-    if isinstance(error, SdoFailed) and error.origin is AbortOrigin.TIMEOUT:
+    if isinstance(error, SdoTransferError) and error.origin is AbortOrigin.TIMEOUT:
         code = NO_ANSWER
         seen, cause, tries = sdo_silence(device.node.network, device.node.remote, device.node.now())
-    elif isinstance(error, SdoFailed):
+    elif isinstance(error, SdoTransferError):
         code = REFUSED if error.origin is AbortOrigin.PEER else GIVEN_UP
     elif isinstance(error, NotHeldError):
         cause = "Watchdog.required says that no such drive is enabled"
@@ -56,7 +56,7 @@ def joint_failed(chain: str, operation: str, failed: JointFailed) -> ChainError:
     return ChainError(code, chain, failure, joint=device.name, seen=seen, cause=cause, tries=tries)
 
 
-def raise_first(chain: str, operation: str, failures: Sequence[JointFailed | None]) -> None:
+def raise_first(chain: str, operation: str, failures: Sequence[JointError | None]) -> None:
     """Raise the error of the first joint that failed, if one did; the others are its notes."""
     errors = [joint_failed(chain, operation, failed) for failed in failures if failed is not None]
     if errors:
@@ -94,9 +94,9 @@ def reference_lost(chain: str, operation: str, devices: Sequence[Device]) -> Cha
     )
 
 
-def chain_halted(chain: str, why: str) -> ChainHalted:
+def chain_halted(chain: str, why: str) -> ChainHaltedError:
     """The error for a chain that was halted. why: such as "by halt()"."""
-    return ChainHalted(
+    return ChainHaltedError(
         CHAIN_HALTED,
         chain,
         f"chain {chain} was halted {why}",
@@ -104,14 +104,14 @@ def chain_halted(chain: str, why: str) -> ChainHalted:
     )
 
 
-def joint_fault(chain: str, device: Device, reason: str, cause: Reason | None = None) -> ChainFault:
+def joint_fault(chain: str, device: Device, reason: str, cause: Reason | None = None) -> ChainFaultError:
     """The error for a joint that is in fault, was lost, or did not follow. reason: what it did. cause: the likely one."""
     view = device.last_look or view_of(device.axis)
     # It took positions until then, so it is no drive that takes none before it is homed
     found = cause or outer_reason(replace(view, is_homed=None))
     step = FIND if found is None or device.has_fault else found.remedy
     home_again = ", chain.home(if_needed=True) and chain.follow()" if device.axis.has_lost_reference else ""
-    return ChainFault(
+    return ChainFaultError(
         chain,
         device.name,
         device.node.node_id,

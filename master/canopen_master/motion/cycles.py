@@ -20,7 +20,7 @@ from typing import NamedTuple, Protocol
 
 import trio
 
-from canopen_master.errors import SetPointRefused, wrong_values
+from canopen_master.errors import SetPointRefusedError, wrong_values
 from canopen_master.motion.device import Device
 from canopen_master.motion.feed_forward import FeedForward
 from canopen_master.motion.late_sync import WithinReach
@@ -254,7 +254,7 @@ class SetPoints:
             self._within.stand_at(at, self.sent)
 
     def _take(self, point: SourcePoint) -> None:
-        """Put the set-points of the source into the images. Raises SetPointRefused; some images may have changed then."""
+        """Put the set-points of the source into the images. Raises SetPointRefusedError; some images may have changed then."""
         self._check(point.positions, 1)
         self._next, self._point, self._is_new = list(point.positions), point, True
         self._write()
@@ -293,7 +293,7 @@ class SetPoints:
         if wrong := wrong_values(positions, len(self.devices)):
             names = ", ".join(device.name for device in self.devices)
             failed = "the set-points are not one number for each joint"
-            raise SetPointRefused(failed, "", f"{wrong}; the joints are {names}", ("[0.1, 0.2, ...]",))
+            raise SetPointRefusedError(failed, "", f"{wrong}; the joints are {names}", ("[0.1, 0.2, ...]",))
         time, max_step = cycles * self._period, self.max_step
         for device, target, start in zip(self.devices, positions, self.sent, strict=True):
             check_set_point(device, start, target, time)

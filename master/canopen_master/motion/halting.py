@@ -14,7 +14,7 @@ from canopen_proto.drives.cia402.objects import CONTROLWORD, STATUSWORD
 from canopen_proto.drives.cia402.states import POWERED, Command, ControlBit, State, state_of
 from canopen_proto.multiplexer import index_of
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.steps import Procedure, SdoFailed, all_of, download, upload
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, all_of, download, upload
 
 
 class Halt:
@@ -42,7 +42,7 @@ class Halt:
 
     def _by_axis(self, device: Device) -> Procedure[None]:
         if device.node.nmt_state is not NmtState.STOPPED:  # where it takes no SDO
-            with suppress(SdoFailed):  # it is told again below
+            with suppress(SdoTransferError):  # it is told again below
                 yield from halt_first(device.axis)
         # The drive is asked again: a command that was cancelled half-way may have been executed since its last PDO.
         yield from ensure_answers(device.node, "0x6041")
@@ -55,7 +55,7 @@ class Halt:
         client = self.node.remote.sdo
         try:
             state = state_of(int.from_bytes((yield from upload(client, index_of(STATUSWORD))), "little"))
-        except SdoFailed:  # only the answer may be lost
+        except SdoTransferError:  # only the answer may be lost
             state = State.OPERATION_ENABLED
         if state is State.OPERATION_ENABLED:
             word = Command.ENABLE_OPERATION | ControlBit.HALT

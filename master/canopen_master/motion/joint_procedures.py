@@ -37,7 +37,7 @@ from canopen_proto.pdo.configure import define_pdo
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.settings import place_of
 from canopen_proto.procedures.objects import ABSENT, read, read_if_present, write
-from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoFailed, act
+from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError, act
 
 T = TypeVar("T")
 
@@ -52,7 +52,7 @@ LONGEST_CATCH_UP: Final = 1.0
 2 x speed limit / 0x60C5."""
 
 
-class JointFailed(ProcedureError):
+class JointError(ProcedureError):
     """A joint's procedure failed; the error is its __cause__."""
 
     def __init__(self, device: Device, error: ProcedureError) -> None:
@@ -66,15 +66,15 @@ def of_joint(device: Device, procedure: Procedure[T]) -> Procedure[T]:
     try:
         return (yield from procedure)
     except ProcedureError as error:
-        raise JointFailed(device, error) from error
+        raise JointError(device, error) from error
 
 
-def failure_of(device: Device, procedure: Procedure[object]) -> Procedure[JointFailed | None]:
+def failure_of(device: Device, procedure: Procedure[object]) -> Procedure[JointError | None]:
     """Run a procedure; its failure is its result, so that the procedures beside it go on."""
     try:
         yield from procedure
     except ProcedureError as error:
-        return JointFailed(device, error)
+        return JointError(device, error)
     return None
 
 
@@ -86,7 +86,7 @@ def ensure_answers(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
     if node.nmt_state is not NmtState.STOPPED:
         try:
             yield from read(node.remote, key)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             silent = failed.origin is AbortOrigin.TIMEOUT and node.nmt_state in (None, NmtState.STOPPED)
             booted = failed.origin is AbortOrigin.LOCAL  # it was being switched on, and is there now
             if not silent and not booted:
@@ -112,7 +112,7 @@ def exchange_named(device: Device, pdos: tuple[PdoDescription, ...], define: boo
 
 def plan_joint(device: Device, settings: ChainSettings, *, lean: bool = False) -> None:
     """Plan by the joint's own dictionary how it follows set-points (`device.plan`). lean: see `plan_motion`. Raises
-    NoMotionPlan."""
+    NoMotionPlanError."""
     node, cycle_time = device.node.remote, round(settings.cycle_time * SECOND)
     device.plan = plan_motion(
         node.dictionary,
@@ -143,7 +143,7 @@ def exchange(device: Device, settings: ChainSettings) -> Procedure[None]:
 
 
 def named_pdos(device: Device, settings: ChainSettings) -> tuple[PdoDescription, PdoDescription]:
-    """Return the RPDO and the TPDO that the settings name. Raises ObjectNotFound if the joint's dictionary lacks one."""
+    """Return the RPDO and the TPDO that the settings name. Raises ObjectNotFoundError if the joint's dictionary lacks one."""
     return device.node.dictionary.pdo(settings.rpdo), device.node.dictionary.pdo(settings.tpdo)
 
 
@@ -190,7 +190,7 @@ def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) ->
         period = max(1, min(heartbeat_timeout // HEARTBEATS_PER_TIMEOUT // MILLISECOND, MAX_HEARTBEAT_MS))
         try:
             yield from write(node, HEARTBEAT, period)
-        except SdoFailed as failed:
+        except SdoTransferError as failed:
             if failed.abort_code not in (*ABSENT, AbortCode.READ_ONLY):
                 raise
     device.limits = yield from read_limits(device.axis, mode_of(device, settings))

@@ -24,7 +24,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import CHAIN_FAILED, ChainError, ChainFault, MotionReplaced, PathRefused, PlanRefused, with_names
+from canopen_master.errors import (
+    CHAIN_FAILED,
+    ChainError,
+    ChainFaultError,
+    MotionReplacedError,
+    PathRefusedError,
+    PlanRefusedError,
+    with_names,
+)
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_check import check_now, check_path, check_start, in_steps
@@ -121,14 +129,14 @@ class Moving:
 
         A function in place of a path is called when the motion can begin, perhaps again, with where the joints are and how they
         move then, and returns a path from there. Like `move` it takes over from another call that moves the joints, without a
-        stop; that call raises MotionReplaced.
+        stop; that call raises MotionReplacedError.
 
         Without a path: let all joints follow set-points from where they stand, each in its mode; then give them, see `cycles`. A
         chain that already follows set-points is halted first. They need not be homed before.
 
-        Raises PathRefused for a path that begins elsewhere, exceeds a limit, or leaves too little free for a stop on it. Raises
-        ChainError if the chain moves already, if a drive does not stand, lacks the mode, or has lost its reference (see
-        `recover`); ChainHalted, ChainFault if it is stopped on its way.
+        Raises PathRefusedError for a path that begins elsewhere, exceeds a limit, or leaves too little free for a stop on it.
+        Raises ChainError if the chain moves already, if a drive does not stand, lacks the mode, or has lost its reference (see
+        `recover`); ChainHaltedError, ChainFaultError if it is stopped on its way.
         """
         if path is None:
             for member in self._members:
@@ -151,8 +159,9 @@ class Moving:
         """Move all joints to their targets, as fast as their limits allow, and to arrive together; return when they are there.
 
         It is planned from where the joints stand; or, if another call moves them at present, from how they move, without a stop:
-        the other call then raises MotionReplaced. speed: the share of each speed limit that is used, above 0, at most 1. Needs
-        the extra `motion` (ruckig). torques, and the errors: as for `follow`; and PlanRefused, for a target beyond a limit.
+        the other call then raises MotionReplacedError. speed: the share of each speed limit that is used, above 0, at most 1.
+        Needs the extra `motion` (ruckig). torques, and the errors: as for `follow`; and PlanRefusedError, for a target beyond a
+        limit.
         """
         from canopen_master.trajectories.point_to_point import point_to_point
 
@@ -281,7 +290,7 @@ class Moving:
         """Let an error name the joint by its name."""
         try:
             yield
-        except PlanRefused as error:
+        except PlanRefusedError as error:
             error.name_joint(self._names)
             raise
 
@@ -344,14 +353,14 @@ class Moving:
                 clock = self._clock(path, limits, margin, is_moving=is_moving)
                 self._require_movable(what)
                 break
-            except PathRefused:
+            except PathRefusedError:
                 if present is None:
                     raise
                 await present.news.park()  # it changes its rate with all that its limits leave free: soon it will not
         await self._run(clock, start, torques)
 
     async def _margin(self, path: Path, limits: Sequence[JointLimits]) -> Margin:
-        """Find what the path leaves free, while other tasks go on. Raises PathRefused."""
+        """Find what the path leaves free, while other tasks go on. Raises PathRefusedError."""
         try:
             return await in_steps(margin_in_steps(path, limits, self._period, LONGEST_STOP))
         except PathError as error:
@@ -382,7 +391,9 @@ class Moving:
     def _begin(self, generator: TrajectoryGenerator, start: PathPoint, torques: Torques | None) -> Motion:
         if torques is not None and (without := [device for member in self._members for device in member.without_torque]):
             name, tries = without[0].name, ("an RPDO with 0x60B2 in its mapping, in the joint's dictionary", "no torques")
-            raise PathRefused(f"{name} takes no torque beside its set-points", name, seen="no RPDO of it has 0x60B2", tries=tries)
+            raise PathRefusedError(
+                f"{name} takes no torque beside its set-points", name, seen="no RPDO of it has 0x60B2", tries=tries
+            )
         motion = Motion(generator, self._members, self._period, start, torques)
         present = self.present_motion
         if present is None:
@@ -396,7 +407,7 @@ class Moving:
         self._raise_own_end(motion)
         errors = [error for member in self._members if (error := await member.why_stopped()) is not None]
         if errors:
-            raise next((error for error in errors if isinstance(error, ChainFault)), errors[0])
+            raise next((error for error in errors if isinstance(error, ChainFaultError)), errors[0])
 
     def _raise_own_end(self, motion: Motion) -> None:
         """Raise if a motion ended by an error, by the end of the master, or by another motion."""
@@ -405,11 +416,11 @@ class Moving:
         self._members[0].check_open()
         if motion.was_replaced:
             names, seen = ", ".join(member.name for member in self._members), "another motion took over, from where it was"
-            raise MotionReplaced(CHAIN_FAILED, names, f"chain {names} did not end its motion", seen=seen)
+            raise MotionReplacedError(CHAIN_FAILED, names, f"chain {names} did not end its motion", seen=seen)
 
-    def _cannot_be_followed(self, error: PathError) -> PathRefused:
+    def _cannot_be_followed(self, error: PathError) -> PathRefusedError:
         text, _, tries = with_names(str(error), self._names).partition(" Try: ")
-        return PathRefused("the path cannot be followed", seen=text, tries=(tries,) if tries else ())
+        return PathRefusedError("the path cannot be followed", seen=text, tries=(tries,) if tries else ())
 
     async def next_news(self) -> None:
         """Wait until a motion begins, or goes on by a cycle, or ends."""

@@ -12,7 +12,7 @@ from typing import Final, TypeVar
 
 import trio
 
-from canopen_master.errors import PathRefused
+from canopen_master.errors import PathRefusedError
 from canopen_master.motion.device import Device
 from canopen_proto.drives.trajectory import JointLimits, LimitViolation, Path, PathPoint, first_violation
 from canopen_proto.drives.trajectory.limit_check import first_violation_in_steps
@@ -39,7 +39,7 @@ async def in_steps(steps: Generator[None, None, T]) -> T:
 async def check_path(
     devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float
 ) -> None:
-    """Check a path before the joints follow it. Raises PathRefused.
+    """Check a path before the joints follow it. Raises PathRefusedError.
 
     start: where the joints stand; see `check_start`. limits: of each joint. cycle_time: in s.
     """
@@ -60,21 +60,21 @@ def check_now(devices: Sequence[Device], path: Path, start: PathPoint, limits: S
 def check_start(
     devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float
 ) -> None:
-    """Check that a path has a row for each joint, and begins where they stand, or as they move. Raises PathRefused.
+    """Check that a path has a row for each joint, and begins where they stand, or as they move. Raises PathRefusedError.
 
     The step to the start of the path, in one cycle, must be within the acceleration of the joint, and no longer than its way in
     START_TIME; START_COUNTS are allowed in any case. The speed of joints that move may change by the acceleration of one cycle.
     """
     if path.joints != len(devices):
         names = ", ".join(device.name for device in devices)
-        raise PathRefused(f"the path has {path.joints} joints, not {len(devices)}", seen=f"the joints are {names}")
+        raise PathRefusedError(f"the path has {path.joints} joints, not {len(devices)}", seen=f"the joints are {names}")
     wanted = path.start.positions
     for device, each, here, there in zip(devices, limits, start.positions, wanted, strict=True):
         rounding = device.axis.scale.amount_from_counts(START_COUNTS)
         step = min((each.acceleration or 0.0) * cycle_time * cycle_time, (each.speed or 0.0) * START_TIME)
         tolerance = max(rounding, step)
         if abs(there - here) > tolerance:
-            raise PathRefused(
+            raise PathRefusedError(
                 f"the path does not begin where {device.name} stands",
                 device.name,
                 value=there,
@@ -92,7 +92,7 @@ def _check_velocities(
     for device, each, here, there in zip(devices, limits, start.velocities, first.velocities, strict=True):
         allowed = math.inf if each.acceleration is None else each.acceleration * cycle_time
         if abs(there - here) > allowed:
-            raise PathRefused(
+            raise PathRefusedError(
                 f"the path does not begin as {device.name} moves",
                 device.name,
                 time=0.0,
@@ -103,11 +103,11 @@ def _check_velocities(
             )
 
 
-def beyond_limit(device: Device, violation: LimitViolation) -> PathRefused:
+def beyond_limit(device: Device, violation: LimitViolation) -> PathRefusedError:
     """Return the error for a path beyond a limit of this joint."""
     kind, unit = violation.kind, _UNITS[violation.kind]
     source = _source_of(device, kind, violation.limit)
-    return PathRefused(
+    return PathRefusedError(
         f"the path takes {device.name} beyond its limit of {kind} at {violation.time:.6g} s",
         device.name,
         time=violation.time,

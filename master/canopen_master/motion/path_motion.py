@@ -23,7 +23,7 @@ from typing import Final, Protocol
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import PathRefused
+from canopen_master.errors import PathRefusedError
 from canopen_master.motion.cycles import SetPointSource, SourcePoint
 from canopen_master.motion.device import Device
 from canopen_master.motion.target_motion import StreamGenerator
@@ -279,7 +279,8 @@ class Motion:
                 self.end(NO_SYNC)
 
     def _checked(self, torques: Sequence[float]) -> list[float]:
-        """Return the torques as numbers, one for each joint. Raises PathRefused, as whatever a function of the user's returns."""
+        """Return the torques as numbers, one for each joint. Raises PathRefusedError, as whatever a function of the user's
+        returns."""
         try:
             numbers = [float(torque) for torque in torques]
         except (TypeError, ValueError) as error:
@@ -290,5 +291,7 @@ class Motion:
         return numbers
 
 
-def _torques_refused(seen: str) -> PathRefused:
-    return PathRefused("the torque function gave no torques", seen=seen, tries=("one finite number for each joint, each time",))
+def _torques_refused(seen: str) -> PathRefusedError:
+    return PathRefusedError(
+        "the torque function gave no torques", seen=seen, tries=("one finite number for each joint, each time",)
+    )

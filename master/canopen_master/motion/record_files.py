@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any, Final, Protocol
 
-from canopen_master.errors import PackageMissing
+from canopen_master.errors import PackageMissingError
 from canopen_master.motion.record_format import PARQUET, RecordHead, Row, is_whole
 
 MARK: Final = "# canopen recording"
@@ -76,7 +76,7 @@ class ParquetFile:
     """A recording as Parquet: 64-bit floating point, and 32-bit whole numbers."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        """Raises PackageMissing without pyarrow."""
+        """Raises PackageMissingError without pyarrow."""
         self._pyarrow, self._parquet = pyarrow_modules(PARQUET)
         self.chunk = _CHUNK_OF_PARQUET
         self._file = file
@@ -108,7 +108,7 @@ class ParquetFile:
 
 
 def open_record(path: str | Path) -> RecordFile:
-    """Open a file for a recording, as its ending says. An older file is overwritten. Raises OSError, PackageMissing."""
+    """Open a file for a recording, as its ending says. An older file is overwritten. Raises OSError, PackageMissingError."""
     is_parquet = Path(path).suffix.lower() == PARQUET
     if is_parquet:
         pyarrow_modules(str(path))  # before an older file is emptied
@@ -117,10 +117,11 @@ def open_record(path: str | Path) -> RecordFile:
 
 
 def pyarrow_modules(what: str) -> tuple[Any, Any]:
-    """Return the modules `pyarrow` and `pyarrow.parquet`. what: the file, for the message. Raises PackageMissing without them."""
+    """Return the modules `pyarrow` and `pyarrow.parquet`. what: the file, for the message. Raises PackageMissingError without
+    them."""
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError as missing:
-        raise PackageMissing("pyarrow", "parquet", f"a Parquet file ({what})", missing) from missing
+        raise PackageMissingError("pyarrow", "parquet", f"a Parquet file ({what})", missing) from missing
     return pyarrow, pyarrow.parquet

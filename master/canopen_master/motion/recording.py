@@ -53,7 +53,7 @@ class Recorder:
     ) -> None:
         """has_begun: whether the chain is initialised; no rows before. motion: what moves the chain at present.
 
-        Raises OSError, PackageMissing if no file can be made.
+        Raises OSError, PackageMissingError if no file can be made.
         """
         self.path = Path(path)
         self.rows = 0

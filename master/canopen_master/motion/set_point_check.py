@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from canopen_master.errors import SetPointRefused
+from canopen_master.errors import SetPointRefusedError
 from canopen_master.motion.device import Device
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drives.axis.limits import Excess
@@ -17,7 +17,8 @@ NARROWER = "a path within the limits of the joint: its `limits` tells them"
 
 
 def check_set_point(device: Device, start: float, target: float, time: Time) -> int:
-    """Return a set-point in counts. Raises SetPointRefused if it is beyond the `limits` of the joint, or does not fit its object.
+    """Return a set-point in counts. Raises SetPointRefusedError if it is beyond the `limits` of the joint, or does not fit its
+    object.
 
     start: the set-point before. time: ns for the way from there to `target`.
     """
@@ -42,9 +43,9 @@ def check_limits(device: Device, start: float, target: float, time: Time) -> Non
         raise refused(device, target, *_words(excess, start))
 
 
-def refused(device: Device, target: float, seen: str, tries: tuple[str, ...] = ()) -> SetPointRefused:
+def refused(device: Device, target: float, seen: str, tries: tuple[str, ...] = ()) -> SetPointRefusedError:
     """The exception for a set-point of a joint. seen: why; tries: what to try."""
-    return SetPointRefused(f"set-point {target} of {device.name} was refused", device.name, seen, tries)
+    return SetPointRefusedError(f"set-point {target} of {device.name} was refused", device.name, seen, tries)
 
 
 def _words(excess: Excess, start: float) -> tuple[str, tuple[str, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from canopen_master.errors import NodeIsNoDrive
+from canopen_master.errors import NodeIsNoDriveError
 from canopen_proto.drives.axis import shut_down
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
@@ -23,11 +23,11 @@ _NO_SETTINGS = AxisSettings()
 
 
 def look_at_drive(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
-    """Return what a drive shows (see `look_at`). Raises NodeIsNoDrive if it has no statusword."""
+    """Return what a drive shows (see `look_at`). Raises NodeIsNoDriveError if it has no statusword."""
     view = yield from look_at(node, settings)
     if view is None:
         statusword = node.on_device(objects.STATUSWORD)
-        raise NodeIsNoDrive(node.node_id, axis_of(statusword) or 0, index_of(statusword))
+        raise NodeIsNoDriveError(node.node_id, axis_of(statusword) or 0, index_of(statusword))
     return view
 
 

@@ -67,8 +67,9 @@ class StreamGenerator:
 
 
 class Targets:
-    """Takes targets while its block runs. Each method raises PlanRefused for values that are no numbers or not one for each
-    joint, and once it has ended; ChainHalted, ChainFault, MotionReplaced if they were stopped, or something else moves them."""
+    """Takes targets while its block runs. Each method raises PlanRefusedError for values that are no numbers or not one for each
+    joint, and once it has ended; ChainHaltedError, ChainFaultError, MotionReplacedError if they were stopped, or something else
+    moves them."""
 
     def __init__(self, stream: TargetStream, check: Callable[[], None]) -> None:
         """check: raises if the motion is over."""

@@ -39,7 +39,7 @@ from canopen_transports import (
     CyclicTransport,
     EagerTransport,
     FilteringTransport,
-    FrameNotSent,
+    FrameNotSentError,
     PromptTransport,
     PushingTransport,
     RatedTransport,
@@ -192,7 +192,7 @@ class Bus:
         try:
             if not self._eager.send_nowait(frame):
                 return False
-        except FrameNotSent as refusal:
+        except FrameNotSentError as refusal:
             self.drop(refusal.seen)
         else:
             self.bits += FRAME_BITS[len(frame.data)]

@@ -16,7 +16,7 @@ from canopen_proto.machine import Event, Outcome, RequestId, Time
 from canopen_proto.sdo.events import SdoProgress
 
 
-class ProcedureTakenBack(Exception):
+class ProcedureTakenBackError(Exception):
     """A procedure that a task waits for was cancelled elsewhere: its chain was stopped, or the master ended."""
 
 

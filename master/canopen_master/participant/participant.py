@@ -21,9 +21,9 @@ from typing import Any, Final, Protocol, TypeVar
 import trio
 from trio.lowlevel import enable_ki_protection
 
-from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosed, UnknownChain
+from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosedError, UnknownChainError
 from canopen_master.participant.bus import Bus
-from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBack, Waiter, Watcher
+from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher
 from canopen_master.participant.pump import Pump
 from canopen_master.participant.requests import OpenRequest
 from canopen_master.participant.subscription import Subscription
@@ -109,22 +109,22 @@ class Participant:
         return self._pump.now()
 
     def bus(self, name: str | None = None) -> Bus:
-        """Return a bus by its name; the only bus needs no name. Raises UnknownChain, LocalProtocolError."""
+        """Return a bus by its name; the only bus needs no name. Raises UnknownChainError, LocalProtocolError."""
         names = ", ".join(self.buses)
         if name is None:
             if len(self._own_buses) > 1:
                 raise LocalProtocolError(f"this master has several buses ({names}): say which one")
             return self._own_buses[0]
         if name not in self.buses:
-            raise UnknownChain(UNKNOWN_CHAIN, f"this master has no bus {name!r}", seen=f"its buses are {names}")
+            raise UnknownChainError(UNKNOWN_CHAIN, f"this master has no bus {name!r}", seen=f"its buses are {names}")
         return self.buses[name]
 
     def check_open(self) -> None:
-        """Raise BusError if a bus has failed, MasterClosed if the master has been left."""
+        """Raise BusError if a bus has failed, MasterClosedError if the master has been left."""
         if self.failure is not None:
             raise self.failure
         if self.is_closed:
-            raise MasterClosed
+            raise MasterClosedError
 
     # ---- network management and SYNC ----
 
@@ -357,7 +357,7 @@ class Participant:
     def end_all(self) -> None:
         """Take no new commands, and end everything that waits or runs."""
         self.is_closed = True
-        self._end_waiting(MasterClosed())
+        self._end_waiting(MasterClosedError())
         for request_id in tuple(self._procedures):
             self.take_back(request_id)
 
@@ -431,7 +431,7 @@ class ProcedureSlot:
     def result(self) -> Any:
         """Return the result of the procedure, which has ended; None if none was begun.
 
-        Raises its exception; ProcedureTakenBack if it was taken back; BusError or MasterClosed if that ended it.
+        Raises its exception; ProcedureTakenBackError if it was taken back; BusError or MasterClosedError if that ended it.
         """
         if self._begun is None:
             return None
@@ -442,7 +442,7 @@ class ProcedureSlot:
                 raise error
             case outcome:
                 assert isinstance(outcome, ProcedureCancelled)
-                raise ProcedureTakenBack
+                raise ProcedureTakenBackError
 
 
 def nanoseconds(seconds: float) -> Time:

@@ -43,7 +43,7 @@ from canopen_master.participant.alarm import Alarm, best_alarm
 from canopen_master.participant.bus import FRAME_BITS, MAX_BATCH, Bus
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
-from canopen_transports import FrameNotSent, Received, Report, TransportError
+from canopen_transports import FrameNotSentError, Received, Report, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
 
 MAX_CATCH_UP: Final = 4096
@@ -237,7 +237,7 @@ class Pump:
             frame = await bus.next_frame(self.now)
             try:
                 await bus.transport.send(frame)
-            except FrameNotSent as refusal:
+            except FrameNotSentError as refusal:
                 self._turn(bus.drop, refusal.seen)
             except Exception as error:  # noqa: BLE001 - as above
                 self._fail(bus, error, f"send {frame}")

@@ -37,7 +37,8 @@ class OpenRequest:
 
     @enable_ki_protection
     async def outcome(self) -> Outcome:
-        """Wait for the outcome. A cancelled wait takes the request back. Raises BusError or MasterClosed if there is none."""
+        """Wait for the outcome. A cancelled wait takes the request back. Raises BusError or MasterClosedError if there is
+        none."""
         try:
             await self._waiter.wait()
         except BaseException:  # Cancelled or KeyboardInterrupt: the caller no longer wants the outcome

@@ -56,7 +56,7 @@ class Subscription(Generic[E]):
     async def receive(self) -> E:
         """Wait for the next event and return it. A cancelled wait takes no event.
 
-        After HANDED_OVER events without a wait, other tasks run first. Raises BusError or MasterClosed at the end.
+        After HANDED_OVER events without a wait, other tasks run first. Raises BusError or MasterClosedError at the end.
         """
         if self._in_a_row:
             await trio.lowlevel.checkpoint_if_cancelled()

@@ -21,7 +21,7 @@ from canopen_master.ros_configurations.report import ImportReport, KeyOutcome, T
 from canopen_master.ros_configurations.ros2_canopen import is_ros2_canopen, take_ros2_canopen
 from canopen_master.ros_configurations.ros_canopen import is_ros_canopen, take_ros_canopen
 from canopen_master.ros_configurations.unusable import MAX_UNUSABLE, Unusable, unusable_part, without
-from canopen_master.ros_configurations.yaml_text import UnusableValue, Value, read_yaml
+from canopen_master.ros_configurations.yaml_text import UnusableValueError, Value, read_yaml
 
 __all__ = ["Choices", "Imported", "KeyOutcome", "Told", "import_configuration"]
 
@@ -52,7 +52,7 @@ def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Cho
 
     folder: where the machine file will stand; paths in it are relative to that. Raises DataError for a file that cannot be read,
     DictionaryError for one that is no YAML,
-    PackageMissing without `ruamel.yaml`.
+    PackageMissingError without `ruamel.yaml`.
     """
     whole: dict[str, Value] = {}
     for path in paths:
@@ -67,14 +67,14 @@ def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Cho
     while True:
         try:
             return _imported(without(whole, unusable), unusable, folder, choices or Choices())
-        except UnusableValue as error:
+        except UnusableValueError as error:
             if len(unusable) == MAX_UNUSABLE:
                 raise
             unusable.append(unusable_part(whole, error))
 
 
 def _imported(top: Mapping[str, Value], unusable: Sequence[Unusable], folder: Path, choices: Choices) -> Imported:
-    """Return the machine of the values that can be used. Raises UnusableValue for the next one that cannot."""
+    """Return the machine of the values that can be used. Raises UnusableValueError for the next one that cannot."""
     report = ImportReport()
     for each in unusable:
         each.tell(report)

@@ -16,7 +16,7 @@ from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_data.durations import duration_text
 from canopen_master.ros_configurations.report import ImportReport, YamlSection, key_text
-from canopen_master.ros_configurations.scale import Contradiction, JointKeys, number_in_toml
+from canopen_master.ros_configurations.scale import ContradictionError, JointKeys, number_in_toml
 from canopen_master.ros_configurations.unit_expression import Exact
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.drives.cia402.axes import AXIS_STEP, MAX_AXES
@@ -179,7 +179,7 @@ class Draft:
         """
         try:
             made = make()
-        except Contradiction as error:
+        except ContradictionError as error:
             for value in values:
                 self.report.left_out(value, f"{error}{note}")
             return None
@@ -236,12 +236,12 @@ class Draft:
         per_metre = 1000 if joint["unit"] == "millimetre" else 1
         try:
             joint[key] = number_in_toml(Exact(value.number() * per_metre), notes)
-        except Contradiction as error:
+        except ContradictionError as error:
             raise value.failure(str(error)) from None
         self.report.taken(value, "; ".join([f"{key} = {joint[key]!r}", *notes]))
 
     def device_file(self, value: Value, name: str, package: str, *folders: Path) -> Path | None:
-        """Return the device file that a key names, as `file_beside`. Raises UnusableValue if it is no such file."""
+        """Return the device file that a key names, as `file_beside`. Raises UnusableValueError if it is no such file."""
         path = self.file_beside(value, name, package, *folders)
         try:
             if path is not None:

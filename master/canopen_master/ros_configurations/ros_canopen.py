@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from canopen_master.ros_configurations.draft import BUS, NO_SCALE, TORQUE, DeviceDraft, Draft, Setting, is_interpolation_time
 from canopen_master.ros_configurations.report import YamlSection, section_of
-from canopen_master.ros_configurations.scale import Contradiction, JointKeys, position_keys, velocity_keys
-from canopen_master.ros_configurations.unit_expression import Line, NotLinear, read_expression
+from canopen_master.ros_configurations.scale import ContradictionError, JointKeys, position_keys, velocity_keys
+from canopen_master.ros_configurations.unit_expression import Line, NotLinearError, read_expression
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.drives.cia402.objects import CONTROLWORD, POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.machine import MILLISECOND
@@ -242,7 +242,7 @@ def _take_scale(node_value: Value, node: YamlSection, joint: dict[str, Any], dra
         value = values[key]
         try:
             lines[key] = _line(key, default if value is None else value.string())
-        except NotLinear as error:
+        except NotLinearError as error:
             assert value is not None  # the defaults are lines
             report.left_out(value, f"{error}: only a plain factor, with an offset at most, is a scale here")
     for quantity in ("pos", "vel"):
@@ -261,23 +261,23 @@ def _take_scale(node_value: Value, node: YamlSection, joint: dict[str, Any], dra
 
 
 def _keys(quantity: str, lines: Mapping[str, Line], joint: Mapping[str, Any], *, is_linear: bool) -> JointKeys:
-    """Return the keys of a position ("pos") or velocity ("vel"). Raises Contradiction."""
+    """Return the keys of a position ("pos") or velocity ("vel"). Raises ContradictionError."""
     there, back = lines[f"{quantity}_to_device"], lines[f"{quantity}_from_device"]
     if quantity == "pos":
         return position_keys(there, back, is_linear=is_linear)
     if "pos_to_device" not in lines or "unit" not in joint:
-        raise Contradiction("the position has no scale")
+        raise ContradictionError("the position has no scale")
     return velocity_keys(lines["pos_to_device"].factor, there, back)
 
 
 def _line(key: str, text: str) -> Line:
-    """Return a conversion as a line of the variable that its key stands for. Raises NotLinear."""
+    """Return a conversion as a line of the variable that its key stands for. Raises NotLinearError."""
     line = read_expression(text)
     if key in _VARIABLES:
         if line.variable and line.variable != _VARIABLES[key]:
-            raise NotLinear(f"its variable is {line.variable}, not {_VARIABLES[key]}")
+            raise NotLinearError(f"its variable is {line.variable}, not {_VARIABLES[key]}")
     elif line.variable:
         found = _OBJECT.fullmatch(line.variable)
         if found is None or int(found[1], 16) != _OBJECTS[key]:
-            raise NotLinear(f"it reads {line.variable}, not obj{_OBJECTS[key]:04X}")
+            raise NotLinearError(f"it reads {line.variable}, not obj{_OBJECTS[key]:04X}")
     return line

@@ -34,17 +34,17 @@ class JointKeys(NamedTuple):
         return "; ".join([shown, *self.notes])
 
 
-class Contradiction(ValueError):
+class ContradictionError(ValueError):
     """The scale to the drive and the scale from it contradict each other. The text is the reason."""
 
 
 def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> JointKeys:
     """Return the keys of the position. is_linear: it is in metres, and the joint's unit will be the millimetre.
 
-    Raises Contradiction.
+    Raises ContradictionError.
     """
     if not to_device.factor.fraction or not from_device.factor.fraction:
-        raise Contradiction("a factor is 0")
+        raise ContradictionError("a factor is 0")
     notes: list[str] = []
     scale = _agreed(to_device, from_device, notes)
     keys: dict[str, Any] = {"unit": "millimetre" if is_linear else "radian"}
@@ -60,12 +60,12 @@ def position_keys(to_device: Line, from_device: Line, *, is_linear: bool) -> Joi
 def _agreed(to_device: Line, from_device: Line, notes: list[str]) -> Exact:
     """Return the factor to the drive, or the inverse of that from the drive: which of them has more digits, as a note says.
 
-    Raises Contradiction if they are not each other's inverse.
+    Raises ContradictionError if they are not each other's inverse.
     """
     there, back = to_device.factor, from_device.factor
     error = abs(float(there * back) - 1)
     if error > AGREES + float(to_device.rounding + from_device.rounding):
-        raise Contradiction(f"{_shown(back)} is not the inverse of {_shown(there)}")
+        raise ContradictionError(f"{_shown(back)} is not the inverse of {_shown(there)}")
     if error <= AGREES:
         if error:
             notes.append(f"what comes from the drive had a factor that differs by {error:.1e}; it is the inverse now")
@@ -93,28 +93,30 @@ def _scale_keys(scale: Exact, notes: list[str]) -> dict[str, Any]:
 def number_in_toml(number: Exact, notes: list[str]) -> int | float:
     """Return a number as TOML holds it. One that it cannot hold is the nearest float, and a note says so.
 
-    Raises Contradiction for one that is too large or too small for a float.
+    Raises ContradictionError for one that is too large or too small for a float.
     """
     if not number.power and number.fraction.denominator == 1 and abs(number.fraction) < 1 << 53:
         return int(number.fraction)
     nearest = float(number)
     if not math.isfinite(nearest) or not nearest:
-        raise Contradiction("it is too large or too small for a float")
+        raise ContradictionError("it is too large or too small for a float")
     if number.power or Fraction(repr(nearest)) != number.fraction:
         notes.append("rounded to 17 digits, as every float")
     return nearest
 
 
 def _offset(to_device: Line, from_device: Line) -> int:
-    """Return the counts at position 0. Raises Contradiction."""
+    """Return the counts at position 0. Raises ContradictionError."""
     expected = to_device.offset * from_device.factor + from_device.offset if _same_power(to_device, from_device) else None
     counts = float(to_device.offset)
     rounding = to_device.rounding + from_device.rounding + to_device.offset_rounding + from_device.offset_rounding
     size = abs(counts * float(from_device.factor))
     if expected is None or abs(float(expected)) > AGREES * max(1.0, size) + float(rounding) * size:
-        raise Contradiction(f"the offsets {_shown(to_device.offset)} and {_shown(from_device.offset)} do not belong together")
+        raise ContradictionError(
+            f"the offsets {_shown(to_device.offset)} and {_shown(from_device.offset)} do not belong together"
+        )
     if to_device.offset.power or to_device.offset.fraction.denominator != 1:
-        raise Contradiction(f"an offset is a whole number of counts here, and {_shown(to_device.offset)} is none")
+        raise ContradictionError(f"an offset is a whole number of counts here, and {_shown(to_device.offset)} is none")
     return int(to_device.offset.fraction)
 
 
@@ -126,20 +128,20 @@ def _same_power(to_device: Line, from_device: Line) -> bool:
 def velocity_keys(scale: Exact, to_device: Line, from_device: Line) -> JointKeys:
     """Return the velocity unit: counts per second in one unit of 0x60FF and 0x606C. scale: counts per rad or m.
 
-    Raises Contradiction.
+    Raises ContradictionError.
     """
     if not to_device.factor.fraction or to_device.offset != ZERO or from_device.offset != ZERO:
-        raise Contradiction("a velocity has a factor other than 0 and no offset")
+        raise ContradictionError("a velocity has a factor other than 0 and no offset")
     if not from_device.factor.fraction:
-        raise Contradiction("a factor is 0")
+        raise ContradictionError("a factor is 0")
     notes: list[str] = []
     try:
         factor = _agreed(to_device, from_device, notes)
-    except Contradiction as error:
-        raise Contradiction(f"{error}; by CiA 402 0x60FF and 0x606C have one unit, and 0x6042 (vl) has another") from None
+    except ContradictionError as error:
+        raise ContradictionError(f"{error}; by CiA 402 0x60FF and 0x606C have one unit, and 0x6042 (vl) has another") from None
     unit = scale / factor
     if unit.fraction < 0:
-        raise Contradiction("position and velocity have opposite signs")
+        raise ContradictionError("position and velocity have opposite signs")
     return JointKeys({"velocity_unit": number_in_toml(unit, notes)}, tuple(notes))
 
 

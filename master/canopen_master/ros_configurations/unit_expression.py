@@ -24,7 +24,7 @@ FEWEST_DIGITS: Final = 3
 _TOKEN: Final = re.compile(r"\s*((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?|[A-Za-z_]\w*|[-+*/(),])")
 
 
-class NotLinear(ValueError):
+class NotLinearError(ValueError):
     """An expression is no straight line of one variable, or none at all. The text is the reason."""
 
 
@@ -40,14 +40,14 @@ class Exact:
 
     def __truediv__(self, other: Exact) -> Exact:
         if not other.fraction:
-            raise NotLinear("it divides by 0")
+            raise NotLinearError("it divides by 0")
         return _exact(self.fraction / other.fraction, self.power - other.power)
 
     def __add__(self, other: Exact) -> Exact:
         if not self.fraction or not other.fraction:
             return other if not self.fraction else self
         if self.power != other.power:
-            raise NotLinear("it adds numbers with pi and without")
+            raise NotLinearError("it adds numbers with pi and without")
         return _exact(self.fraction + other.fraction, self.power)
 
     def __float__(self) -> float:
@@ -89,9 +89,9 @@ def rounding_of(text: str) -> Fraction:
 
 
 def read_expression(text: str) -> Line:
-    """Return the line that an expression is. Raises NotLinear with the reason."""
+    """Return the line that an expression is. Raises NotLinearError with the reason."""
     if len(text) > MAX_LENGTH:
-        raise NotLinear(f"it has more than {MAX_LENGTH} characters")
+        raise NotLinearError(f"it has more than {MAX_LENGTH} characters")
     rounded = re.fullmatch(r"\s*rint\s*\((.*)\)\s*", text, re.DOTALL)
     if rounded is not None and _closes_at_the_end(rounded[1]):
         text = rounded[1]
@@ -119,7 +119,7 @@ class _Parser:
         while text[place:].strip():
             found = _TOKEN.match(text, place)
             if found is None:
-                raise NotLinear(f"{text[place:].strip()[0]!r} is not known in it")
+                raise NotLinearError(f"{text[place:].strip()[0]!r} is not known in it")
             self._tokens.append(found[1])
             place = found.end()
         self._depth = 0
@@ -132,7 +132,7 @@ class _Parser:
     def whole(self) -> Line:
         line = self._sum()
         if self._tokens:
-            raise NotLinear(f"{self._tokens[0]!r} is out of place in it")
+            raise NotLinearError(f"{self._tokens[0]!r} is out of place in it")
         return line
 
     def _next(self, *wanted: str) -> str:
@@ -142,7 +142,7 @@ class _Parser:
     def _sum(self) -> Line:
         self._depth += 1
         if self._depth > MAX_DEPTH:
-            raise NotLinear(f"it is nested deeper than {MAX_DEPTH} levels")
+            raise NotLinearError(f"it is nested deeper than {MAX_DEPTH} levels")
         line = self._product()
         while sign := self._next("+", "-"):
             other = self._product()
@@ -155,7 +155,7 @@ class _Parser:
         while sign := self._next("*", "/"):
             other = self._factor()
             if other.variable and (line.variable or sign == "/"):
-                raise NotLinear("it multiplies or divides by its variable")
+                raise NotLinearError("it multiplies or divides by its variable")
             if other.variable:
                 line, other = other, line
             line = _scaled(line, other.offset if sign == "*" else ONE / other.offset)
@@ -169,24 +169,24 @@ class _Parser:
 
     def _unsigned(self) -> Line:
         if not self._tokens:
-            raise NotLinear("it ends too early")
+            raise NotLinearError("it ends too early")
         token = self._tokens.pop(0)
         if token == "(":
             return self._closed()
         if (number := number_of(token)) is not None:
             return Line(ZERO, Exact(Fraction(token) if token.isdigit() else number))
         if not re.match("[A-Za-z_]", token):
-            raise NotLinear(f"{token!r} is out of place in it")
+            raise NotLinearError(f"{token!r} is out of place in it")
         if self._next("("):
             if token not in _FUNCTIONS:
-                raise NotLinear(f"the function {token!r} is no plain factor")
+                raise NotLinearError(f"the function {token!r} is no plain factor")
             return _scaled(self._closed(), _FUNCTIONS[token])
         return Line(ZERO, Exact(Fraction(1), 1)) if token in ("pi", "_pi") else Line(ONE, ZERO, token)
 
     def _closed(self) -> Line:
         line = self._sum()
         if not self._next(")"):
-            raise NotLinear("a parenthesis is not closed, or a function has several arguments")
+            raise NotLinearError("a parenthesis is not closed, or a function has several arguments")
         return line
 
 
@@ -199,5 +199,5 @@ def _scaled(line: Line, factor: Exact) -> Line:
 
 def _added(one: Line, other: Line) -> Line:
     if one.variable and other.variable and one.variable != other.variable:
-        raise NotLinear(f"it has two variables, {one.variable} and {other.variable}")
+        raise NotLinearError(f"it has two variables, {one.variable} and {other.variable}")
     return Line(one.factor + other.factor, one.offset + other.offset, one.variable or other.variable)

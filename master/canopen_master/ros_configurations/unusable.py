@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from canopen_master.ros_configurations.report import ImportReport
-from canopen_master.ros_configurations.yaml_text import UnusableValue, Value
+from canopen_master.ros_configurations.yaml_text import UnusableValueError, Value
 
 MAX_UNUSABLE: Final = 100
 """In one configuration. With more of them it is another kind of file."""
@@ -21,7 +21,7 @@ _WHOLES: Final = re.compile(r"(?P<pdo>.*\.[tr]pdo\.\d+)\..*|(?P<list>.*\.(?:chan
 class Unusable(NamedTuple):
     """What is left out: part, which holds the value that the error is about, or is it."""
 
-    error: UnusableValue
+    error: UnusableValueError
     part: Value
 
     def tell(self, report: ImportReport) -> None:
@@ -33,7 +33,7 @@ class Unusable(NamedTuple):
             report.left_out(self.part, f"{value.place} cannot be used, and without it {what} would be another one")
 
 
-def unusable_part(top: Mapping[str, Value], error: UnusableValue) -> Unusable:
+def unusable_part(top: Mapping[str, Value], error: UnusableValueError) -> Unusable:
     """Return what has to be left out with a value."""
     match = _WHOLES.fullmatch(error.value.place)
     place = error.value.place if match is None else match["pdo"] or match["list"]

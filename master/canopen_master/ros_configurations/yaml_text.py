@@ -14,7 +14,7 @@ from fractions import Fraction
 from typing import Any, Final
 
 from canopen_data.findings import DictionaryError, Finding, Severity
-from canopen_master.errors import PackageMissing
+from canopen_master.errors import PackageMissingError
 
 MAX_BYTES: Final = 1 << 18
 """A machine of 127 nodes, each with 30 lines of its own, has a quarter of it."""
@@ -46,9 +46,9 @@ class Value:
         shown = self.text if self.kind in (*_SCALARS, "null") else f"a {self.kind}"
         return shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
 
-    def failure(self, message: str) -> UnusableValue:
+    def failure(self, message: str) -> UnusableValueError:
         """Return an error about this value."""
-        return UnusableValue(self, message)
+        return UnusableValueError(self, message)
 
     def check(self, *kinds: str) -> None:
         """Raise DictionaryError if it is of none of these kinds."""
@@ -82,7 +82,7 @@ class Value:
         return self.text
 
 
-class UnusableValue(DictionaryError):
+class UnusableValueError(DictionaryError):
     """A value that cannot be used. message: why, without the place."""
 
     def __init__(self, value: Value, message: str) -> None:
@@ -116,12 +116,12 @@ def number_of(text: str) -> Fraction | None:
 
 
 def read_yaml(content: bytes, source: str) -> Value:
-    """Return the map that a file is. Raises DictionaryError with the line; PackageMissing without `ruamel.yaml`."""
+    """Return the map that a file is. Raises DictionaryError with the line; PackageMissingError without `ruamel.yaml`."""
     try:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import MarkedYAMLError, YAMLError
     except ImportError as error:
-        raise PackageMissing("ruamel.yaml", "yaml", "reading YAML", error) from error
+        raise PackageMissingError("ruamel.yaml", "yaml", "reading YAML", error) from error
     if len(content) > MAX_BYTES:
         raise _failure(source, f"the file has {len(content)} bytes; more than {MAX_BYTES} are not read")
     yaml = YAML(typ="safe", pure=True)

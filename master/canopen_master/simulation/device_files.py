@@ -23,14 +23,14 @@ from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
 from canopen_data.findings import Finding
 from canopen_data.named_files import DescriptionFile, open_description, read_text
 from canopen_data.overlay import lay_over
-from canopen_master.errors import DeviceRefused, NotADrive
+from canopen_master.errors import DeviceRefusedError, NoDriveInFileError
 from canopen_master.simulation.hooks import Script
 from canopen_master.simulation.host import DeviceModel
 from canopen_master.simulation.plant import AUTOMATIC, DRIVE, DeviceEntry, PlantFile, parse_plant
 from canopen_master.simulation.serving import SERIAL, with_serial
 from canopen_proto import indices
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import NotInDictionary, ObjectDictionary, Variable
+from canopen_proto.dictionary import NotInDictionaryError, ObjectDictionary, Variable
 from canopen_proto.drives.cia402.names import is_drive, with_drive_names
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.lss.messages import UNCONFIGURED
@@ -69,7 +69,7 @@ MakingEvent: TypeAlias = FileRead | Finding | ValueFilled | ModelMade
 def read_plant(path: Path) -> PlantFile:
     """Return the plant of a plant file, with paths that are relative to the present folder.
 
-    A device's file that is not there may be a sample, and keeps its name. Raises UnusableFile, DictionaryError.
+    A device's file that is not there may be a sample, and keeps its name. Raises UnusableFileError, DictionaryError.
     """
 
     def beside(name: str) -> str:
@@ -91,8 +91,8 @@ def read_plant(path: Path) -> PlantFile:
 def models_of(entries: Iterable[DeviceEntry], tell: Callable[[MakingEvent], object] = lambda event: None) -> list[DeviceModel]:
     """Make the models of devices, one for each node-ID of an entry. tell: is called with what is found.
 
-    A device without a node-ID (255) gets a serial number of its own, by which LSS finds it. Raises DeviceRefused for an entry
-    that cannot be served, NotADrive, DataError, DictionaryError, ScriptError.
+    A device without a node-ID (255) gets a serial number of its own, by which LSS finds it. Raises DeviceRefusedError for an
+    entry that cannot be served, NoDriveInFileError, DataError, DictionaryError, ScriptError.
     """
     names, _ = load_dictionary()
     made: list[DeviceModel] = []
@@ -101,7 +101,9 @@ def models_of(entries: Iterable[DeviceEntry], tell: Callable[[MakingEvent], obje
         script = Script(read_text(Path(entry.script)), entry.script) if entry.script else None
         for node_id in _node_ids(entry, description):
             if node_id != UNCONFIGURED and any(model.node_id == node_id for model in made):
-                raise DeviceRefused(f"there are two devices of node-ID {node_id}", tries=("give each its own: 5=a.eds 6=b.eds",))
+                raise DeviceRefusedError(
+                    f"there are two devices of node-ID {node_id}", tries=("give each its own: 5=a.eds 6=b.eds",)
+                )
             if node_id == UNCONFIGURED:
                 description = _with_own_serial(entry, description, len(made))
             made.append(_model(entry, description, node_id, script, tell))
@@ -139,7 +141,7 @@ def _node_ids(entry: DeviceEntry, description: DeviceDescription) -> tuple[int, 
     if node_id is None or not 1 <= node_id <= MAX_NODE_ID:
         seen = "the file names none" if node_id is None else f"the file names {node_id}, which is not valid"
         tries = (f"canopen sim {entry.file} --id 5", f"canopen sim 5={entry.file}")
-        raise DeviceRefused(f"which node-ID is {entry.file} to have?", seen=seen, tries=tries)
+        raise DeviceRefusedError(f"which node-ID is {entry.file} to have?", seen=seen, tries=tries)
     return (node_id,)
 
 
@@ -155,7 +157,7 @@ def _model(
     if entry.profile == DRIVE or (entry.profile == AUTOMATIC and is_drive(dictionary)):
         obstacle = drive_obstacle(dictionary)
         if obstacle and entry.profile == DRIVE:
-            raise NotADrive(f"{entry.file} cannot be a simulated drive: {obstacle}", 'profile = "none"')
+            raise NoDriveInFileError(f"{entry.file} cannot be a simulated drive: {obstacle}", 'profile = "none"')
         if not obstacle:
             shape = Shape(entry.shape) if entry.shape else shape_of(description)
             before = dictionary
@@ -181,7 +183,7 @@ def _with_values(dictionary: ObjectDictionary, values: Mapping[str, Any], node_i
             variable = dictionary.variable(key)
             chosen = dictionary.value_from(variable, value)
             variable.encode(chosen)
-        except (NotInDictionary, ValueRangeError) as error:
-            raise DeviceRefused(f"{file}: values: {error}") from None
+        except (NotInDictionaryError, ValueRangeError) as error:
+            raise DeviceRefusedError(f"{file}: values: {error}") from None
         by_mux[variable.mux] = chosen
     return configure(dictionary, by_mux, node_id) if by_mux else dictionary

@@ -8,7 +8,7 @@ from typing import Final
 from canopen_data.configured import without_configured_values
 from canopen_data.description import DeviceDescription
 from canopen_data.drive_from_file import drive_obstacle
-from canopen_master.errors import NotADrive
+from canopen_master.errors import NoDriveInFileError
 from canopen_master.simulation.device_files import shape_of
 from canopen_master.simulation.host import DeviceMaker
 from canopen_master.simulation.serving import drive_maker
@@ -68,10 +68,10 @@ def joint_maker(number: int, node_id: int, file: DriveFile | None) -> DeviceMake
 
 
 def drive_of(description: DeviceDescription, *, defaults: bool = False) -> DriveFile:
-    """Return the drive that a file describes. defaults: drop the values that a DCF configures. Raises NotADrive."""
+    """Return the drive that a file describes. defaults: drop the values that a DCF configures. Raises NoDriveInFileError."""
     dictionary = without_configured_values(description.dictionary) if defaults else description.dictionary
     obstacle = drive_obstacle(dictionary)
     if obstacle:
         failed = f"{description.source} describes no drive that can be moved: {obstacle}"
-        raise NotADrive(failed, f"canopen eds show {description.source}", "the file of a CiA 402 drive")
+        raise NoDriveInFileError(failed, f"canopen eds show {description.source}", "the file of a CiA 402 drive")
     return DriveFile(description.source, dictionary, shape_of(description))

@@ -44,7 +44,7 @@ import trio
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Key, NotInDictionary, ObjectDictionary
+from canopen_proto.dictionary import Key, NotInDictionaryError, ObjectDictionary
 from canopen_proto.error_codes import register_bits_of
 from canopen_proto.explained import Explained
 from canopen_proto.local_node import LocalNode
@@ -73,7 +73,7 @@ class ScriptError(Explained, Exception):
         super().__init__("CO331", f"{place}: {message}", cause="a mistake in the script")
 
 
-class HookAbort(Exception):
+class _HookAbort(Exception):
     """Raised by `ScriptDevice.abort`."""
 
     def __init__(self, code: int) -> None:
@@ -159,14 +159,14 @@ class ScriptDevice:
         return self.node.state is NmtState.OPERATIONAL
 
     def __getitem__(self, key: Key) -> Value:
-        """Return the present value of an object. Raises ObjectNotFound."""
+        """Return the present value of an object. Raises ObjectNotFoundError."""
         self.node.application.refresh(self._owner.now())
         return self.node.values.read(key)
 
     def __setitem__(self, key: Key, value: Value) -> None:
         """Set an object as the device itself. The name of a constant stands for its value.
 
-        Event-driven TPDOs that carry it are sent. Raises ObjectNotFound, or ValueRangeError if it cannot hold the value.
+        Event-driven TPDOs that carry it are sent. Raises ObjectNotFoundError, or ValueRangeError if it cannot hold the value.
         """
         variable = self.dictionary.variable(key)
         value = self.dictionary.value_from(variable, value)
@@ -185,7 +185,7 @@ class ScriptDevice:
 
     def abort(self, code: int = AbortCode.CANNOT_TRANSFER) -> NoReturn:
         """Refuse the access with an SDO abort code; for on_read and on_write."""
-        raise HookAbort(code)
+        raise _HookAbort(code)
 
     def say(self, text: str) -> None:
         """Show a text to the user of the simulation."""
@@ -215,7 +215,7 @@ class Hooks:
             return {index for index in dictionary.objects if index >= FIRST_SERVED}
         try:
             served = {dictionary.variable(key).index for key in listed}
-        except (NotInDictionary, TypeError, ValueError) as error:
+        except (NotInDictionaryError, TypeError, ValueError) as error:
             raise ScriptError(self._script.path, f"OBJECTS: {error}") from None
         if served and min(served) < FIRST_SERVED:
             raise ScriptError(
@@ -295,7 +295,7 @@ class Hooks:
     async def _finish(self, name: str, result: Awaitable[object]) -> tuple[bool, object]:
         try:
             return True, await result
-        except HookAbort as refusal:
+        except _HookAbort as refusal:
             return False, refusal.code
         except Exception as error:  # noqa: BLE001 - foreign code
             self._complain(name, error)
@@ -351,7 +351,7 @@ class Hooks:
             return True, None
         try:
             return True, function(*arguments)
-        except HookAbort as refusal:
+        except _HookAbort as refusal:
             return False, refusal.code
         except Exception as error:  # noqa: BLE001 - foreign code
             self._complain(name, error)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from canopen_master.errors import PlanRefused
+from canopen_master.errors import PlanRefusedError
 from canopen_master.trajectories.scaled_joints import (
     ScaledJoint,
     beyond_limit,
@@ -68,8 +68,9 @@ def point_to_point(
     A joint that starts beyond a position limit may stay there or come back, but not go further. A joint that would leave its
     position limits on its way only because it waits for the others arrives earlier, and rests until they have arrived.
 
-    Raises PlanRefused (with joint, value and limit) for a target beyond a position limit, for a start that is too fast to stop
-    before one, for values that are not finite or not one for each joint, and if ruckig fails; PackageMissing without ruckig.
+    Raises PlanRefusedError (with joint, value and limit) for a target beyond a position limit, for a start that is too fast to
+    stop before one, for values that are not finite or not one for each joint, and if ruckig fails; PackageMissingError without
+    ruckig.
     """
     joints = scaled_joints(start, limits, margin=margin, speed_factor=speed_factor)
     check_values(targets, len(joints), "target")
@@ -78,7 +79,7 @@ def point_to_point(
         if limit is not None:
             raise beyond_limit(number, target, limit, f"joint {number} cannot go to {target:g}", "a target within its limits")
     if not (math.isfinite(minimum_duration) and minimum_duration >= 0.0):
-        raise PlanRefused("minimum_duration must be 0 s or more", value=minimum_duration, seen=repr(minimum_duration))
+        raise PlanRefusedError("minimum_duration must be 0 s or more", value=minimum_duration, seen=repr(minimum_duration))
     ruckig = load_ruckig("planning a motion")
     request = _request(ruckig, joints, start, targets)
     if minimum_duration:

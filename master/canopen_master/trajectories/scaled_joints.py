@@ -14,7 +14,7 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from canopen_master.errors import PackageMissing, PlanRefused, wrong_values
+from canopen_master.errors import PackageMissingError, PlanRefusedError, wrong_values
 from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint
 from canopen_proto.drives.trajectory.limit_check import positions_beyond
 
@@ -46,11 +46,11 @@ class ScaledJoint(NamedTuple):
 
 
 def load_ruckig(task: str) -> Any:
-    """Import ruckig. task: what needs it, for the error. Raises PackageMissing."""
+    """Import ruckig. task: what needs it, for the error. Raises PackageMissingError."""
     try:
         return importlib.import_module("ruckig")
     except ImportError as error:
-        raise PackageMissing("ruckig", "motion", task, error) from error
+        raise PackageMissingError("ruckig", "motion", task, error) from error
 
 
 def scaled_joints(
@@ -60,10 +60,10 @@ def scaled_joints(
 
     margin: this part of acceleration and jerk is not used (0 to below 1). speed_factor: this part of the speed is used (above 0,
     at most 1). A joint that starts beyond a position limit may stay there and come back, but not go further: its limit is then
-    where it starts, as it is for set-points. Raises PlanRefused.
+    where it starts, as it is for set-points. Raises PlanRefusedError.
     """
     if not limits:
-        raise PlanRefused("a motion needs at least one joint", seen="no limits were given")
+        raise PlanRefusedError("a motion needs at least one joint", seen="no limits were given")
     _check_part("margin", margin, 0.0 <= margin < 1.0, "from 0 to below 1")
     _check_part("speed_factor", speed_factor, 0.0 < speed_factor <= 1.0, "above 0 and at most 1")
     for values, kind in zip(start, ("position", "velocity", "acceleration"), strict=True):
@@ -82,12 +82,12 @@ def scaled_joints(
 
 
 def check_values(values: Sequence[float], joints: int, kind: str) -> None:
-    """Raise PlanRefused unless there is one finite value for each joint. kind: in the singular, such as "target"."""
+    """Raise PlanRefusedError unless there is one finite value for each joint. kind: in the singular, such as "target"."""
     if wrong := wrong_values(values, joints):
-        raise PlanRefused(f"there must be one {kind} for each joint", seen=wrong, tries=(f"{joints} values",))
+        raise PlanRefusedError(f"there must be one {kind} for each joint", seen=wrong, tries=(f"{joints} values",))
     for joint, value in enumerate(values):
         if not math.isfinite(value):
-            raise PlanRefused(f"the {kind} of joint {joint} is no finite number", joint=joint, value=value, seen=repr(value))
+            raise PlanRefusedError(f"the {kind} of joint {joint} is no finite number", joint=joint, value=value, seen=repr(value))
 
 
 def position_excess(path: Path, number: int, joint: ScaledJoint) -> tuple[float, float] | None:
@@ -110,25 +110,25 @@ def limit_exceeded(position: float, joint: ScaledJoint) -> float | None:
     return joint.highest if position > joint.highest else None
 
 
-def beyond_limit(number: int, position: float, limit: float, failed: str, remedy: str) -> PlanRefused:
+def beyond_limit(number: int, position: float, limit: float, failed: str, remedy: str) -> PlanRefusedError:
     """Return the error for a position beyond a limit."""
     name = "lowest" if position < limit else "highest"
     seen = f"position {position:g}, its {name} is {limit:g}"
-    return PlanRefused(failed, joint=number, value=position, limit=limit, seen=seen, tries=(remedy,))
+    return PlanRefusedError(failed, joint=number, value=position, limit=limit, seen=seen, tries=(remedy,))
 
 
-def ruckig_refused(error: Exception, task: str) -> PlanRefused:
+def ruckig_refused(error: Exception, task: str) -> PlanRefusedError:
     """Return the error for what ruckig raised."""
     text = str(error).strip().removeprefix("[ruckig]").partition("input:")[0].strip().rstrip(".")
     if _TOO_LONG in text:
-        return PlanRefused(
+        return PlanRefusedError(
             f"ruckig found no {task}",
             cause=f"it would take longer than {MAX_DURATION:g} s",
             tries=("more speed, or several plans",),
         )
     found = _DEGREE_OF_FREEDOM.search(text)
     joint = int(found[1]) if found else None
-    return PlanRefused(
+    return PlanRefusedError(
         f"ruckig found no {task}" + ("" if joint is None else f" for joint {joint}"),
         joint=joint,
         seen=text,
@@ -139,12 +139,12 @@ def ruckig_refused(error: Exception, task: str) -> PlanRefused:
 
 def _check_part(name: str, value: float, is_valid: bool, needed: str) -> None:
     if not is_valid:
-        raise PlanRefused(f"{name} must be {needed}", value=value, seen=repr(value))
+        raise PlanRefusedError(f"{name} must be {needed}", value=value, seen=repr(value))
 
 
 def _bound(joint: int, name: str, limit: float | None) -> float:
     if limit is None or not math.isfinite(limit):
-        raise PlanRefused(
+        raise PlanRefusedError(
             f"joint {joint} has no limit of its {name}", joint=joint, cause="a plan keeps limits, so it needs them all",
             tries=(f"JointLimits(..., {name}=...)",),
         )  # fmt: skip

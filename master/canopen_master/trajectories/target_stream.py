@@ -16,7 +16,7 @@ from collections.abc import Sequence, Set
 from enum import Enum, auto
 from typing import Any, Final, NamedTuple, TypeAlias
 
-from canopen_master.errors import PlanRefused
+from canopen_master.errors import PlanRefusedError
 from canopen_master.trajectories.scaled_joints import ScaledJoint, check_values, load_ruckig, ruckig_refused, scaled_joints
 from canopen_proto.drives.trajectory import JointLimits, PathPoint
 from canopen_proto.drives.trajectory.polynomial import with_constant_jerk
@@ -56,7 +56,8 @@ class TargetStream:
     renew_cycles: the dead man's switch. So many steps may follow a call of `aim_at`, `move_at` or `renew`; the next one stops the
     stream. None: no such switch.
 
-    Until the first goal the stream brakes to rest. Raises PlanRefused for a wrong argument; PackageMissing without ruckig.
+    Until the first goal the stream brakes to rest. Raises PlanRefusedError for a wrong argument; PackageMissingError without
+    ruckig.
     """
 
     def __init__(
@@ -70,9 +71,9 @@ class TargetStream:
     ) -> None:
         self._joints = scaled_joints(start, limits, speed_factor=speed_factor)
         if not (math.isfinite(cycle_time) and cycle_time > 0.0):
-            raise PlanRefused("cycle_time must be above 0 s", value=cycle_time, seen=repr(cycle_time))
+            raise PlanRefusedError("cycle_time must be above 0 s", value=cycle_time, seen=repr(cycle_time))
         if renew_cycles is not None and renew_cycles < 1:
-            raise PlanRefused("renew_cycles must be 1 or more", value=renew_cycles, seen=repr(renew_cycles))
+            raise PlanRefusedError("renew_cycles must be 1 or more", value=renew_cycles, seen=repr(renew_cycles))
         self._ruckig: Any = load_ruckig("a stream of targets")
         self._renew_cycles = renew_cycles
         self._unrenewed = 0
@@ -84,7 +85,7 @@ class TargetStream:
             ((joint.lowest - joint.origin) / joint.unit, (joint.highest - joint.origin) / joint.unit) for joint in self._joints
         ]
         self._is_given = False  # ruckig has the goal
-        self.failure: PlanRefused | None = None
+        self.failure: PlanRefusedError | None = None
         """Why ruckig failed; the stream has then stopped. None as long as all is well."""
         count = len(self._joints)
         self._generator = self._ruckig.Ruckig(count, cycle_time)
@@ -116,8 +117,8 @@ class TargetStream:
     def aim_at(self, targets: Sequence[float]) -> None:
         """Go to these positions, one for each joint, and rest there. A target beyond a position limit counts as that limit.
 
-        Raises PlanRefused for values that are not finite or not one for each joint (the goal before stays), and if the stream has
-        ended.
+        Raises PlanRefusedError for values that are not finite or not one for each joint (the goal before stays), and if the
+        stream has ended.
         """
         self._check("target", targets)
         self._goal, self._is_given = _StreamGoal.POSITIONS, False
@@ -180,7 +181,7 @@ class TargetStream:
     def step(self) -> PathPoint:
         """Go on by one cycle, and return where the joints are to be at its end, how fast, and how they accelerate.
 
-        If ruckig fails, the stream stops and `failure` says why. Raises PlanRefused if it fails even then.
+        If ruckig fails, the stream stops and `failure` says why. Raises PlanRefusedError if it fails even then.
         """
         if self._renew_cycles is not None and not self._is_stopping:
             self._unrenewed += 1
@@ -190,7 +191,7 @@ class TargetStream:
             return self._point
         try:
             states = self._moved()
-        except PlanRefused as failure:
+        except PlanRefusedError as failure:
             self.failure = failure
             self.stop()
             states = self._stepped({*range(len(self._joints))}, set())
@@ -205,7 +206,7 @@ class TargetStream:
 
     def _check(self, kind: str, values: Sequence[float]) -> None:
         if self._is_stopping:
-            raise PlanRefused(
+            raise PlanRefusedError(
                 "the stream has ended", cause="it was stopped, or was not renewed in time", tries=("start another one",)
             ) from self.failure
         check_values(values, len(self._joints), kind)

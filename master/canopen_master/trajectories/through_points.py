@@ -18,7 +18,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Final
 
-from canopen_master.errors import PlanRefused
+from canopen_master.errors import PlanRefusedError
 from canopen_master.trajectories.path_speed import Bend, SmoothedMotion, fastest_profile
 from canopen_master.trajectories.point_to_point import MARGIN
 from canopen_master.trajectories.scaled_joints import ScaledJoint, beyond_limit, check_values, position_excess, scaled_joints
@@ -53,10 +53,11 @@ def through_points(
     of `point_to_point`. The path goes exactly through the points, along a cubic spline; between them it may swing beyond them,
     and so beyond a position limit, which is refused: points that are closer together keep it nearer.
 
-    Raises PlanRefused with the joint, and value and limit where there are such; the first point may be beyond a position limit.
+    Raises PlanRefusedError with the joint, and value and limit where there are such; the first point may be beyond a position
+    limit.
     """
     if len(points) < 2:
-        raise PlanRefused("a path needs at least two points", seen=f"{len(points)}")
+        raise PlanRefusedError("a path needs at least two points", seen=f"{len(points)}")
     start = PathPoint(list(points[0]), [0.0] * len(points[0]), [0.0] * len(points[0]))
     joints = scaled_joints(start, limits, margin=margin, speed_factor=speed_factor)
     for number, point in enumerate(points):
@@ -85,7 +86,7 @@ def _places(points: Sequence[Sequence[float]], joints: Sequence[ScaledJoint]) ->
     ]
     for number, step in enumerate(steps):
         if step < NEAREST:
-            raise PlanRefused(
+            raise PlanRefusedError(
                 f"points {number} and {number + 1} are the same, or nearly (counted from 0)",
                 cause="a path through points does not stop at them",
                 tries=("leave one of them out", "for a stop there: two paths, one after the other"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from canopen_master.errors import MasterClosed
+from canopen_master.errors import MasterClosedError
 from canopen_ros.chain_bridge import ChainBridge
 from canopen_ros.goals import Feedback, GoalCode, GoalOutcome, GoalResult, Tolerance, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.names import FOLLOW
@@ -37,7 +37,7 @@ class TrajectoryAction:
             self._portal.post(self._chain.cancel, goal.goal)
 
     async def _follow(self, goal_id: str, goal: _Goal) -> None:
-        result = GoalResult(GoalCode.INVALID_GOAL, str(MasterClosed()), GoalOutcome.ABORTED)
+        result = GoalResult(GoalCode.INVALID_GOAL, str(MasterClosedError()), GoalOutcome.ABORTED)
         try:
             if goal.is_cancelled:  # before it has begun
                 result = GoalResult(GoalCode.SUCCESSFUL, "it was cancelled", GoalOutcome.PREEMPTED)

@@ -15,7 +15,7 @@ from typing import Final
 
 import trio
 
-from canopen_master.errors import MasterClosed, MasterError
+from canopen_master.errors import MasterClosedError, MasterError
 from canopen_proto.machine import SECOND
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.chain_bridge import ChainBridge
@@ -33,7 +33,7 @@ from canopen_ros.names import (
     TRAJECTORY,
     Name,
 )
-from canopen_ros.parameters import BEST_EFFORT, NodeParameters, NoMachine, ParameterError
+from canopen_ros.parameters import BEST_EFFORT, NodeParameters, NoMachineError, ParameterError
 from canopen_ros.reply import Reply
 from canopen_ros.ros1 import messages
 from canopen_ros.ros1.action import TrajectoryAction, trajectory_goal
@@ -94,7 +94,7 @@ class BridgeInterface:
         def handle(request: Message) -> Message:
             try:
                 reply = answer(request)
-            except MasterClosed as error:
+            except MasterClosedError as error:
                 reply = Reply(False, str(error))
             return response(**{field: getattr(reply, field) for field in fields})
 
@@ -232,7 +232,7 @@ def main() -> int:
         parameters = parameters_of(arguments)
         with core:
             trio.run(run, parameters, core)
-    except NoMachine:
+    except NoMachineError:
         print(NO_FILE)
         return 1
     except MasterError as error:

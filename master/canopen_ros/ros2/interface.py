@@ -29,7 +29,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryType
 
-from canopen_master.errors import MasterClosed
+from canopen_master.errors import MasterClosedError
 from canopen_ros import names
 from canopen_ros.bridge import Bridge
 from canopen_ros.chain_bridge import ChainBridge
@@ -250,7 +250,7 @@ class Interface:
 
     def _tell_failure(self, future: Future[Any]) -> None:
         error = future.exception()
-        if error is not None and not isinstance(error, MasterClosed):  # the node ends: no news
+        if error is not None and not isinstance(error, MasterClosedError):  # the node ends: no news
             self._outgoing.put(self._log_error, f"{error}")
 
 

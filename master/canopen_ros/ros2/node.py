@@ -54,11 +54,11 @@ PATIENCE: Final = 2.0
 """Seconds for the executor's last callbacks at the end of the node, and for its thread."""
 
 
-class NotOff(Exception):
+class DrivesNotOffError(Exception):
     """Drives that did not confirm that they stand, or are off."""
 
 
-EXPECTED: Final = (*COMMAND_ERRORS, NotOff, DataError, DictionaryError, OSError)
+EXPECTED: Final = (*COMMAND_ERRORS, DrivesNotOffError, DataError, DictionaryError, OSError)
 """A transition that raises one of these says its text; from anything else, a traceback is more use."""
 
 
@@ -80,7 +80,8 @@ class BridgeTask:
         return bridge
 
     async def close(self) -> None:
-        """Halt the drives, shut them down, and close the buses. Raises HaltNotConfirmed for a drive that does not confirm it."""
+        """Halt the drives, shut them down, and close the buses. Raises HaltNotConfirmedError for a drive that does not confirm
+        it."""
         if self._closing is None:
             return
         self._closing.set()
@@ -226,7 +227,7 @@ class CanopenNode(LifecycleNode):
 
 
 async def _power_off(bridge: Bridge) -> None:
-    """Halt all chains and shut their drives down, side by side. Raises NotOff with the texts of what failed."""
+    """Halt all chains and shut their drives down, side by side. Raises DrivesNotOffError with the texts of what failed."""
     failures: list[str] = []
 
     async def power_off(chain: ChainBridge) -> None:
@@ -239,7 +240,7 @@ async def _power_off(bridge: Bridge) -> None:
         for chain in bridge.chains.values():
             nursery.start_soon(power_off, chain)
     if failures:
-        raise NotOff("\n".join(failures))
+        raise DrivesNotOffError("\n".join(failures))
 
 
 async def _run(arguments: Sequence[str]) -> int:

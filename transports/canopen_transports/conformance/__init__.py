@@ -12,7 +12,7 @@
         case.run(Site(my_bus))
 
 `canopen_transports.transport` states the promises. No pytest is needed: `run_all` gives a verdict for each case.
-`TransportCase.run` raises `NotApplicable`, or `Violation`: an AssertionError that says what was expected and what was seen.
+`TransportCase.run` raises `NotApplicable`, or `ViolationError`: an AssertionError that says what was expected and what was seen.
 
     bench.py        Site, SiteBus: where a transport is tried; TransportBench: the tools of a case
     frames.py       the frames that are sent, and how a case says which it expects; the rest: canopen_proto/verdict.py
@@ -25,9 +25,9 @@ No case waits to see that nothing comes: a later frame proves that nothing came 
 cannot show whether a frame that a bus took reaches the other end of a real cable.
 """
 
-from canopen_proto.verdict import NotApplicable, Violation
+from canopen_proto.verdict import NotApplicable, ViolationError
 from canopen_transports.conformance.bench import Site, SiteBus, at, openings
 from canopen_transports.conformance.case import TransportCase
 from canopen_transports.conformance.catalogue import CASES, run_all
 
-__all__ = ["CASES", "NotApplicable", "Site", "SiteBus", "TransportCase", "Violation", "at", "openings", "run_all"]
+__all__ = ["CASES", "NotApplicable", "Site", "SiteBus", "TransportCase", "ViolationError", "at", "openings", "run_all"]

@@ -12,7 +12,7 @@ from typing import Final, TypeAlias, TypeVar
 import trio
 
 from canopen_proto.frame import Frame
-from canopen_proto.verdict import Violation, does_not_apply, expect
+from canopen_proto.verdict import ViolationError, does_not_apply, expect
 from canopen_transports.conformance.frames import END, number_of
 from canopen_transports.errors import ReceiveOverrun
 from canopen_transports.opening import open_transport
@@ -129,10 +129,10 @@ class TransportBench:
         self.nursery.start_soon(_say, member, frames)
 
     async def hear(self, member: Transport) -> Received:
-        """Return the next frame; skip reports of the bus's state. Raises Violation if none comes, or if frames were lost."""
+        """Return the next frame; skip reports of the bus's state. Raises ViolationError if none comes, or if frames were lost."""
         received = await self._next(member)
         if isinstance(received, ReceiveOverrun):
-            raise Violation(f"{received.failed}: {received.seen}")
+            raise ViolationError(f"{received.failed}: {received.seen}")
         return received
 
     async def _next(self, member: Transport) -> Received | ReceiveOverrun:
@@ -141,7 +141,7 @@ class TransportBench:
                 received = await member.receive()
                 if isinstance(received, tuple | ReceiveOverrun):
                     return received
-        raise Violation(f"a frame that was sent did not come within {HEAR_TIME:g} s")
+        raise ViolationError(f"a frame that was sent did not come within {HEAR_TIME:g} s")
 
     async def numbers(self, member: Transport, count: int) -> list[int]:
         """Return the numbers of the next `count` frames."""
@@ -149,10 +149,10 @@ class TransportBench:
         try:
             while len(numbers) < count:
                 numbers.append(number_of((await self.hear(member))[0]))
-        except Violation as nothing:
+        except ViolationError as nothing:
             if not numbers:
                 raise
-            raise Violation(
+            raise ViolationError(
                 f"{len(numbers)} of {count} frames came, the last ones {numbers[-5:]}, then nothing more"
             ) from nothing
         return numbers
@@ -172,8 +172,10 @@ class TransportBench:
         while heard + told < count:
             try:
                 received = await self._next(member)
-            except Violation as nothing:
-                raise Violation(f"of {count} frames {heard} came and {told} were reported lost, then nothing more") from nothing
+            except ViolationError as nothing:
+                raise ViolationError(
+                    f"of {count} frames {heard} came and {told} were reported lost, then nothing more"
+                ) from nothing
             if isinstance(received, ReceiveOverrun):
                 expect(received.lost > 0, f"an overrun of {received.lost} frames")
                 told += received.lost

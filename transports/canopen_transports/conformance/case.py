@@ -4,7 +4,7 @@ The body of a case gets a `TransportBench` with a fresh bus and states what it e
 first expectation that is not met ends it. A case ends in one of these ways:
 
     it returns              passed
-    Violation               failed: the transport broke a promise, or left something behind
+    ViolationError          failed: the transport broke a promise, or left something behind
     NotApplicable           the transport lacks the feature that the case is about
     anything else           failed: a transport raises only what the contract allows
 """
@@ -19,7 +19,7 @@ from typing import Final, TypeAlias
 import trio
 import trio.testing
 
-from canopen_proto.verdict import NotApplicable, Result, Verdict, Violation, expect
+from canopen_proto.verdict import NotApplicable, Result, Verdict, ViolationError, expect
 from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import Site, TransportBench
 
@@ -47,7 +47,7 @@ class TransportCase:
         try:
             trio.run(self._in_trio, site, clock=clock)
         except trio.TooSlowError as error:
-            raise Violation(f"{self.title}: the case hangs; it was not over after {LIMIT:g} s") from error
+            raise ViolationError(f"{self.title}: the case hangs; it was not over after {LIMIT:g} s") from error
         except BaseExceptionGroup as group:
             failure = group
             while isinstance(failure, BaseExceptionGroup):
@@ -60,7 +60,7 @@ class TransportCase:
             self.run(site)
         except NotApplicable as reason:
             return Verdict(Result.NOT_APPLICABLE, str(reason))
-        except Violation as violation:
+        except ViolationError as violation:
             return Verdict(Result.FAILED, str(violation))
         except Exception as error:  # noqa: BLE001 - a faulty transport may raise anything
             return Verdict(Result.FAILED, f"{type(error).__name__}: {error}")

@@ -9,7 +9,7 @@ from typing import Final
 import trio
 import trio.testing
 
-from canopen_proto.verdict import Violation
+from canopen_proto.verdict import ViolationError
 from canopen_transports.conformance.bench import TransportBench, turns
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import END, expect_numbers, numbered
@@ -22,12 +22,12 @@ MANY: Final = 20_000
 
 
 async def _expect_closed(call: Callable[[], Awaitable[object]], what: str) -> None:
-    """Raise Violation unless the call raises ClosedResourceError."""
+    """Raise ViolationError unless the call raises ClosedResourceError."""
     try:
         await call()
     except trio.ClosedResourceError:
         return
-    raise Violation(f"{what} returned, instead of raising trio.ClosedResourceError")
+    raise ViolationError(f"{what} returned, instead of raising trio.ClosedResourceError")
 
 
 async def _hear_on(member: Transport, on_frame: Callable[[], None]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_proto.frame import EXTENDED, REMOTE, Frame
-from canopen_proto.verdict import Violation
+from canopen_proto.verdict import ViolationError
 
 EVERY_KIND: Final = (
     *(Frame(0x580 + length, bytes(range(length))) for length in range(9)),
@@ -40,7 +40,8 @@ def number_of(frame: Frame) -> int:
 
 
 def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
-    """Raise Violation unless the lists are equal. Its text shows where they differ, and which numbers are missing or surplus."""
+    """Raise ViolationError unless the lists are equal. Its text shows where they differ, and which numbers are missing or
+    surplus."""
     if seen == expected:
         return
     place = next(
@@ -48,7 +49,7 @@ def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
     )
     missing, surplus = sorted(set(expected) - set(seen)), sorted(set(seen) - set(expected))
     twice = len(seen) - len(set(seen))
-    raise Violation(
+    raise ViolationError(
         f"{what}: {len(seen)} frames instead of {len(expected)}; from place {place} on {seen[place : place + 5]} instead of "
         f"{expected[place : place + 5]}; missing {missing[:5]}, surplus {surplus[:5]}, {twice} more than once"
     )

@@ -11,7 +11,7 @@ import trio
 
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import MILLISECOND
-from canopen_proto.verdict import Violation, does_not_apply, expect
+from canopen_proto.verdict import ViolationError, does_not_apply, expect
 from canopen_transports.conformance.bench import HEAR_TIME, TransportBench
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import END, IMPOSSIBLE, expect_numbers, number_of, numbered
@@ -77,7 +77,7 @@ async def many_at_once(bench: TransportBench) -> None:
     await other.aclose()
     with suppress(trio.ClosedResourceError):
         await other.receive_many(1)
-        raise Violation("receive_many on a closed transport returned, instead of raising trio.ClosedResourceError")
+        raise ViolationError("receive_many on a closed transport returned, instead of raising trio.ClosedResourceError")
 
 
 @case
@@ -100,7 +100,7 @@ async def what_has_come(bench: TransportBench) -> None:
     await other.aclose()
     with suppress(trio.ClosedResourceError):
         other.receive_nowait(1)
-        raise Violation("receive_nowait on a closed transport returned, instead of raising trio.ClosedResourceError")
+        raise ViolationError("receive_nowait on a closed transport returned, instead of raising trio.ClosedResourceError")
 
 
 @case

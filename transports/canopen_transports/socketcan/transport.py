@@ -14,8 +14,8 @@ again each ROOM_POLL.
 **Reports.** An error frame becomes a `BusStateChanged` if it reports something new. If the interface goes down, we look each
 UP_POLL until it is up again; after an adapter was plugged in again, that is a new interface of the same name. Frames may be
 missing between the two reports, DOWN and UP; frames from before DOWN are handed out first. While the bus is away, sending raises
-`FrameNotSent`. It also raises it at bus-off, where the kernel accepts frames and silently drops them. The interface's carrier
-shows a bus-off that came before we listened, or whose error frame was lost.
+`FrameNotSentError`. It also raises it at bus-off, where the kernel accepts frames and silently drops them. The interface's
+carrier shows a bus-off that came before we listened, or whose error frame was lost.
 
 **Filters.** With `?filter=ids` the kernel lets through only what the caller asks for by `set_filters`; a master's pump asks for
 the CAN-IDs that its machines want. That spares wake-ups for other frames, but hides the other nodes from error messages.
@@ -44,7 +44,7 @@ from canopen_transports.errors import (
     BUS_LOST,
     BusState,
     BusStateChanged,
-    FrameNotSent,
+    FrameNotSentError,
     ReceiveOverrun,
     Report,
 )
@@ -139,7 +139,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         """Hand the frame to the kernel. Waits up to ROOM_TIME for room, then raises TransportError (CO110) with the likely
         causes.
 
-        Raises FrameNotSent while the interface is down or the controller bus-off.
+        Raises FrameNotSentError while the interface is down or the controller bus-off.
         """
         check_frame(frame)
         await trio.lowlevel.checkpoint_if_cancelled()
@@ -183,13 +183,15 @@ class SocketCanTransport(trio.abc.AsyncResource):
                 with suppress(trio.ClosedResourceError), trio.move_on_at(give_up):
                     await trio.lowlevel.wait_writable(self._socket)
 
-    def _not_sent(self, frame: Frame) -> FrameNotSent:
+    def _not_sent(self, frame: Frame) -> FrameNotSentError:
         if self.state is BusState.BUS_OFF:
-            return FrameNotSent.because(
+            return FrameNotSentError.because(
                 diagnosis.not_acknowledged(self._locator, f"send {frame}", self.last_error, self.received)
             )
         seen, cause, tries = self._why_away()
-        return FrameNotSent(BUS_LOST, self.locator, f"cannot send {frame} on {self.locator}", seen=seen, cause=cause, tries=tries)
+        return FrameNotSentError(
+            BUS_LOST, self.locator, f"cannot send {frame} on {self.locator}", seen=seen, cause=cause, tries=tries
+        )
 
     # ---- receiving ----
 

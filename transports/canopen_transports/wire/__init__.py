@@ -9,7 +9,7 @@ Time is ns on any monotonic clock, and an argument, as in the core.
 
 from canopen_proto.frame_bits import duration, frame_bits, least_bits, worst_bits
 from canopen_transports.wire.faults import FaultKind, FaultRates
-from canopen_transports.wire.member import QueueFull, QueueOrder, WireMember
+from canopen_transports.wire.member import QueueFullError, QueueOrder, WireMember
 from canopen_transports.wire.reports import Delivery, FaultHappened, StateReported, WireEvent
 from canopen_transports.wire.response_time import PeriodicMessage, ResponseTime, response_times
 from canopen_transports.wire.wire import Wire, WireSettings
@@ -20,7 +20,7 @@ __all__ = [
     "FaultKind",
     "FaultRates",
     "PeriodicMessage",
-    "QueueFull",
+    "QueueFullError",
     "QueueOrder",
     "ResponseTime",
     "StateReported",

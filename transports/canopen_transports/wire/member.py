@@ -33,7 +33,7 @@ class QueueOrder(Enum):
     PRIORITY = "priority"
 
 
-class QueueFull(LocalProtocolError):
+class QueueFullError(LocalProtocolError):
     """A member's transmit queue has no room for this frame."""
 
 
@@ -111,9 +111,9 @@ class WireMember:
         return self.queued < self.size
 
     def put(self, frame: Frame, now: Time) -> None:
-        """Queue a frame. Raises QueueFull if there is no room."""
+        """Queue a frame. Raises QueueFullError if there is no room."""
         if not self.has_room:
-            raise QueueFull(f"the transmit queue of member {self.number} is full: {self.size} frames")
+            raise QueueFullError(f"the transmit queue of member {self.number} is full: {self.size} frames")
         waiting = WaitingFrame(arbitration(frame), self._queued, frame, now)
         self._queued += 1
         if self._order is QueueOrder.FIFO:

@@ -151,7 +151,7 @@ class Wire:
             self._forget(segment, member)
 
     def send(self, member: WireMember, frame: Frame, now: Time) -> None:
-        """Queue a frame. Raises QueueFull if there is no room, LocalProtocolError if the member is bus-off or has left."""
+        """Queue a frame. Raises QueueFullError if there is no room, LocalProtocolError if the member is bus-off or has left."""
         self._advance(now)
         if not member.joined or member.state is BusState.BUS_OFF:
             raise LocalProtocolError(f"{member!r} cannot send: it is {member.state.value if member.joined else 'gone'}")
