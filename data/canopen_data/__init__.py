@@ -36,7 +36,7 @@ __all__ = [
     "read",
     "read_chain_file",
     "text_of",
-    "user_directory",
+    "user_folder",
 ]
 
 DICTIONARY_FILES: Final = ("indices.csv", "constants.csv", "PDOs.csv")
@@ -75,12 +75,12 @@ class Copied:
     action: str
 
 
-def user_directory(directory: str | Path | None = None) -> Path | None:
+def user_folder(folder: str | Path | None = None) -> Path | None:
     """Return the folder of the user's own files: the argument, else $CANOPEN_DATA, else ~/.canopen if it exists, else None.
 
     Raises DataError if a folder that was asked for by name does not exist.
     """
-    named, origin = directory, ""
+    named, origin = folder, ""
     if named is None:
         named, origin = os.environ.get(ENVIRONMENT_VARIABLE), f" (${ENVIRONMENT_VARIABLE})"
     if not named:
@@ -94,12 +94,12 @@ def user_directory(directory: str | Path | None = None) -> Path | None:
     return path
 
 
-def read(name: str, directory: str | Path | None = None) -> DataFile:
+def read(name: str, folder: str | Path | None = None) -> DataFile:
     """Return a data file by its name: the user's own, else the installed one.
 
     Raises DataError if there is neither (it lists the installed ones), or if it cannot be read.
     """
-    folder = user_directory(directory)
+    folder = user_folder(folder)
     installed = name in (*DICTIONARY_FILES, *CHAIN_FILES)
     if folder is not None:
         own = folder / name
@@ -115,14 +115,14 @@ def read(name: str, directory: str | Path | None = None) -> DataFile:
     return DataFile(name, text, f"installed {name}")
 
 
-def read_chain_file(name: str | Path, directory: str | Path | None = None) -> DataFile:
+def read_chain_file(name: str | Path, folder: str | Path | None = None) -> DataFile:
     """Return a chain file by its path or, if there is no such file, by its name (see `read`). Raises DataError."""
     path = expanded(name)
     text = text_of(path, str(path))
-    return read(str(name), directory) if text is None else DataFile(path.name, text, str(path))
+    return read(str(name), folder) if text is None else DataFile(path.name, text, str(path))
 
 
-def load_dictionary(directory: str | Path | None = None) -> tuple[ObjectDictionary, list[Finding]]:
+def load_dictionary(folder: str | Path | None = None) -> tuple[ObjectDictionary, list[Finding]]:
     """Return the object dictionary of indices.csv, constants.csv and PDOs.csv, and what was found: notices first, then warnings.
 
     A user's indices.csv may have fewer objects than the installed one: lines of installed files about the missing objects are
@@ -130,7 +130,7 @@ def load_dictionary(directory: str | Path | None = None) -> tuple[ObjectDictiona
 
     Raises DataError if a file cannot be read, and DictionaryError, which holds all errors of the user's files.
     """
-    files = [read(name, directory) for name in DICTIONARY_FILES]
+    files = [read(name, folder) for name in DICTIONARY_FILES]
     notices = [each.notice for each in files if each.notice is not None]
     try:
         dictionary, warnings = _load(files)
@@ -166,19 +166,19 @@ def _without(file: DataFile, errors: Iterable[Finding], notices: list[Finding]) 
     return replace(file, text="\n".join("" if number in unfit else line for number, line in enumerate(lines, start=1)))
 
 
-def init(target: str | Path | None = None, *, force: bool = False) -> list[Copied]:
-    """Copy the installed files to `target` ($CANOPEN_DATA, else ~/.canopen) and return what was done with each.
+def init(folder: str | Path | None = None, *, force: bool = False) -> list[Copied]:
+    """Copy the installed files to `folder` ($CANOPEN_DATA, else ~/.canopen) and return what was done with each.
 
     An existing file stays as it is, unless force is given. Raises DataError if the folder or a file cannot be written; files
     copied before that stay.
     """
-    folder = _target(target)
+    goal = _target(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return [_copy(name, folder / name, force) for name in (*DICTIONARY_FILES, *CHAIN_FILES)]
+        goal.mkdir(parents=True, exist_ok=True)
+        return [_copy(name, goal / name, force) for name in (*DICTIONARY_FILES, *CHAIN_FILES)]
     except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
         hint = "`canopen data init --to FOLDER` copies them to another folder"
-        raise DataError(f"cannot copy the data files to {folder}: {error}", hint) from None
+        raise DataError(f"cannot copy the data files to {goal}: {error}", hint) from None
 
 
 def _copy(name: str, path: Path, force: bool) -> Copied:

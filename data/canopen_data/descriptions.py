@@ -51,16 +51,14 @@ def load_description(path: str | Path, *, strict: bool = False) -> DeviceDescrip
     return read_description(read_file(path), str(path), strict=strict)
 
 
-def load_description_with_names(
-    path: str | Path, *, overlay: bool = True, directory: str | Path | None = None
-) -> DeviceDescription:
+def load_description_with_names(path: str | Path, *, overlay: bool = True, folder: str | Path | None = None) -> DeviceDescription:
     """Do as `load_description`, and lay aliases and constants of the data files over the dictionary; see `with_names`.
 
-    overlay: False keeps only the file's own names. directory: of the user's data files. Raises also what `load_dictionary`
+    overlay: False keeps only the file's own names. folder: of the user's data files. Raises also what `load_dictionary`
     raises.
     """
     description = load_description(path)
-    return with_names(description, load_dictionary(directory)[0]) if overlay else description
+    return with_names(description, load_dictionary(folder)[0]) if overlay else description
 
 
 def with_names(description: DeviceDescription, names: ObjectDictionary) -> DeviceDescription:

@@ -156,14 +156,16 @@ class OtherTraffic:
     errors: Time = NEVER
 
 
-def streams_of(joints: Sequence[Exchange], cycle: Time, background: OtherTraffic) -> tuple[Stream, ...]:
+def streams_of(joints: Sequence[Exchange], cycle_time: Time, background: OtherTraffic) -> tuple[Stream, ...]:
     """Return all streams on a bus with these joints. Raises LocalProtocolError if two have the same identifier."""
-    streams = [Stream("SYNC", "SYNC", 0, SYNC, int(background.sync_counter), cycle, cycle)]
+    streams = [Stream("SYNC", "SYNC", 0, SYNC, int(background.sync_counter), cycle_time, cycle_time)]
     for joint in joints:
         for kind, pdos in (("RPDO", joint.rpdo), ("TPDO", joint.tpdo)):
             reaction = background.reaction if kind == "TPDO" else 0
             for can_id, size in pdos:
-                streams.append(Stream(kind, f"{kind} {joint.name}", joint.node_id, can_id, size, cycle, cycle, reaction))
+                streams.append(
+                    Stream(kind, f"{kind} {joint.name}", joint.node_id, can_id, size, cycle_time, cycle_time, reaction)
+                )
         for can_id, size, period in joint.events:
             streams.append(Stream("event", f"TPDO {joint.name} (event)", joint.node_id, can_id, size, period, period))
         rare = (("heartbeat", ERROR_CONTROL, 1, background.heartbeat), ("EMCY", EMCY, 8, background.emcy))
@@ -205,17 +207,17 @@ def _message(stream: Stream, bitrate: int, order: QueueOrder) -> PeriodicMessage
 
 
 def bus_timing(
-    bus: str, joints: Sequence[Exchange], cycle: Time, bitrate: int, background: OtherTraffic = OtherTraffic()
+    bus: str, joints: Sequence[Exchange], cycle_time: Time, bitrate: int, background: OtherTraffic = OtherTraffic()
 ) -> BusTiming:
-    """Analyse a bus with these joints: whether all streams fit, and their latencies. cycle: ns. bitrate: bit/s."""
-    streams = streams_of(joints, cycle, background)
+    """Analyse a bus with these joints: whether all streams fit, and their latencies. cycle_time: ns. bitrate: bit/s."""
+    streams = streams_of(joints, cycle_time, background)
     found = bounds(streams, bitrate, background.order, background.errors)
     worst, load = simulate(streams, bitrate, background.order)
     plans = tuple(StreamTiming(stream, each.worst, worst.get(stream.can_id)) for stream, each in zip(streams, found, strict=True))
     return BusTiming(
         bus,
         bitrate,
-        cycle,
+        cycle_time,
         plans,
         utilisation([each.message for each in found]),
         load,

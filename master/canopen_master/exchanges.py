@@ -128,10 +128,10 @@ class Room(NamedTuple):
     tpdos: int
 
 
-def room_for(joints: Sequence[Exchange], cycle: Time, bitrate: int, background: OtherTraffic = BESIDE) -> Room:
-    """Look whether SYNC and all PDOs fit into each cycle; see this module's text. cycle: ns. bitrate: bit/s."""
+def room_for(joints: Sequence[Exchange], cycle_time: Time, bitrate: int, background: OtherTraffic = BESIDE) -> Room:
+    """Look whether SYNC and all PDOs fit into each cycle; see this module's text. cycle_time: ns. bitrate: bit/s."""
     wire = Wire(WireSettings(bitrate=bitrate))
     rpdos, tpdos = [each for joint in joints for each in joint.rpdo], [each for joint in joints for each in joint.tpdo]
     sizes = [int(background.sync_counter), *(size for _, size in (*rpdos, *tpdos))]
     needed = sum(wire.time_of(worst_bits(size)) for size in sizes)
-    return Room(fits(streams_of(joints, cycle, background), bitrate, background), needed, len(rpdos), len(tpdos))
+    return Room(fits(streams_of(joints, cycle_time, background), bitrate, background), needed, len(rpdos), len(tpdos))

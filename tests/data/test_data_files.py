@@ -195,15 +195,15 @@ def test_the_argument_goes_before_the_environment_and_that_before_the_home_folde
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folders = [home / ".canopen", tmp_path / "environment", tmp_path / "argument"]
-    assert canopen_data.user_directory() is None
+    assert canopen_data.user_folder() is None
     for folder in folders:
         folder.mkdir()
-    assert canopen_data.user_directory() == folders[0]
+    assert canopen_data.user_folder() == folders[0]
     monkeypatch.setenv("CANOPEN_DATA", str(folders[1]))
-    assert canopen_data.user_directory() == folders[1]
-    assert canopen_data.user_directory(folders[2]) == folders[2]
-    assert canopen_data.user_directory(str(folders[2])) == folders[2]
-    assert canopen_data.user_directory("~/.canopen") == folders[0]
+    assert canopen_data.user_folder() == folders[1]
+    assert canopen_data.user_folder(folders[2]) == folders[2]
+    assert canopen_data.user_folder(str(folders[2])) == folders[2]
+    assert canopen_data.user_folder("~/.canopen") == folders[0]
     assert canopen_data.load_dictionary(folders[2])[0].source == "installed indices.csv"  # nothing of the user's there
 
 

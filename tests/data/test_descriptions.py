@@ -99,7 +99,7 @@ def described(folder: Path, device_type: str) -> DeviceDescription:
     )
     content = "".join(VAR.format(index, name, line.format(value) + ' uniqueIDRef="P"') for index, name, value in objects)
     path.write_bytes(xdd(content, process))
-    return load_description_with_names(path, directory=folder)
+    return load_description_with_names(path, folder=folder)
 
 
 def test_a_drive_gets_all_names(tmp_path: Path) -> None:

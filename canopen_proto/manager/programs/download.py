@@ -295,11 +295,11 @@ def updating(
     return update
 
 
-def least_duration(size: int, bit_rate: int, *, blocks: bool = True) -> Time:
-    """Return the least time that the data of a program take on an empty bus, in ns. bit_rate: in bit/s. Devices take longer."""
+def least_duration(size: int, bitrate: int, *, blocks: bool = True) -> Time:
+    """Return the least time that the data of a program take on an empty bus, in ns. bitrate: in bit/s. Devices take longer."""
     segments = -(-size // SEGMENT_SIZE)
     frames = segments + 2 * -(-segments // MAX_BLOCK_SIZE) if blocks else 2 * segments
-    return duration(frames * least_bits(8), bit_rate)
+    return duration(frames * least_bits(8), bitrate)
 
 
 @dataclass(slots=True)

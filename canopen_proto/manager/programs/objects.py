@@ -96,44 +96,44 @@ class ProgramFound(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ProgramObjects:
-    """The objects of one program of a node. Limits are in ns; at the limit, NotReachedError is raised."""
+    """The objects of one program of a node. timeout: ns, after which NotReachedError is raised."""
 
     node: RemoteNode
     program: int
 
-    def found(self, patience: Time) -> Procedure[ProgramFound]:
-        """Return what the device has. patience: for each object."""
-        status = yield from self.settled(max(LEFTOVER_TIME, patience))
-        control = yield from self.control(patience)
-        return ProgramFound(control, (yield from self.identity(patience)), status)
+    def found(self, timeout: Time) -> Procedure[ProgramFound]:
+        """Return what the device has. timeout: for each object."""
+        status = yield from self.settled(max(LEFTOVER_TIME, timeout))
+        control = yield from self.control(timeout)
+        return ProgramFound(control, (yield from self.identity(timeout)), status)
 
-    def control(self, limit: Time, wanted: Collection[int | None] = ()) -> Procedure[int | None]:
+    def control(self, timeout: Time, wanted: Collection[int | None] = ()) -> Procedure[int | None]:
         """Return 0x1F51, None if the device does not have it. wanted: wait until it is one of these."""
-        return (yield from self._await(indices.PROGRAM_CONTROL, lambda value: not wanted or value in wanted, limit))
+        return (yield from self._await(indices.PROGRAM_CONTROL, lambda value: not wanted or value in wanted, timeout))
 
-    def identification(self, limit: Time) -> Procedure[int | None]:
+    def identification(self, timeout: Time) -> Procedure[int | None]:
         """Return 0x1F56; None if it cannot be read: without a program some devices refuse."""
-        return (yield from self._await(indices.PROGRAM_SOFTWARE, lambda value: True, limit, refusal_is_none=True))
+        return (yield from self._await(indices.PROGRAM_SOFTWARE, lambda value: True, timeout, refusal_is_none=True))
 
-    def identity(self, limit: Time) -> Procedure[ProgramIdentity]:
+    def identity(self, timeout: Time) -> Procedure[ProgramIdentity]:
         """Return what tells the present program from another; if the device boots meanwhile, what it shows then."""
         identity = NOTHING_KNOWN
         for _ in range(TRIES):
             boots = self.node.boots
             version = yield from self._bytes(indices.MANUFACTURER_SOFTWARE_VERSION, 0)
             revision = yield from self._bytes(indices.IDENTITY_OBJECT, 3)
-            program = yield from self.identification(limit)  # the best evidence last: it is the freshest
+            program = yield from self.identification(timeout)  # the best evidence last: it is the freshest
             number = None if revision is None else int.from_bytes(revision[:4], "little")
             identity = ProgramIdentity(program, version, number)
             if self.node.boots == boots:
                 break
         return identity
 
-    def settled(self, limit: Time) -> Procedure[FlashStatus | None]:
-        """Wait until the flash is not busy; return its status, None if it cannot be read. A flash that is busy at the limit is no
-        error here."""
+    def settled(self, timeout: Time) -> Procedure[FlashStatus | None]:
+        """Wait until the flash is not busy; return its status, None if it cannot be read. A flash that is busy after the timeout
+        is no error here."""
         value = yield from self._await(
-            indices.FLASH_STATUS, lambda value: value is None or not value & 1, limit, refusal_is_none=True, anything=True
+            indices.FLASH_STATUS, lambda value: value is None or not value & 1, timeout, refusal_is_none=True, anything=True
         )
         return None if value is None else flash_status(value)
 
@@ -151,13 +151,13 @@ class ProgramObjects:
         self,
         index: int,
         is_wanted: Callable[[int | None], bool],
-        limit: Time,
+        timeout: Time,
         *,
         refusal_is_none: bool = False,
         anything: bool = False,
     ) -> Procedure[int | None]:
-        """Read until the value is wanted. anything: at the limit, any value will do."""
-        end = (yield from current_time()) + limit
+        """Read until the value is wanted. anything: after the timeout, any value will do."""
+        end = (yield from current_time()) + timeout
         while True:
             seen = ""
             try:
@@ -171,7 +171,7 @@ class ProgramObjects:
             if (yield from current_time()) >= end:
                 place = f"0x{index:04X}:{self.program:02X}"
                 text = f"it still shows {seen} in {place}" if seen else f"it does not answer reading {place}"
-                raise NotReachedError(f"{text} after {limit / SECOND:g} s", is_silent=not seen)
+                raise NotReachedError(f"{text} after {timeout / SECOND:g} s", is_silent=not seen)
             yield from sleep(POLL)
 
     def _read(self, index: int, refusal_is_none: bool) -> Procedure[int | None]:

@@ -85,9 +85,9 @@ def bit_rate_of(settings: Settings) -> int | None:
     from canopen_data.description import BIT_RATES
 
     with suppress(TransportError):
-        bit_rate = parse_locator(settings.required_bus()).bitrate
-        if bit_rate is not None and bit_rate // 1000 in BIT_RATES:
-            return bit_rate // 1000
+        bitrate = parse_locator(settings.required_bus()).bitrate
+        if bitrate is not None and bitrate // 1000 in BIT_RATES:
+            return bitrate // 1000
     return None
 
 

@@ -253,16 +253,16 @@ def _show_plan(settings: Settings, screen: Screen, wanted: ProgramToFlash, found
 
 def _estimate(settings: Settings, size: int) -> str:
     """Return how long it takes, in words."""
-    bit_rate = None
+    bitrate = None
     with suppress(TransportError):
-        bit_rate = parse_locator(settings.required_bus()).bitrate
-    rates = BIT_RATES if bit_rate is None else (bit_rate,)
+        bitrate = parse_locator(settings.required_bus()).bitrate
+    rates = BIT_RATES if bitrate is None else (bitrate,)
     times = ", ".join(f"{math.ceil(least_duration(size, rate) * 10 / SECOND) / 10:g} s at {_rate_text(rate)}" for rate in rates)
     return f"about {times}, twice that without block transfer; and the time for erasing and checking"
 
 
-def _rate_text(bit_rate: int) -> str:
-    return f"{bit_rate / 1e6:g} Mbit/s" if bit_rate >= 1_000_000 else f"{bit_rate / 1e3:g} kbit/s"
+def _rate_text(bitrate: int) -> str:
+    return f"{bitrate / 1e6:g} Mbit/s" if bitrate >= 1_000_000 else f"{bitrate / 1e3:g} kbit/s"
 
 
 def _show_result(

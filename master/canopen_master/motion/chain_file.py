@@ -56,12 +56,12 @@ class ChainDescription:
         return tuple(dict.fromkeys(joint.bus for joint in self.joints))
 
 
-def read_chains(path: str | Path, directory: str | Path | None = None) -> tuple[ChainDescription, ...]:
+def read_chains(path: str | Path, folder: str | Path | None = None) -> tuple[ChainDescription, ...]:
     """The chains of a file: a path, or the name of one of the data files ("single_device.csv"; see canopen_data).
 
     Raises ChainFileError, and DataError if the file cannot be read.
     """
-    file = read_chain_file(path, directory)
+    file = read_chain_file(path, folder)
     return parse_chains(file.text, file.source)
 
 
