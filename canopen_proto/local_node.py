@@ -201,7 +201,8 @@ class LocalNode(Group):
         """Set a value as the device itself, whatever the access right. Triggers the event-driven TPDOs that carry it.
 
         A communication object takes effect as after a client's write. Raises ObjectNotFoundError, ValueRangeError if the object
-        cannot hold the value, LocalProtocolError if a communication object refuses it.
+        cannot hold the value, LocalProtocolError if a communication object refuses it. The object is named by index (0..0xFFFF)
+        and subindex (0..0xFF).
         """
         variable = self.dictionary.variable((index, subindex))
         variable.encode(value)
@@ -221,7 +222,8 @@ class LocalNode(Group):
     def raise_error(
         self, code: int, register_bits: int, vendor_data: bytes, now: Time, *, error_class: int | None = None
     ) -> None:
-        """Report an error of the device: EMCY, 0x1001, 0x1003. See EmcyProducer.raise_error.
+        """Report an error of the device: EMCY, 0x1001, 0x1003. See EmcyProducer.raise_error. code: 0x0100..0xFFFF. register_bits:
+        of 0x1001. vendor_data: up to 5 bytes.
 
         error_class: the subindex of 0x1029 with the NMT state that follows (1: communication error; 2 and on: of the device
         profile, such as an output error). Without that object, the node becomes pre-operational. None = the state stays.
@@ -232,7 +234,7 @@ class LocalNode(Group):
                 self._behave(error_class, now)
 
     def clear_error(self, code: int, now: Time) -> None:
-        """Report that an error is gone. See EmcyProducer.clear."""
+        """Report that an error is gone. See EmcyProducer.clear. code: as it was raised."""
         with self._settling(now):
             self.communication.emcy.clear(code, now)
 
@@ -248,7 +250,8 @@ class LocalNode(Group):
             self.communication.emcy.clear(EMCY_BUS_OFF_RECOVERED, now)
 
     def send_mpdo(self, number: int, node_id: int, index: int, subindex: int, data: bytes, now: Time) -> bool:
-        """Write an object of another node, or of all (0), by TPDO `number`, an MPDO. See MpdoProducer.send_to."""
+        """Write an object of another node, or of all (0), by TPDO `number`, an MPDO. See MpdoProducer.send_to. index, subindex:
+        of the consumer's object. data: 1 to 4 bytes."""
         return self.pdos.mpdo_producer.send_to(number, node_id, index, subindex, data, now)
 
     def send_time(self, time: datetime.datetime, now: Time) -> None:
@@ -264,7 +267,8 @@ class LocalNode(Group):
     def complete(
         self, access_id: int, result: bytes | AbortCode | None, now: Time, *, more: bool = False, size: int | None = None
     ) -> None:
-        """Give the host's answer to ObjectAccessPending. See SdoServer.complete."""
+        """Give the host's answer to ObjectAccessPending. See SdoServer.complete. access_id: the event's. result: the bytes that
+        were read, None for a write that is done, or an abort code. more, size: for an answer in pieces."""
         with self._settling(now):
             self.channels.complete(access_id, result, now, more=more, size=size)
 
@@ -287,14 +291,16 @@ class LocalNode(Group):
         return self._store.read(index, subindex, now)
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
-        """Return the abort code that forbids a download (access, announced length), PENDING if the host takes pieces, or None."""
+        """Return the abort code that forbids a download (access, announced length), PENDING if the host takes pieces, or None.
+        size: bytes, None if the client has not announced them."""
         refusal = self._store.check_write(index, subindex, size)
         if refusal is not None or index not in self.in_pieces:
             return refusal
         return AbortCode.DEVICE_STATE if self.channels.host_takes(index, subindex) else PENDING  # the pieces of two would mix
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        """Check the value, store it and let it take effect; see this module's text."""
+        """Check the value, store it and let it take effect; see this module's text. data: the bytes from the wire, little-endian.
+        Returns None, the abort code of a refusal, or PENDING if the host takes the write."""
         variable = self._store.writable(index, subindex)
         if isinstance(variable, AbortCode):
             return variable
@@ -361,7 +367,8 @@ class LocalNode(Group):
         super().receive(frame, now)
 
     def receiver_of(self, key: RoutingKey) -> Machine:
-        """Return the entrance for a data frame: this class's own `receive` wants remote frames only."""
+        """Return the entrance for a data frame: this class's own `receive` wants remote frames only. key: the frame's routing
+        key."""
         return self if key & KEY_REMOTE or type(self).receive is not LocalNode.receive else self._entrance(key)
 
     def handle_timeout(self, now: Time) -> None:

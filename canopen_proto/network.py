@@ -259,7 +259,8 @@ class Network:
         return request_id
 
     def cancel(self, request_id: RequestId, now: Time) -> None:
-        """Cancel a running procedure: it cleans up first (CLEAN_UP_TIME), then ProcedureCancelled follows."""
+        """Cancel a running procedure: it cleans up first (CLEAN_UP_TIME), then ProcedureCancelled follows. request_id: the one
+        that `run` returned."""
         now = max(now, self._now)
         self._now = now
         self.runner.cancel(request_id, now)

@@ -117,7 +117,7 @@ class NmtCommandSent(Event):
 
 
 class NmtStateChanged(Event):
-    """Our own slave (NmtSlave) entered another state."""
+    """Our own slave (NmtSlave) entered another state. previous: the state that it left."""
 
     __slots__ = ("previous", "state")
     __match_args__ = ("node_id", "previous", "state")
@@ -130,6 +130,7 @@ class NmtStateChanged(Event):
 
 class NmtResetRequested(Event):
     """Our own node must reset everything (RESET_NODE) or the communication parameters, 0x1000 to 0x1FFF (RESET_COMMUNICATION).
+    command: which of the two.
 
     The slave is already in INITIALISING (NmtStateChanged came before). The node resets itself, then calls `NmtSlave.boot`.
     """

@@ -152,13 +152,15 @@ class RemoteNode(Group):
         return self.nmt_state is NmtState.OPERATIONAL
 
     def on_device(self, mux: Mux) -> Mux:
-        """Return the number that an object has on the device: its own. The view of a further axis shifts it (FurtherAxis)."""
+        """Return the number that an object has on the device: its own. The view of a further axis shifts it (FurtherAxis). mux:
+        the object's number for the caller."""
         return mux
 
     # ---- objects by SDO ----
 
     def read(self, key: Key, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
-        """Ask for an object by SDO. SdoUploaded (see `value_of`) or SdoAborted follows. block: see `Block`.
+        """Ask for an object by SDO. SdoUploaded (see `value_of`) or SdoAborted follows. block: see `Block`. key: a name, an index
+        or (index, subindex), see `Key`. urgent: goes before all requests that are not.
 
         CiA 301 v4.2.0, 7.2.4.2.5
         """
@@ -167,6 +169,7 @@ class RemoteNode(Group):
 
     def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
         """Write an object by SDO. value: may be the name of a constant. SdoDownloaded or SdoAborted follows. block: see `Block`.
+        key: a name, an index or (index, subindex), see `Key`. urgent: goes before all requests that are not.
 
         If the device may hold a synchronous RPDO with an object in `commanded`, that RPDO is sent first, with the new value.
         Raises LocalProtocolError for an unknown name or a read-only object, ValueRangeError for a value that does not fit;
@@ -184,7 +187,8 @@ class RemoteNode(Group):
         return request_id
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
-        """Give up a request of `read` or `write`, or of an SDO client of this node: SdoAborted follows at once.
+        """Give up a request of `read` or `write`, or of an SDO client of this node: SdoAborted follows at once. request_id: the
+        one that the request returned.
 
         Returns False if no such request is open.
         """
@@ -207,7 +211,7 @@ class RemoteNode(Group):
         return client
 
     def remove_sdo_channel(self, client: SdoClient, now: Time) -> None:
-        """Remove a channel that `add_sdo_channel` made; its open requests are aborted."""
+        """Remove a channel that `add_sdo_channel` made; its open requests are aborted. client: the one that it returned."""
         mark = len(self.inner.events)
         client.abort_all(AbortCode.GENERAL_ERROR, now)
         self._settle(mark, now)
@@ -241,7 +245,8 @@ class RemoteNode(Group):
         return (self.sdo, *self.sdo_channels)
 
     def encode(self, key: Key, value: Value) -> tuple[Variable, Value, bytes]:
-        """Return the object, the value and the bytes that `write` would send. Raises as `write` does."""
+        """Return the object, the value and the bytes that `write` would send. Raises as `write` does. key, value: as for
+        `write`."""
         variable = self.dictionary.variable(key)
         if not variable.access.writable:
             raise LocalProtocolError(f"{variable.label} of node {self.node_id} is {variable.access}: it cannot be written")
@@ -260,7 +265,8 @@ class RemoteNode(Group):
         return self.dictionary.message(self.node_id, variable, variable.decode(uploaded.data), self.out.timestamp)
 
     def fresh(self, mux: Mux, now: Time, max_age: Time = FRESH) -> Value | None:
-        """Return the image of an object if it was heard at most max_age ns ago, else None."""
+        """Return the image of an object if it was heard at most max_age ns ago, else None. mux: the object's number for the
+        caller. max_age: 100 ms by default."""
         heard = self.heard_at.get(mux)
         return self.values.store[mux] if heard is not None and now - heard <= max_age else None
 
@@ -269,7 +275,8 @@ class RemoteNode(Group):
     def add_pdo(
         self, description: PdoDescription, now: Time, *, number: int | None = None, transmission_type: int = 1
     ) -> PdoConsumer | PdoProducer:
-        """Exchange a PDO with the node as described. It replaces the one of this number and direction.
+        """Exchange a PDO with the node as described. It replaces the one of this number and direction. description: its
+        direction, CAN-ID and objects.
 
         number: 1..512; None = that of the predefined connection set. transmission_type: of an RPDO: 1..240 = sent at every n-th
         SYNC, 254 and 255 = when triggered. A TPDO is decoded when it comes. An RPDO is sent once `enable_rpdo` was called.
@@ -283,7 +290,8 @@ class RemoteNode(Group):
         return self.add_rpdo(number, key, mapping, transmission_type)
 
     def add_tpdo(self, number: int, key: RoutingKey, mapping: Mapping, now: Time) -> PdoConsumer:
-        """Receive the device's TPDO `number` (1..512) on a CAN-ID (a routing key)."""
+        """Receive the device's TPDO `number` (1..512) on a CAN-ID (a routing key). mapping: its objects; their values go to
+        `values`. It replaces the TPDO of this number."""
         self._check_pdo(Direction.TPDO, number, key)
         self.remove_pdo(Direction.TPDO, number)
         consumer = PdoConsumer(self.inner, self.node_id, number, key, mapping, self.values.store)
@@ -294,7 +302,9 @@ class RemoteNode(Group):
         return consumer
 
     def add_rpdo(self, number: int, key: RoutingKey, mapping: Mapping, transmission_type: int = 1) -> PdoProducer:
-        """Send the device's RPDO `number` (1..512) on a CAN-ID (a routing key), once `enable_rpdo` was called."""
+        """Send the device's RPDO `number` (1..512) on a CAN-ID (a routing key), once `enable_rpdo` was called. mapping: its
+        objects; their values are taken from `values`. transmission_type: 1..240 = sent at every n-th SYNC, 254 and 255 = when
+        triggered. It replaces the RPDO of this number."""
         self._check_pdo(Direction.RPDO, number, key)
         before = self.rpdos.get(number)
         self.remove_pdo(Direction.RPDO, number)
@@ -316,7 +326,8 @@ class RemoteNode(Group):
             raise LocalProtocolError(f"{what} of node {self.node_id}: CAN-ID 0x{key:X} has more than 11 bits")
 
     def remove_pdo(self, direction: Direction, number: int) -> None:
-        """Stop exchanging this PDO or MPDO; does nothing if it is not exchanged."""
+        """Stop exchanging this PDO or MPDO; does nothing if it is not exchanged. direction: as the device sees it. number:
+        1..512."""
         machine = (self.tpdos if direction is Direction.TPDO else self.rpdos).pop(number, None)
         if machine is not None:
             self._members.detach(machine)
@@ -331,7 +342,7 @@ class RemoteNode(Group):
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
         """Send an RPDO while the node is Operational, or stop it. Set `values` first: the next SYNC sends them. A boot of the
-        node stops it too."""
+        node stops it too. number: 1..512, of one that was added, else LocalProtocolError. enabled: False stops it."""
         producer = self.rpdos.get(number)
         if producer is None:
             raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that we send; add_pdo makes one")
@@ -354,12 +365,14 @@ class RemoteNode(Group):
         return producer.send(now)
 
     def may_hold(self, mux: Mux) -> set[Value | None]:
-        """Return the values that the device may have in an object of `commanded`; None in the set is an unknown value."""
+        """Return the values that the device may have in an object of `commanded`; None in the set is an unknown value. mux: the
+        object's number for the caller."""
         image = {self.values.store[mux]} if mux in self.values.store else set()
         return image | self._in_doubt.get(mux, set())
 
     def replace_held(self, mux: Mux, value: Value, now: Time) -> bool:
-        """Send each RPDO again that carries an object and that the device may hold for the next SYNC, with a new value.
+        """Send each RPDO again that carries an object and that the device may hold for the next SYNC, with a new value. mux: the
+        object's number for the caller.
 
         Returns False, and changes nothing, if the device holds none.
         """
@@ -386,7 +399,8 @@ class RemoteNode(Group):
             self._mpdo_rpdos[number] = key
 
     def send_mpdo(self, number: int, key: Key, value: Value, now: Time) -> bool:
-        """Write an object of the node by its RPDO `number`, an MPDO, which is not confirmed. Sets `values`.
+        """Write an object of the node by its RPDO `number`, an MPDO, which is not confirmed. Sets `values`. key: a name, an index
+        or (index, subindex), see `Key`.
 
         value: may be the name of a constant. Sends nothing and returns False while the node is not Operational. Raises
         LocalProtocolError if this RPDO was not added, or cannot carry the object; else as `write` does.
@@ -428,6 +442,7 @@ class RemoteNode(Group):
 
     def start_guarding(self, guard_time: Time, life_time_factor: int, now: Time) -> None:
         """Ask the node once per guard time whether it is alive: for a node without a heartbeat. See GuardingMaster.start.
+        guard_time: ns, 1 ms or more. life_time_factor: 1..255; so many guard times without an answer make the node lost.
 
         Its answers also count as heartbeats (HeartbeatReceived, `nmt_state`). NodeGuardingLost ends open SDO requests.
         """

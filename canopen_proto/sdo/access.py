@@ -31,4 +31,5 @@ class ObjectStore(Protocol):
         """
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | Pending | None:
-        """Write an object and return None, or return why it is refused. (`check_write` may not have been asked.)"""
+        """Write an object and return None, or return why it is refused. (`check_write` may not have been asked.) data: the bytes
+        from the wire, little-endian."""

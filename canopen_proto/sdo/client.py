@@ -140,7 +140,8 @@ class SdoClient(ChannelEnd):
     ) -> None:
         """node_id: of the server. request_key, response_key: the channel (client to server, server to client) as `Frame.key`;
         the server's first one by default. timeout, copy_guard, late_guard, contest_limit: ns; see this module's text. Inside a
-        block transfer pauses of at least 1 s are survived whatever the timeout is; see `silence_limit` in block.py.
+        block transfer pauses of at least 1 s are survived whatever the timeout is; see `silence_limit` in block.py. max_upload:
+        bytes of an upload that is held whole. max_queue: requests that may wait, urgent ones counted apart.
 
         For block transfer: crc, if the server has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
         burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; stream_timeout: ns that the caller
@@ -188,6 +189,7 @@ class SdoClient(ChannelEnd):
         self, index: int, subindex: int, data: Buffer, now: Time, *, urgent: bool = False, block: Block = False
     ) -> RequestId:
         """Write an object's value: 1 to 4 bytes expedited, anything else (nothing too) in segments or, on request, in blocks.
+        data: its bytes, little-endian.
 
         Sends an initiate request, at once if no transfer is under way. SdoDownloaded or SdoAborted follows, at the latest
         `timeout` after the last frame of the transfer; in blocks two silences after it (`silence_limit`, block.py).
@@ -202,7 +204,8 @@ class SdoClient(ChannelEnd):
         return self._submit(BlockDownload(self, index, subindex, content, len(content), plain), urgent, now)
 
     def upload_stream(self, index: int, subindex: int, now: Time, *, urgent: bool = False) -> RequestId:
-        """Read an object piece by piece, by block transfer, whatever its size (`max_upload` is not looked at).
+        """Read an object piece by piece, by block transfer, whatever its size (`max_upload` is not looked at). urgent: goes
+        before all requests that are not.
 
         SdoChunk follows for each piece, and waits for `proceed` (the last one does not); then SdoStreamUploaded or SdoAborted.
         Else as `upload(block=True)`. Source: CiA 301 v4.2.0, 7.2.4.3.12.
@@ -210,7 +213,7 @@ class SdoClient(ChannelEnd):
         return self._submit(BlockUpload(self, index, subindex, True, MAX_SIZE), urgent, now)
 
     def proceed(self, request_id: RequestId, now: Time) -> bool:
-        """Ask for the next piece of an upload stream: the last SdoChunk was taken.
+        """Ask for the next piece of an upload stream: the last SdoChunk was taken. request_id: the chunk's.
 
         The server waits meanwhile, for `stream_timeout` at most, and for as long as it has patience. Returns False if the request
         is not under way, or no longer.
@@ -224,7 +227,8 @@ class SdoClient(ChannelEnd):
     def download_stream(
         self, index: int, subindex: int, now: Time, *, size: int | None = None, urgent: bool = False
     ) -> RequestId:
-        """Write an object piece by piece, by block transfer. size: in bytes, if it is known; servers may insist on it.
+        """Write an object piece by piece, by block transfer. size: in bytes, if it is known; servers may insist on it. urgent:
+        goes before all requests that are not.
 
         `feed` it, at once or when SdoDataWanted asks for more; then SdoDownloaded or SdoAborted follows. If it is not fed for
         `stream_timeout`, the transfer is aborted. Else as `download(block=True)`. Source: CiA 301 v4.2.0, 7.2.4.3.8.
@@ -232,7 +236,8 @@ class SdoClient(ChannelEnd):
         return self._submit(BlockDownload(self, index, subindex, None, size), urgent, now)
 
     def feed(self, request_id: RequestId, piece: Buffer, now: Time, *, last: bool = False) -> bool:
-        """Give a download stream its next bytes, any number. last: no more follow; may be left out if the size was announced.
+        """Give a download stream its next bytes. request_id: the one that `download_stream` returned. piece: any number of bytes.
+        last: no more follow; may be left out if the size was announced.
 
         They are copied, and held until the server has them. Returns False if the request is not open, or no longer. Raises
         LocalProtocolError if more than MAX_FED bytes would be held, if they are more or fewer than were announced, and after the
@@ -247,18 +252,20 @@ class SdoClient(ChannelEnd):
         return True
 
     def room(self, request_id: RequestId) -> int:
-        """Return how many bytes a download stream may be fed now; 0 if it is not open, or is no download stream."""
+        """Return how many bytes a download stream may be fed now; 0 if it is not open, or is no download stream. request_id: the
+        one that `download_stream` returned."""
         transfer = self._find(request_id)
         return 0 if transfer is None else transfer.room
 
     def delivered(self, request_id: RequestId) -> int:
         """Return how many bytes of a download the server has acknowledged; 0 if it is not open. The last segment, filled up with
-        unused bytes, counts whole."""
+        unused bytes, counts whole. request_id: the one that the download returned."""
         transfer = self._find(request_id)
         return 0 if transfer is None else transfer.delivered
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
         """Give a request up: SdoAborted with origin CANCELLED follows at once. Returns False if it is not open, or no longer.
+        request_id: the one that the request returned.
 
         For a request that waits, nothing was sent and nothing is. A running transfer is aborted on the wire with 0x08000000, and
         the next request goes out at once.
@@ -277,7 +284,8 @@ class SdoClient(ChannelEnd):
         return True
 
     def abort_all(self, abort_code: int, now: Time) -> None:
-        """End all requests (the server is gone): SdoAborted with origin LOCAL for each; the running one is aborted on the bus."""
+        """End all requests (the server is gone): SdoAborted with origin LOCAL for each; the running one is aborted on the bus.
+        abort_code: 0..0xFFFFFFFF, else LocalProtocolError."""
         if not 0 <= abort_code <= 0xFFFFFFFF:
             raise LocalProtocolError(f"node {self.node_id}: {abort_code} is no abort code (0..0xFFFFFFFF)")
         waiting = self._queue.clear()

@@ -10,7 +10,8 @@ from canopen_proto.sdo.codec import what_was_asked
 
 
 class SdoUploaded(Outcome):
-    """An object was read: its bytes as the server sent them (4 where it sent an expedited value without its size)."""
+    """An object was read: its bytes as the server sent them (4 where it sent an expedited value without its size). request_id:
+    the one that `upload` returned. data: little-endian."""
 
     __slots__ = ("data", "index", "subindex")
     __match_args__ = ("node_id", "request_id", "index", "subindex", "data")
@@ -24,7 +25,7 @@ class SdoUploaded(Outcome):
 
 
 class SdoDownloaded(Outcome):
-    """An object was written: the server has confirmed it."""
+    """An object was written: the server has confirmed it. request_id: the one that `download` returned."""
 
     __slots__ = ("index", "subindex")
     __match_args__ = ("node_id", "request_id", "index", "subindex")
@@ -37,7 +38,8 @@ class SdoDownloaded(Outcome):
 
 
 class SdoStreamUploaded(Outcome):
-    """An object was read piece by piece: the pieces that came as SdoChunk are all, `size` bytes, and right."""
+    """An object was read piece by piece: the pieces that came as SdoChunk are all, `size` bytes, and right. request_id: the one
+    that `upload_stream` returned."""
 
     __slots__ = ("index", "size", "subindex")
     __match_args__ = ("node_id", "request_id", "index", "subindex", "size")
@@ -179,7 +181,8 @@ class ObjectWritten(Event):
 
 
 class SdoServerAborted(Event):
-    """A transfer ended without success. A pending access of it no longer needs an answer. 0x0000:00: there was no transfer."""
+    """A transfer ended without success. A pending access of it no longer needs an answer. 0x0000:00: there was no transfer.
+    abort_code: 32 bits, as it went over the bus. origin: which side ended it."""
 
     __slots__ = ("abort_code", "index", "origin", "subindex")
     __match_args__ = ("node_id", "index", "subindex", "abort_code", "origin")

@@ -99,7 +99,8 @@ class SdoServer(ChannelEnd):
         burst_interval: Time = 0,
     ) -> None:
         """node_id: our own. request_key, response_key: the channel (client to server, server to client) as `Frame.key`; the first
-        one by default. timeout, access_timeout: ns. max_download: bytes, of what does not go in pieces. It starts enabled.
+        one by default. timeout, access_timeout: ns. max_download: bytes, of what does not go in pieces. It starts enabled. store:
+        the objects and their values.
 
         For block transfer: crc, if the client has it too; block_size: segments (1..127) that we take in one sub-block; max_burst,
         burst_interval: segments (1 or more) that go out in one turn, and ns between two turns; copy_guard: ns between an
@@ -128,6 +129,7 @@ class SdoServer(ChannelEnd):
         self, access_id: int, result: bytes | AbortCode | None, now: Time, *, more: bool = False, size: int | None = None
     ) -> bool:
         """Answer an ObjectAccessPending: bytes if it was a read, None if it was a write and is done, an abort code to refuse it.
+        access_id: the event's. result: the answer.
 
         more: the bytes are a piece, others follow, and will be asked for. size: with the first piece, that of the whole, if it
         is known. Sends the response that was held. Returns False if nobody waits for it any longer (timeout, abort, a new
