@@ -105,7 +105,7 @@ class PdoNode(ObjectAccess, Protocol):
 
 
 def read_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
-    """Read the present settings of a PDO of the device (number: 1..512), without its times.
+    """Read the present settings of a PDO of the device (number: 1..512), without its times. direction: as the device sees it.
 
     Raises SdoTransferError if the device has no such PDO; InvalidPdoError or UnexpectedLengthError if its settings are
     impossible.
@@ -229,6 +229,7 @@ def define_pdo(
     node: PdoNode, description: PdoDescription, *, number: int | None = None, transmission_type: int = 1
 ) -> Procedure[PdoSettings]:
     """Write a PDO of PDOs.csv to the device, exchange it from then on (`RemoteNode.add_pdo`), and return its old settings.
+    number: 1..512; None = that of the predefined connection set. transmission_type: 0..240 synchronous, 254 and 255 event-driven.
 
     An RPDO is not sent before `RemoteNode.enable_rpdo`. Raises as `configure_pdo`; nothing has changed on our side then.
     """
@@ -242,6 +243,7 @@ def define_pdo(
 
 def use_device_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[Mapping | None]:
     """Exchange a PDO with the device's own settings; return its mapping, or None if the PDO is not valid or carries nothing.
+    direction: as the device sees it. number: 1..512.
 
     Raises SdoTransferError; InvalidPdoError if its settings are impossible, or if the node's dictionary lacks an object that it
     maps.
@@ -292,7 +294,7 @@ def _key_and_objects(settings: PdoSettings | None) -> object:
 def read_commanded(node: PdoNode, keys: Iterable[Mux]) -> Procedure[None]:
     """Read the present values of objects that an RPDO is going to carry, so that it sends these. 0 is sent for an object that
     cannot be read, such as a write-only command. Call it before the RPDO is exchanged. Raises SdoTransferError if nobody
-    answers."""
+    answers. keys: the muxes of these objects; the values go to `values`."""
     for key in keys:
         try:
             yield from read_if_present(node, split_mux(key))

@@ -89,7 +89,8 @@ class PdoReceived(Event):
 
 class PdoLengthUnexpected(Event):
     """A PDO was shorter or longer than its mapping. expected, received: bytes. emcy_code: 0x8210 for a short one, which is not
-    processed; 0x8220 for a long one, whose mapped bytes are used."""
+    processed; 0x8220 for a long one, whose mapped bytes are used. number: of the PDO, 1..512, or 0. key: the routing key of its
+    frames. timestamp: the transport's, ns, or None."""
 
     __slots__ = ("emcy_code", "expected", "key", "number", "received", "timestamp")
     __match_args__ = ("node_id", "number", "key", "expected", "received", "emcy_code", "timestamp")
@@ -107,7 +108,8 @@ class PdoLengthUnexpected(Event):
 
 
 class PdoTooLate(Event):
-    """A synchronous PDO came after the synchronous window and was dropped. late: ns after its end. timestamp: of the frame."""
+    """A synchronous PDO came after the synchronous window and was dropped. late: ns after its end. timestamp: of the frame.
+    number: of the PDO, 1..512, or 0. key: the routing key of its frames."""
 
     __slots__ = ("key", "late", "number", "timestamp")
     __match_args__ = ("node_id", "number", "key", "late", "timestamp")
@@ -121,7 +123,8 @@ class PdoTooLate(Event):
 
 
 class PdoOverdue(Event):
-    """A PDO did not come within the event time after the last one. Reported once; the watch starts again with the next PDO."""
+    """A PDO did not come within the event time after the last one. Reported once; the watch starts again with the next PDO.
+    number: of the PDO, 1..512, or 0. key: the routing key of its frames. emcy_code: 0x8250."""
 
     __slots__ = ("emcy_code", "key", "number")
     __match_args__ = ("node_id", "number", "key", "emcy_code")
@@ -138,7 +141,8 @@ class PdoConsumer(Machine):
 
     node_id: 1..127, the device itself, or the node whose TPDO the master receives. number: 1..512, or 0. key: the routing key of
     the frames; None while the PDO is not valid. store: mux -> value, written without a check of limits. event_time: ns; 0 = not
-    watched. Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.35, 7.5.2.36.
+    watched. Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.35, 7.5.2.36. mapping: its objects; without entries, nothing is received.
+    transmission_type: 0..240 = the data take effect at the next SYNC; above, at once.
     """
 
     __slots__ = (
@@ -181,14 +185,16 @@ class PdoConsumer(Machine):
 
     @classmethod
     def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoConsumer:
-        """Return a master's consumer of a node's TPDO, as PDOs.csv describes it. Raises MappingError."""
+        """Return a master's consumer of a node's TPDO, as PDOs.csv describes it. Raises MappingError. store: mux -> value, where
+        the values go."""
         mapping = Mapping.from_description(description)
         return cls(out, node_id, description.number or 0, routing_key(description.can_id(node_id)), mapping, store)
 
     def configure(
         self, key: RoutingKey | None, mapping: Mapping, transmission_type: int = EVENT_DRIVEN, event_time: Time = 0
     ) -> None:
-        """Change the parameters. Data held for a SYNC are dropped, because they belong to the old mapping."""
+        """Change the parameters. Data held for a SYNC are dropped, because they belong to the old mapping. For what they mean see
+        the class."""
         self.mapping = mapping
         self.synchronous = transmission_type <= LAST_SYNCHRONOUS
         self.event_time = event_time

@@ -233,7 +233,7 @@ class Mapping:
         return self._of_mux(mux(index, mapped.pop()))
 
     def unpack(self, data: bytes) -> tuple[Value, ...]:
-        """Return the values of the components. Bytes after the mapped ones are ignored.
+        """Return the values of the components. Bytes after the mapped ones are ignored. data: of the frame.
 
         Raises ValueRangeError if there are too few bytes, or if a time of day in them has more milliseconds than a day.
         """
@@ -245,7 +245,8 @@ class Mapping:
         return tuple([field.read(bits) for field in self._fields])
 
     def unpack_into(self, store: dict[Mux, Value], data: bytes) -> tuple[Value, ...]:
-        """Put the values into a store by mux, and return them. Errors are those of `unpack`; the store then stays as it was."""
+        """Put the values into a store by mux, and return them. Errors are those of `unpack`; the store then stays as it was.
+        data: of the frame."""
         layout = self._layout
         values = self.unpack(data) if layout is None or len(data) < self.byte_length else layout.unpack_from(data)
         muxes: tuple[Any, ...] = self.muxes  # Any: compiled, a number would be taken out of its object and put into a new one

@@ -101,7 +101,8 @@ class MpdoReceived(Event):
 
 
 class MpdoNotProcessed(Event):
-    """An MPDO in destination address mode names an object that we lack, or that no MPDO can write. emcy_code: 0x8230."""
+    """An MPDO in destination address mode names an object that we lack, or that no MPDO can write. emcy_code: 0x8230. number: of
+    the PDO, 1..512. key: the routing key of its frames. index, subindex: as the frame has them."""
 
     __slots__ = ("emcy_code", "index", "key", "number", "subindex")
     __match_args__ = ("node_id", "number", "key", "index", "subindex", "emcy_code")
@@ -143,7 +144,8 @@ class DispatcherEntry(NamedTuple):
 
 
 def destination_frame(key: RoutingKey, node_id: int, index: int, subindex: int, data: bytes) -> Frame:
-    """Return an MPDO in destination address mode, which writes an object of one node, or of all (node_id 0).
+    """Return an MPDO in destination address mode, which writes an object of one node, or of all (node_id 0). key: the MPDO's
+    routing key. index, subindex: of the consumer's object.
 
     data: 1 to 4 bytes. Raises LocalProtocolError for a value out of range.
     """
@@ -354,7 +356,8 @@ class MpdoProducer(Machine):
     def set_pdo(
         self, number: int, key: RoutingKey | None, mode: MpdoMode | None, now: Time, inhibit_time: Time = 0, event_time: Time = 0
     ) -> None:
-        """Set TPDO `number`: an MPDO with this key and mode, or no MPDO (key or mode is None). Times: ns; 0 = none."""
+        """Set TPDO `number` (1..512): an MPDO with this key and mode, or no MPDO (key or mode is None). inhibit_time, event_time:
+        ns; 0 = none; only source address mode has them."""
         self._destinations.pop(number, None)
         was_source = self._source is not None and self._source[0] == number
         if key is not None and mode is MpdoMode.DESTINATION:

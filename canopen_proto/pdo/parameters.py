@@ -139,7 +139,7 @@ class DevicePdos(Owner):
         self.mpdo_producer.set_enabled(enabled, now)
 
     def on_sync(self, counter: int | None, now: Time) -> None:
-        """Handle a SYNC: send the TPDOs, then let the held RPDOs take effect.
+        """Handle a SYNC: send the TPDOs, then let the held RPDOs take effect. counter: of the SYNC, None if it has none.
 
         In this order the TPDOs report the state at the SYNC, before the RPDOs change it.
         """

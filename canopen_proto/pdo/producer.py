@@ -49,7 +49,8 @@ SYNC_TRANSIT: Final = 100 * MILLISECOND
 
 
 class PdoPeriodsSkipped(Event):
-    """The event timer ran late: the PDO was sent once instead of 1 + skipped times."""
+    """The event timer ran late: the PDO was sent once instead of 1 + skipped times. number: of the PDO, 1..512, or 0. key: the
+    routing key of its frames."""
 
     __slots__ = ("key", "number", "skipped")
     __match_args__ = ("node_id", "number", "key", "skipped")
@@ -63,7 +64,7 @@ class PdoPeriodsSkipped(Event):
 
 class PdoNotSent(Event):
     """A PDO was due, but its store holds a value that the object's type cannot hold: an error of our own application. reason:
-    text for people."""
+    text for people. number: of the PDO, 1..512, or 0. key: the routing key of its frames."""
 
     __slots__ = ("key", "number", "reason")
     __match_args__ = ("node_id", "number", "key", "reason")
@@ -81,7 +82,8 @@ class PdoProducer(Machine):
 
     node_id: 1..127, the device itself, or the node that the master sends to. number: 1..512, or 0. key: the routing key of the
     frames; None while the PDO is not valid. store: mux -> value; a missing value is sent as zero. inhibit_time, event_time: ns;
-    0 = none. sync_start: 1..240; 0 = none. Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.37, 7.5.2.38.
+    0 = none. sync_start: 1..240; 0 = none. Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.37, 7.5.2.38. mapping: its objects; without
+    entries, nothing is sent. transmission_type: 0..255, see this module's text.
     """
 
     __slots__ = (
@@ -136,7 +138,8 @@ class PdoProducer(Machine):
 
     @classmethod
     def from_description(cls, out: Outbox, node_id: int, description: PdoDescription, store: dict[Mux, Value]) -> PdoProducer:
-        """Return a master's producer of a node's RPDO, as PDOs.csv describes it. Raises MappingError."""
+        """Return a master's producer of a node's RPDO, as PDOs.csv describes it. Raises MappingError. store: mux -> value, where
+        the values are taken from."""
         mapping = Mapping.from_description(description)
         return cls(out, node_id, description.number or 0, routing_key(description.can_id(node_id)), mapping, store)
 
@@ -152,7 +155,8 @@ class PdoProducer(Machine):
         *,
         answers_requests: bool = False,
     ) -> None:
-        """Change the parameters. A waiting trigger is dropped; the SYNC count and the event timer start again."""
+        """Change the parameters. A waiting trigger is dropped; the SYNC count and the event timer start again. answers_requests:
+        a remote frame is answered. For the others see the class."""
         key = key if mapping.entries else None
         if (key, answers_requests) != (self.key, self.answers_requests):
             self.key, self.answers_requests = key, answers_requests

@@ -118,7 +118,8 @@ class PdoSettings:
     def from_description(
         cls, description: PdoDescription, node_id: int, transmission_type: int, number: int | None = None
     ) -> PdoSettings:
-        """Return the settings of a PDO of PDOs.csv on a node. number: needed if the description has none.
+        """Return the settings of a PDO of PDOs.csv on a node. number: needed if the description has none. transmission_type:
+        0..255.
 
         A TPDO is created with "no remote requests" (bit 30), which every device accepts. Raises LocalProtocolError if there is no
         number, MappingError if an object cannot be mapped.
@@ -217,7 +218,7 @@ def cob_id_step(pdo: PdoSettings) -> Write:
 
 
 def step_text(step: Write) -> tuple[str, str]:
-    """Return the object and the value of a download for people: ("0x1400:01", "0x80000203")."""
+    """Return the object and the value of a download for people: ("0x1400:01", "0x80000203"). step: index, subindex and bytes."""
     index, subindex, data = step
     return f"0x{index:04X}:{subindex:02X}", f"0x{int.from_bytes(data, 'little'):0{2 * len(data)}X}"
 

@@ -160,6 +160,7 @@ class PdoSlots:
         beside: Iterable[PdoSettings] = (),
     ) -> tuple[PdoSettings | None, list[str]]:
         """Return the settings of the PDO that can best be given these entries (None: there is none), and why others cannot.
+        is_synchronous: at each SYNC; else event-driven.
 
         among: the PDOs that may be remapped. beside: PDOs that are going to be used too, whose CAN-IDs are taken.
 
