@@ -88,7 +88,7 @@ def encode(value: Value, data_type: DataType, name: object = "value") -> bytes:
 
 
 def decode(data: bytes, data_type: DataType, name: object = "value") -> Value:
-    """Return the value of bytes, as SDO carries them.
+    """Return the value of bytes, as SDO carries them. name: the object's name in errors, by its `str`.
 
     Raises ValueRangeError if the length is not the type's, or if a time has more milliseconds than a day. A machine that decodes
     a peer's bytes catches it. Source: CiA 301 v4.2.0, 7.1.

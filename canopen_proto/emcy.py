@@ -62,7 +62,8 @@ class EmcySent(Event):
 
 
 class EmcyDropped(Event):
-    """An emergency of ours will not be sent: the oldest of a full queue (it is in the history), or one beyond MAX_ACTIVE."""
+    """An emergency of ours will not be sent: the oldest of a full queue (it is in the history), or one beyond MAX_ACTIVE. code:
+    its emergency error code, 16 bits."""
 
     __slots__ = ("code",)
     __match_args__ = ("node_id", "code")
@@ -151,7 +152,8 @@ class EmcyProducer(Machine):
         self._tell(_MESSAGE.pack(code, self.error_register, vendor_data), now)
 
     def clear(self, code: int, now: Time, additional_info: int = 0) -> None:
-        """Remove an error: the register loses the bits that no other error has. With the last error, code 0x0000 is sent.
+        """Remove an error: the register loses the bits that no other error has. With the last error, code 0x0000 is sent. code,
+        additional_info: as they were raised.
 
         Does nothing if the error is not present. Event: EmcySent, with the last error. Raises LocalProtocolError for a code or
         information out of range. CiA 301 v4.2.0, 7.2.7.1, transitions 2 and 4

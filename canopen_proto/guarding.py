@@ -49,7 +49,7 @@ MAX_LIFE_TIME_FACTOR: Final = 255
 
 
 class GuardingAnswered(Event):
-    """A node answered a guarding request. timestamp: the transport's, if it has one."""
+    """A node answered a guarding request. timestamp: the transport's, if it has one. state: the node's NMT state, as it says."""
 
     __slots__ = ("state", "timestamp")
     __match_args__ = ("node_id", "state", "timestamp")
@@ -78,7 +78,8 @@ class GuardingRequestsSkipped(Event):
 
 
 class GuardingStateUnexpected(Event):
-    """A node answered with an unexpected NMT state. Reported once for each such state.
+    """A node answered with an unexpected NMT state. Reported once for each such state. state: what it answered. expected: what it
+    should be in.
 
     Together with NodeGuardingLost this is the "node guarding event". CiA 301 v4.2.0, 7.2.8.2.2.1
     """
@@ -108,7 +109,7 @@ class NodeGuardingLost(Event):
 
 
 class NodeGuardingRecovered(Event):
-    """A lost node answered (the GuardingAnswered before this one)."""
+    """A lost node answered (the GuardingAnswered before this one). state: the node's NMT state, as it says."""
 
     __slots__ = ("state",)
     __match_args__ = ("node_id", "state")

@@ -62,7 +62,7 @@ class HeartbeatsSkipped(Event):
 
 
 class HeartbeatReceived(Event):
-    """A heartbeat was received. timestamp: of the frame, from the transport."""
+    """A heartbeat was received. timestamp: of the frame, from the transport. state: the node's NMT state, as it says."""
 
     __slots__ = ("state", "timestamp")
     __match_args__ = ("node_id", "state", "timestamp")
@@ -114,7 +114,7 @@ class HeartbeatLost(Event):
 
 
 class HeartbeatRecovered(Event):
-    """A lost node's heartbeat is back (the HeartbeatReceived before this one)."""
+    """A lost node's heartbeat is back (the HeartbeatReceived before this one). state: the node's NMT state, as it says."""
 
     __slots__ = ("state",)
     __match_args__ = ("node_id", "state")
@@ -159,6 +159,7 @@ class HeartbeatProducer(Machine):
 
     def set_period(self, period: Time, now: Time) -> None:
         """Set the producer heartbeat time: 0 stops; 1 ms or more begins at once, with a frame, unless the node is INITIALISING.
+        period: ns.
 
         Raises LocalProtocolError for other values. CiA 301 v4.2.0, 7.2.8.3.2.2 and 7.5.2.20
         """

@@ -81,7 +81,8 @@ class Event:
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Outcome(Event):
-    """The one answer to a command that returned a RequestId. It is never dropped: every request gets exactly one."""
+    """The one answer to a command that returned a RequestId. It is never dropped: every request gets exactly one. request_id: the
+    one that the command returned."""
 
     __slots__ = ("request_id",)
     __match_args__ = ("node_id", "request_id")
@@ -114,7 +115,8 @@ class Outbox:
     __slots__ = ("armed", "events", "frames", "owner", "rerouted", "root")
 
     def __init__(self, within: Outbox | None = None, owner: Machine | None = None) -> None:
-        """Make an outbox; for a Group, one nested `within` another: the same frames and events, its own armed and rerouted."""
+        """Make an outbox; for a Group, one nested `within` another: the same frames and events, its own armed and rerouted.
+        owner: the Group, told when one of its members is armed or rerouted."""
         self.frames: list[Frame] = [] if within is None else within.frames
         self.events: list[Event] = [] if within is None else within.events
         self.armed: list[Machine] = []

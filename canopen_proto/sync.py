@@ -60,7 +60,8 @@ class SyncReceived(Event):
 
 
 class SyncLengthUnexpected(FrameIgnored):
-    """A SYNC had another length than 0x1019 says. expected: 0 or 1 byte. (A device may send EMCY 0x8240 for it.)"""
+    """A SYNC had another length than 0x1019 says. expected: 0 or 1 byte. (A device may send EMCY 0x8240 for it.) frame: the SYNC.
+    reason: for people."""
 
     __slots__ = ("expected",)
     __match_args__ = ("node_id", "frame", "reason", "expected")
@@ -98,7 +99,8 @@ class SyncProducer(Machine):
         self._put_off: Time = NEVER  # when the SYNC was due that is put off
 
     def configure(self, key: RoutingKey, counter_overflow: int) -> None:
-        """Take another COB-ID (0x1005) and counter overflow value (0x1019); LocalProtocolError for a reserved one.
+        """Take another COB-ID (0x1005) and counter overflow value (0x1019); LocalProtocolError for a reserved one. key: the
+        COB-ID as a routing key. counter_overflow: 0 (no counter) or 2..240.
 
         The producer stops: a running counter cannot change its range. CiA 301 v4.2.0, 7.5.2.22
         """
@@ -183,7 +185,8 @@ class SyncConsumer(Machine):
         return (self.key,)
 
     def configure(self, key: RoutingKey, counter_overflow: int) -> None:
-        """Take another COB-ID (0x1005) or counter overflow value (0x1019); LocalProtocolError for a reserved one."""
+        """Take another COB-ID (0x1005) or counter overflow value (0x1019); LocalProtocolError for a reserved one. key: the COB-ID
+        as a routing key. counter_overflow: 0 (no counter) or 2..240."""
         self.counter_overflow = check_counter_overflow(counter_overflow)
         if key != self.key:
             self.key = key

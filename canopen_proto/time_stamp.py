@@ -80,7 +80,7 @@ class TimeConsumer(Machine):
         return () if self.key is None else (self.key,)
 
     def set_key(self, key: RoutingKey | None) -> None:
-        """Take another COB-ID (0x1012); None to hear none."""
+        """Take another COB-ID (0x1012); None to hear none. key: the COB-ID as a routing key."""
         if key != self.key:
             self.key = key
             self._reroute()

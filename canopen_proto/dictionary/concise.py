@@ -35,7 +35,7 @@ _ENTRY = struct.Struct("<HBI")
 
 @mypyc_attr(native_class=False)
 class ConciseError(LocalProtocolError, ValueError):
-    """The bytes are not a valid concise DCF. offset: the first wrong byte."""
+    """The bytes are not a valid concise DCF. offset: the first wrong byte. message: for people."""
 
     def __init__(self, message: str, offset: int) -> None:
         super().__init__(message)

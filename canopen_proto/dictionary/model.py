@@ -155,7 +155,8 @@ class ObjectDictionary:
         source: str = "",
     ) -> None:
         """constants: by mux. If two objects share an index, or two variables a name, the later one gets it; but a name that
-        an object of a further logical device (0x6800 and on) shares with another one means the other."""
+        an object of a further logical device (0x6800 and on) shares with another one means the other. fillers: names for unused
+        bits of a PDO."""
         by_index = {each.index: each for each in objects}
         self._pseudo = by_index.pop(PSEUDO_INDEX, None)
         self.objects: Mapping[int, Object] = MappingProxyType(dict(sorted(by_index.items())))
@@ -265,7 +266,8 @@ class ObjectDictionary:
         raise ConstantNotFoundError(f"{variable.label} has no constant {name!r}{near}")
 
     def constant_value(self, key: Key, name: str) -> int:
-        """Return the number to write for a constant: negative if the object is signed and the constant's highest bit is set."""
+        """Return the number to write for a constant: negative if the object is signed and the constant's highest bit is set.
+        name: of the constant."""
         variable = self.variable(key)
         value = self.constant(variable, name).value
         if is_signed(variable.data_type) and variable.bit_length is not None and value >> variable.bit_length - 1:
@@ -314,7 +316,8 @@ class ObjectDictionary:
         return Message(node_id, variable.name, value, self.names_of(variable, value), timestamp)
 
     def with_objects(self, objects: Iterable[Object], source: str | None = None) -> ObjectDictionary:
-        """Return this dictionary with more objects. A new object replaces the one that has its index."""
+        """Return this dictionary with more objects. A new object replaces the one that has its index. source: a new name for
+        error texts; None: as before."""
         pseudo = [self._pseudo] if self._pseudo else []
         return ObjectDictionary(
             [*pseudo, *self.objects.values(), *objects],
@@ -414,7 +417,8 @@ def _fold(name: str) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return the end of an error text: "; did you mean ...?" for similar names, else all names if there are few, else ""."""
+    """Return the end of an error text: "; did you mean ...?" for similar names, else all names if there are few, else "". known:
+    the names that exist."""
     import difflib  # only a wrong name needs it
 
     if len(name) > MAX_NAME_COMPARED:

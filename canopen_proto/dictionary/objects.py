@@ -159,7 +159,8 @@ class Variable:
         return self.codec.encode(value, self)
 
     def decode(self, data: bytes) -> Value:
-        """Return the value of bytes as SDO carries them. Raises ValueRangeError if their number is not the type's."""
+        """Return the value of bytes as SDO carries them. Raises ValueRangeError if their number is not the type's. data:
+        little-endian."""
         return self.codec.decode(data, self)
 
     def check_limits(self, value: Value) -> None:
@@ -205,7 +206,7 @@ class Object:
     @classmethod
     def of(cls, name: str, variables: Iterable[Variable], object_type: ObjectType | None = None) -> Object:
         """Make an object of these variables, which share one index. object_type: None = VAR for a single one at subindex 0, else
-        RECORD."""
+        RECORD. name: of the object."""
         by_subindex = {variable.subindex: variable for variable in variables}
         if object_type is None:
             object_type = ObjectType.VAR if list(by_subindex) == [0] else ObjectType.RECORD

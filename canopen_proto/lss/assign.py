@@ -229,7 +229,8 @@ def in_order(node_ids: Iterable[int]) -> Choice:
 
 
 def by_table(table: Sequence[tuple[Known, int]]) -> Choice:
-    """Give the node-ID of the first row whose numbers (None: any) are those of the address; None without such a row."""
+    """Give the node-ID of the first row whose numbers (None: any) are those of the address; None without such a row. table:
+    address and node-ID of each row."""
 
     def choose(address: LssAddress, taken: Collection[int]) -> int | None:
         rows = [node_id for numbers, node_id in table if all(n in (None, own) for n, own in zip(numbers, address, strict=True))]
@@ -239,7 +240,8 @@ def by_table(table: Sequence[tuple[Known, int]]) -> Choice:
 
 
 def nodes_there(tool: LssTool, node_ids: Collection[int], listen: Time = LISTEN) -> Procedure[set[int]]:
-    """Return which of these node-IDs somebody on the bus has: it was heard, or answers SDO."""
+    """Return which of these node-IDs somebody on the bus has: it was heard, or answers SDO. listen: ns, before the first
+    question."""
     rows: list[NodeFound] = yield from scan(tool.scanner, node_ids, listen=listen)
     return {row.node_id for row in rows}
 
@@ -250,7 +252,8 @@ def nodes_there(tool: LssTool, node_ids: Collection[int], listen: Time = LISTEN)
 def give(
     tool: LssTool, pace: Pace, address: LssAddress, node_id: int, *, present: int = UNCONFIGURED, store: bool = True
 ) -> Procedure[Given]:
-    """Give the device with this address a node-ID; see this module's text. The result is also reported by LssGiven.
+    """Give the device with this address a node-ID; see this module's text. The result is also reported by LssGiven. pace: how
+    long questions wait.
 
     present: the node-ID that it has; if it has one, it resets its communication, on our command. store: it keeps the node-ID
     without power. When it is cancelled, all slaves are sent to "waiting" first.
@@ -293,7 +296,8 @@ class LssNotSelectedError(ProcedureError):
 
 
 def select_only(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[None]:
-    """Select the device with this address, and make sure that no other is selected. Raises LssNotSelectedError.
+    """Select the device with this address, and make sure that no other is selected. Raises LssNotSelectedError. pace: how long
+    questions wait.
 
     Then all slaves are to be sent to "waiting" (`all_waiting`).
     """
@@ -312,7 +316,8 @@ def select_only(tool: LssTool, pace: Pace, address: LssAddress) -> Procedure[Non
 
 
 def own_node_id(tool: LssTool, pace: Pace) -> Procedure[int]:
-    """Return the node-ID of the selected device, or UNCONFIGURED. Raises LssNotSelectedError unless one device answers."""
+    """Return the node-ID of the selected device, or UNCONFIGURED. Raises LssNotSelectedError unless one device answers. pace: how
+    long questions wait."""
     for _ in range(CONFIRMATIONS):
         reply = yield from ask(tool, lambda now: tool.master.inquire(LssService.INQUIRE_NODE_ID, now, window=pace.window))
         if reply.count > 1:

@@ -46,7 +46,8 @@ def index_of(bit_rate: int) -> int:
 
 
 def prepare(tool: LssTool, pace: Pace, addresses: Sequence[LssAddress], bit_rate: int, present: int) -> Procedure[list[Refusal]]:
-    """Set the pending bit rate of all devices, kbit/s; return those that refused, or do not answer.
+    """Set the pending bit rate of all devices, kbit/s; return those that refused, or do not answer. pace: how long questions
+    wait. addresses: all devices on the bus.
 
     With the first refusal the others get the present one back. Nothing is switched, and nothing stored. So too when cancelled.
     """
@@ -79,7 +80,8 @@ def _set(tool: LssTool, pace: Pace, address: LssAddress, index: int) -> Procedur
 
 
 def store_all(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Procedure[list[Refusal]]:
-    """Let the devices store node-ID and bit rate; return those that did not."""
+    """Let the devices store node-ID and bit rate; return those that did not. pace: how long questions wait. addresses: of the
+    devices."""
     failed = []
     for address in addresses:
         remark = yield from _on_selected(tool, pace, address, LssService.STORE, 0)
@@ -120,7 +122,8 @@ def activate(tool: LssTool, delay: Time = DELAY) -> Procedure[None]:
 
 
 def missing(tool: LssTool, pace: Pace, addresses: Iterable[LssAddress]) -> Procedure[list[LssAddress]]:
-    """Return which devices do not answer when they are selected."""
+    """Return which devices do not answer when they are selected. pace: how long questions wait. addresses: of the devices. At the
+    end all slaves are in "waiting"."""
     absent = []
     for address in addresses:
         try:

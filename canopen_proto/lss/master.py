@@ -11,7 +11,7 @@ answer and so no outcome: `switch_global` and `activate_bit_timing`.
 
 An answer that comes when no command waits for it is an LssAnswerUnexpected: it was late, or another master is at work. One that
 comes in the window of a later command cannot be told from that one's own: so procedures check what they find
-(procedures/lss_fastscan.py).
+(scan.py).
 
 One command at a time: slaves drop a request that comes before they have answered the last one. A command that is given while
 another one waits is a fault of the caller.
@@ -64,6 +64,8 @@ class LssReply(Outcome):
 
     service: the command specifier of its answers. answers: the whole data of each, in order. count: of all answers. slowest: ns
     from the last frame of the command to its last answer.
+
+    request_id: the one that the command returned.
     """
 
     __slots__ = ("answers", "count", "service", "slowest")
@@ -136,13 +138,14 @@ class LssMaster(Machine):
     # ---- commands with an LssReply ----
 
     def select(self, address: LssAddress, now: Time, *, window: Time = WINDOW, guard: Time | None = None) -> RequestId:
-        """Send the one slave with this address into "configuration". It answers SELECTED; it has to be in "waiting"."""
+        """Send the one slave with this address into "configuration". It answers SELECTED; it has to be in "waiting". window,
+        guard: ns, see this module's text."""
         frames = [number_message(_SELECT[place], number) for place, number in enumerate(address)]
         return self._ask(frames, LssService.SELECTED, window, guard, now)
 
     def configure_node_id(self, node_id: int, now: Time, *, window: Time = WINDOW, guard: Time | None = None) -> RequestId:
         """Set the pending node-ID of the selected slave: 1..127, or UNCONFIGURED; else LocalProtocolError. Every slave in
-        "configuration" takes it: see that it is one."""
+        "configuration" takes it: see that it is one. window, guard: ns, see this module's text."""
         if not is_node_id(node_id):
             raise LocalProtocolError(f"node-ID {node_id} is neither 1..127 nor 255 (none)")
         service = LssService.CONFIGURE_NODE_ID
@@ -152,19 +155,21 @@ class LssMaster(Machine):
         self, index: int, now: Time, *, table: int = CIA_TABLE, window: Time = WINDOW, guard: Time | None = None
     ) -> RequestId:
         """Set the pending bit rate of the selected slave: an entry of a table (BIT_RATES). Raises LocalProtocolError beyond
-        0..255."""
+        0..255. index, table: 0..255. window, guard: ns, see this module's text."""
         if not (0 <= index <= 0xFF and 0 <= table <= 0xFF):
             raise LocalProtocolError(f"entry {index} of the table {table} of bit timings: both are 0..255")
         service = LssService.CONFIGURE_BIT_TIMING
         return self._ask([message(service, bytes((table, index)))], service, window, guard, now)
 
     def store(self, now: Time, *, window: Time = STORE_WINDOW, guard: Time | None = None) -> RequestId:
-        """Let the selected slave store its pending node-ID and bit rate."""
+        """Let the selected slave store its pending node-ID and bit rate. window, guard: ns, see this module's text; the window is
+        1 s by default."""
         return self._ask([message(LssService.STORE)], LssService.STORE, window, guard, now)
 
     def inquire(self, service: LssService, now: Time, *, window: Time = WINDOW, guard: Time | None = None) -> RequestId:
         """Ask the selected slave for a number of its identity (INQUIRE_VENDOR .. INQUIRE_SERIAL) or its node-ID
-        (INQUIRE_NODE_ID): the active one; Lely's slaves tell the pending one while they have none."""
+        (INQUIRE_NODE_ID): the active one; Lely's slaves tell the pending one while they have none. service: which of them, else
+        LocalProtocolError. window, guard: ns, see this module's text."""
         if not LssService.INQUIRE_VENDOR <= service <= LssService.INQUIRE_NODE_ID:
             raise LocalProtocolError(f"{service.name} is no inquiry")
         return self._ask([message(service)], service, window, guard, now)
@@ -180,13 +185,15 @@ class LssMaster(Machine):
         window: Time = WINDOW,
         guard: Time | None = None,
     ) -> RequestId:
-        """Ask whether slaves with such an address are there; each answers IDENTIFIED. The bounds are inclusive."""
+        """Ask whether slaves with such an address are there; each answers IDENTIFIED. The bounds are inclusive. vendor_id,
+        product_code: UNSIGNED32. revisions, serials: least and greatest. window, guard: ns, see this module's text."""
         numbers = (vendor_id, product_code, *revisions, *serials)
         frames = [number_message(_IDENTIFY[place], number) for place, number in enumerate(numbers)]
         return self._ask(frames, LssService.IDENTIFIED, window, guard, now)
 
     def identify_non_configured(self, now: Time, *, window: Time = WINDOW, guard: Time | None = None) -> RequestId:
-        """Ask whether slaves without a node-ID are there; each answers NON_CONFIGURED. Some slaves lack this service."""
+        """Ask whether slaves without a node-ID are there; each answers NON_CONFIGURED. Some slaves lack this service. window,
+        guard: ns, see this module's text."""
         return self._ask([message(LssService.IDENTIFY_NON_CONFIGURED)], LssService.NON_CONFIGURED, window, guard, now)
 
     def fastscan(
@@ -202,14 +209,16 @@ class LssMaster(Machine):
     ) -> RequestId:
         """Ask the slaves without a node-ID: do the bits 31 to `bit_check` of your number `sub` (0 vendor-ID .. 3 serial number)
         equal those of `number`? Each that says yes answers IDENTIFIED and goes on to the number `following`. With `bit_check` 0
-        and a lower `following` it is selected. bit_check CONFIRM: all answer, and begin with number 0."""
+        and a lower `following` it is selected. bit_check CONFIRM: all answer, and begin with number 0. window, guard: ns, see
+        this module's text."""
         if not 0 <= number <= 0xFFFF_FFFF:
             raise LocalProtocolError(f"fastscan: {number} is outside 0..0xFFFFFFFF")
         frames = [fastscan_message(number, bit_check, sub, following)]
         return self._ask(frames, LssService.IDENTIFIED, window, guard, now)
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
-        """Stop waiting: LssReply follows at once, with the answers until now. Returns False if it does not wait any more."""
+        """Stop waiting: LssReply follows at once, with the answers until now. Returns False if it does not wait any more.
+        request_id: the one that the command returned."""
         if request_id != self._request_id or not self.is_busy:
             return False
         self._queue.clear()

@@ -153,7 +153,8 @@ _OWN_ERRORS: Final[Mapping[LssService, Mapping[int, str]]] = {
 
 
 def error_text(service: LssService, error: int, specific: int) -> str:
-    """Return the error of an answer to 0x11, 0x13 or 0x17 in words; "" if it is no error."""
+    """Return the error of an answer to 0x11, 0x13 or 0x17 in words; "" if it is no error. service: that of the answer. error: its
+    error code, 0..255. specific: the maker's own code, 0..255, which counts with 255."""
     if error == OK:
         return ""
     if error == SPECIFIC:
@@ -190,7 +191,7 @@ def fastscan_of(data: bytes) -> tuple[int, int, int, int]:
 
 
 def field_name(sub: int) -> str:
-    """Return the name of a number of an address: "vendor-ID"."""
+    """Return the name of a number of an address: "vendor-ID". sub: 0..3."""
     return FIELD_NAMES[sub] if sub < len(FIELD_NAMES) else f"part {sub}"
 
 

@@ -149,7 +149,7 @@ class Pace:
     until: Time = NEVER
 
     def learn(self, reply: LssReply) -> None:
-        """Take the time of the answers to a question that waited its whole window."""
+        """Take the time of the answers to a question that waited its whole window. reply: those answers."""
         self.slowest = max(self.slowest, reply.slowest)
         self.window = min(max(self.window, 2 * self.slowest), max(MAX_WINDOW, self.window))
 
@@ -173,7 +173,8 @@ class Pace:
 
 
 def duration_of(known: Known = NOTHING_KNOWN, pace: Pace | None = None) -> tuple[Time, Time]:
-    """Return the least and the greatest time for one device, in ns, if nothing is late or lost: all bits 0, and all 1."""
+    """Return the least and the greatest time for one device, in ns, if nothing is late or lost: all bits 0, and all 1. known:
+    numbers of the address that are known. pace: None: that of a first try."""
     pace = Pace() if pace is None else pace
     bits = BITS * sum(number is None for number in known)
     rest = (1 + NUMBERS + NUMBERS) * pace.window  # the first question, "is it this one?", and the identity
@@ -196,7 +197,8 @@ def all_waiting(tool: LssTool) -> Procedure[None]:
 
 
 def identity_of_selected(tool: LssTool, pace: Pace) -> Procedure[list[set[int]]]:
-    """Return the numbers that the slaves in "configuration" give for each part of their address."""
+    """Return the numbers that the slaves in "configuration" give for each part of their address. pace: how long questions
+    wait."""
     numbers: list[set[int]] = []
     for service in (
         LssService.INQUIRE_VENDOR, LssService.INQUIRE_PRODUCT, LssService.INQUIRE_REVISION, LssService.INQUIRE_SERIAL,
@@ -479,7 +481,8 @@ def search(
     revisions: tuple[int, int] = (0, ALL_ONES),
     serials: tuple[int, int] = (0, ALL_ONES),
 ) -> Procedure[list[LssAddress]]:
-    """Find all devices of a type, with and without a node-ID, by halving the ranges (inclusive): six frames a step.
+    """Find all devices of a type, with and without a node-ID, by halving the ranges (inclusive): six frames a step. vendor_id,
+    product_code: UNSIGNED32. revisions, serials: least and greatest.
 
     Also for devices that know no fastscan. Each is reported by LssFound; two with one address count once. Raises LssError if a
     range has a device and neither half of it has: answers come late, or get lost.

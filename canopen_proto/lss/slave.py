@@ -78,7 +78,8 @@ class LssNodeIdSet(Event):
 
 
 class LssStoreRequested(Event):
-    """The host has to store node-ID and bit rate for the next power-on, then to call `LssSlave.complete_store`."""
+    """The host has to store node-ID and bit rate for the next power-on, then to call `LssSlave.complete_store`. configuration:
+    what is to be stored."""
 
     __slots__ = ("configuration",)
     __match_args__ = ("node_id", "configuration")
@@ -154,7 +155,8 @@ class LssSlave(Machine):
         can_store: bool = True,
     ) -> None:
         """Power on. configuration: what is stored. bit_rates: kbit/s, those that the device can have. can_store: whether a host
-        answers LssStoreRequested; else 0x17 gets "not supported". Raises LocalProtocolError for an impossible node-ID."""
+        answers LssStoreRequested; else 0x17 gets "not supported". Raises LocalProtocolError for an impossible node-ID. address:
+        vendor-ID, product code, revision and serial number, UNSIGNED32 each."""
         super().__init__(out)
         if not is_node_id(configuration.node_id):
             raise LocalProtocolError(f"node-ID {configuration.node_id} is outside 1..127, and not {UNCONFIGURED} (none yet)")
@@ -191,7 +193,8 @@ class LssSlave(Machine):
         self.persistent = self.pending = self.active = stored
 
     def reset(self, command: NmtCommand, now: Time) -> None:
-        """Follow an NMT reset: the pending node-ID becomes the active one. After RESET_NODE, pending is what is stored."""
+        """Follow an NMT reset: the pending node-ID becomes the active one. After RESET_NODE, pending is what is stored. command:
+        RESET_NODE or RESET_COMMUNICATION."""
         if command is NmtCommand.RESET_NODE:
             self.pending = self.persistent
         self.active = LssConfiguration(self.pending.node_id, self.active.bit_rate)
@@ -201,7 +204,8 @@ class LssSlave(Machine):
             self._arm(NEVER)
 
     def complete_store(self, error: int, now: Time, specific: int = 0) -> None:
-        """Give the host's answer to LssStoreRequested: 0 stored, 2 failed, 0xFF an error of its own. Late: does nothing."""
+        """Give the host's answer to LssStoreRequested: 0 stored, 2 failed, 0xFF an error of its own. Late: does nothing.
+        specific: the maker's own code, 0..255, with 0xFF."""
         if not self.is_storing:
             return
         self.is_storing = False

@@ -40,7 +40,8 @@ class UnexpectedLengthError(ProcedureError):
 
 
 def read(node: ObjectAccess, key: Key) -> Procedure[Value]:
-    """Read an object by SDO; return its value, and keep it in `node.values`. Raises SdoTransferError, UnexpectedLengthError."""
+    """Read an object by SDO; return its value, and keep it in `node.values`. Raises SdoTransferError, UnexpectedLengthError. key:
+    see `Key`."""
     variable = node.dictionary.variable(key)
     outcome: Outcome = yield Request(node, lambda now, urgent: node.read(variable, now, urgent=urgent))
     if isinstance(outcome, SdoUploaded):
@@ -58,7 +59,7 @@ def value_of(node: ObjectAccess, variable: Variable, uploaded: SdoUploaded) -> V
 
 
 def read_int(node: ObjectAccess, key: Key) -> Procedure[int]:
-    """Read an object that holds an integer, and return it."""
+    """Read an object that holds an integer, and return it. key: see `Key`. Raises as `read`."""
     value = yield from read(node, key)
     assert isinstance(value, int)
     return value
@@ -78,7 +79,8 @@ def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
 
 
 def write(node: ObjectAccess, key: Key, value: Value, *, urgent: bool = False) -> Procedure[None]:
-    """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoTransferError.
+    """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoTransferError. key: see
+    `Key`.
 
     urgent: it goes before all queued requests of the node, and does not wait for a late answer; the writes of a clean-up always
     do. Raises LocalProtocolError or ValueRangeError, with nothing sent, if the dictionary forbids the write.

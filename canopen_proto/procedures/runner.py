@@ -34,7 +34,7 @@ _OF_REQUESTS: Final = (Outcome, SdoProgress)
 
 
 class ProcedureFinished(Outcome):
-    """A procedure came to its end. result: its return value."""
+    """A procedure came to its end. result: its return value. request_id: the one that `run` returned."""
 
     __slots__ = ("result",)
     __match_args__ = ("node_id", "request_id", "result")
@@ -46,7 +46,8 @@ class ProcedureFinished(Outcome):
 
 
 class ProcedureFailed(Outcome):
-    """A procedure raised. error: a ProcedureError with a message for people, or any other exception (a bug in the procedure)."""
+    """A procedure raised. error: a ProcedureError with a message for people, or any other exception (a bug in the procedure).
+    request_id: the one that `run` returned."""
 
     __slots__ = ("error",)
     __match_args__ = ("node_id", "request_id", "error")
@@ -58,7 +59,8 @@ class ProcedureFailed(Outcome):
 
 
 class ProcedureCancelled(Outcome):
-    """A procedure was cancelled and has cleaned up. clean_up_error: an error of the clean-up, or None."""
+    """A procedure was cancelled and has cleaned up. clean_up_error: an error of the clean-up, or None. request_id: the one that
+    `run` returned."""
 
     __slots__ = ("clean_up_error",)
     __match_args__ = ("node_id", "request_id", "clean_up_error")
@@ -143,7 +145,8 @@ class Runner(Machine):
         return task.request_id
 
     def cancel(self, request_id: RequestId, now: Time) -> None:
-        """Cancel a procedure. Does nothing if the id is unknown, or if the procedure has ended or is being cancelled."""
+        """Cancel a procedure. Does nothing if the id is unknown, or if the procedure has ended or is being cancelled. request_id:
+        the one that `run` returned."""
         task = self.tasks.get(request_id)
         if task is not None and task.parent is None:
             self._cancel(task, now)

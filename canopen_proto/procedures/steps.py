@@ -50,6 +50,8 @@ class SdoTransferError(ProcedureError):
     """An SDO transfer of the procedure ended with an abort, ours or the node's. Fields: those of SdoAborted.
 
     not_confirmed: a write that may have been executed; it is never sent again automatically. attempt: "reading" or "writing".
+
+    aborted: that outcome.
     """
 
     def __init__(self, aborted: SdoAborted, attempt: str) -> None:
@@ -105,6 +107,7 @@ class Act(Step):
 
 class Request(Step):
     """Give a command with an outcome: `submit(now, urgent)` returns its RequestId; the step's result is the Outcome event.
+    requester: whose command it is, to cancel it.
 
     news: for a stream, called with each SdoProgress event. If it raises, the request is cancelled, and the error is raised here.
     """
@@ -191,7 +194,8 @@ def ask_for_time(duration: Time) -> Procedure[None]:
 def wait_for_event(
     source: Machine, kind: type[E], timeout: Time, what: str, match: Callable[[E], bool] | None = None
 ) -> Procedure[E]:
-    """Wait for an event of this kind from source's network; return it. After `timeout` ns, StepTimeoutError names `what`."""
+    """Wait for an event of this kind from source's network; return it. After `timeout` ns, StepTimeoutError names `what`. match:
+    which of these events; None: any."""
     result = yield Wait(timeout, source, lambda report: isinstance(report, kind) and (match is None or match(report)))
     if not isinstance(result, kind):
         raise StepTimeoutError(f"{what} did not come within {timeout / 1e9:g} s")
@@ -207,7 +211,7 @@ def all_of(*procedures: Procedure[T]) -> Procedure[list[T]]:
 
 def upload(client: SdoClient, index: int, subindex: int = 0, *, block: Block = False) -> Procedure[bytes]:
     """Read an object by SDO; return its bytes. Raises SdoTransferError. block: see `Block`. For very large objects use
-    streams.py."""
+    streams.py. client: of the node's channel."""
     outcome: Outcome = yield Request(client, lambda now, urgent: client.upload(index, subindex, now, urgent=urgent, block=block))
     if isinstance(outcome, SdoUploaded):
         return outcome.data
@@ -216,7 +220,8 @@ def upload(client: SdoClient, index: int, subindex: int = 0, *, block: Block = F
 
 
 def download(client: SdoClient, index: int, subindex: int, data: Buffer, *, block: Block = False) -> Procedure[None]:
-    """Write an object by SDO; return when the node has confirmed it. Raises SdoTransferError. block: see `Block`."""
+    """Write an object by SDO; return when the node has confirmed it. Raises SdoTransferError. block: see `Block`. data: the
+    value's bytes, little-endian."""
     outcome: Outcome = yield Request(
         client, lambda now, urgent: client.download(index, subindex, data, now, urgent=urgent, block=block)
     )

@@ -1,4 +1,4 @@
-"""Which commands claim an SDO channel of their node, and how; see canopen_master/channel_claim.py."""
+"""Which commands claim an SDO channel of their node, and how; see canopen_master/claims/channel_claim.py."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Read the program objects of a device (CiA 302-3) that may be busy with its flash, or booting: it is asked until it answers.
 
-A read changes nothing, so it is repeated after a loss; see programs.py for the objects.
+A read changes nothing, so it is repeated after a loss. The objects have their numbers in indices.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The content of the page that `eds doc` makes of a device description, before it becomes HTML or Markdown.
 
-The page consists of plain texts. eds_html.py and eds_markdown.py escape them.
+The page consists of plain texts. html.py and markdown.py escape them.
 """
 
 from __future__ import annotations
