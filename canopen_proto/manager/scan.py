@@ -130,7 +130,7 @@ def scan(
     probe_timeout: Time = PROBE_TIMEOUT,
     answer_timeout: Time = ANSWER_TIMEOUT,
 ) -> Procedure[list[NodeFound]]:
-    """Find the nodes of a bus; return them by node-ID.
+    """Find the nodes of a bus; return them by node-ID. scanner: attached to the network.
 
     node_ids: the nodes to ask; empty: only listen. Nodes that are heard are found whether asked or not. listen, probe_timeout,
     answer_timeout: ns. Each node is also reported by NodeFound: at once if it answers, at the end if it was only heard. Raises
@@ -213,5 +213,6 @@ def _optional(client: SdoClient, index: int, subindex: int) -> Procedure[bytes |
 
 
 def duration_of(count: int, *, listen: Time = LISTEN, probe_timeout: Time = PROBE_TIMEOUT) -> Time:
-    """Return how long a scan of `count` absent node-IDs takes, in ns: for progress and time limits."""
+    """Return how long a scan of `count` absent node-IDs takes, in ns: for progress and time limits. listen, probe_timeout: ns, as
+    of `scan`."""
     return listen + -(-count // AT_ONCE) * (probe_timeout + PACE)

@@ -46,7 +46,8 @@ class Gaps:
         return now - max(self.last, self._copied) <= QUIET
 
     def missing(self, node_id: int, text: str, now: Time, found: list[BusFinding]) -> None:
-        """Take a sign that frames are missing. found: takes the finding, if this is not the gap of the sign before."""
+        """Take a sign that frames are missing. found: takes the finding, if this is not the gap of the sign before. text: the
+        sign, for people."""
         if now - self.last > QUIET:
             found.append(BusFinding("missing", node_id, f"frames are missing here: {text}", is_certain=False))
         self.last = now
@@ -57,7 +58,7 @@ class Gaps:
         return BusFinding("missing", 0, f"frames are missing here: {text}")
 
     def copied(self, node_id: int, text: str, now: Time, found: list[BusFinding]) -> None:
-        """Take a frame that has come twice."""
+        """Take a frame that has come twice. text: for people. found: takes the finding, if the last one is a while ago."""
         if now - self._copied > QUIET:
             found.append(BusFinding("copied", node_id, text, is_certain=False))
         self._copied = now

@@ -97,7 +97,8 @@ def variable_at(dictionary: ObjectDictionary, index: int, subindex: int) -> Vari
 def shown_of(
     dictionary: ObjectDictionary, node_id: int, index: int, subindex: int, data: bytes | None, *, is_held: bool
 ) -> ShownObject:
-    """Return an object with the value in these bytes; None: without one."""
+    """Return an object with the value in these bytes; None: without one. data: little-endian. is_held: the device holds this
+    value."""
     variable = variable_at(dictionary, index, subindex)
     name = variable.name if variable is not None else ""
     if data is None:

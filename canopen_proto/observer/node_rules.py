@@ -243,7 +243,7 @@ class NodeRules:
             view.same_toggles = 0
 
     def sdo(self, node_id: int, now: Time, found: list[BusFinding], *, is_answer: bool) -> None:
-        """Take note of an SDO frame."""
+        """Take note of an SDO frame. found: takes the findings. is_answer: from the node; else to it."""
         view = self._views[node_id]
         view.is_up = view.is_up or is_answer
         if view.state != NmtState.STOPPED or now - view.since < OBEYING or (view.is_told and not is_answer):
@@ -253,7 +253,7 @@ class NodeRules:
         view.suspect, view.suspected = BusFinding("stopped", node_id, text), now
 
     def pdo(self, node_id: int, now: Time, found: list[BusFinding]) -> None:
-        """Take note of a PDO that a node has sent."""
+        """Take note of a PDO that a node has sent. found: takes the findings."""
         view = self._views[node_id]
         view.is_up = True
         if view.state is None or view.state == _OPERATIONAL or now - view.since < OBEYING:

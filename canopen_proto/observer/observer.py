@@ -122,7 +122,8 @@ class Observer:
     """See this module's text.
 
     dictionary_of: returns the dictionary of a node-ID, or None. bitrate: bit/s; 0 if it is not known: then no look at the load.
-    drives: nodes of which it is known otherwise that they are drives: PDOs.csv may describe their PDOs (pdo.py).
+    drives: nodes of which it is known otherwise that they are drives: PDOs.csv may describe their PDOs (pdo.py). load_limit:
+    share of the bit rate, 0 to 1, above which the load is a finding.
     """
 
     def __init__(

@@ -70,7 +70,8 @@ class ObservedParameters:
         self._in_file = {node_id: of_files[id(dictionary)] for node_id, dictionary in dictionaries.items()}
 
     def settle(self, node_id: int, index: int, subindex: int, data: bytes) -> bool:
-        """Take note that a device holds this value. Return whether it is a communication parameter that had another value."""
+        """Take note that a device holds this value. Return whether it is a communication parameter that had another value. data:
+        little-endian."""
         if not is_parameter(index) or len(data) > _MAX_BYTES:
             return False
         recorded, key = self._recorded.setdefault(node_id, {}), mux(index, subindex)

@@ -64,7 +64,7 @@ class DriveTimeoutError(DriveError, StepTimeoutError):
 
 class DriveAccessError(DriveError, SdoTransferError):
     """The drive refused an object that a procedure reads or writes (6040h, 6060h, 607Ah ...), or did not answer. It has the
-    fields of SdoTransferError, too."""
+    fields of SdoTransferError, too. failed: that transfer."""
 
     def __init__(self, axis: Axis, failed: SdoTransferError) -> None:
         SdoTransferError.__init__(self, failed.aborted, failed.attempt)
@@ -166,7 +166,8 @@ def accounted(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callab
 
 
 def fault_of(axis: Axis, when: str) -> Procedure[DriveInFaultError]:
-    """Read the error code (0x603F) of a drive in fault; return the error to raise, with that code and the last EMCY."""
+    """Read the error code (0x603F) of a drive in fault; return the error to raise, with that code and the last EMCY. when: for
+    the text, as in "while it moved"."""
     try:
         yield from read_if_present(axis.node, objects.ERROR_CODE)
     except ProcedureError as error:
@@ -179,7 +180,8 @@ def fault_of(axis: Axis, when: str) -> Procedure[DriveInFaultError]:
 
 
 def late(axis: Axis, failed: str, *, looks: bool = True) -> Procedure[DriveTimeoutError]:
-    """Return the error to raise for a drive that did not do something in time. looks: read first what tells why."""
+    """Return the error to raise for a drive that did not do something in time. looks: read first what tells why. failed: what it
+    did not do, for the text."""
     view = (yield from look_closer(axis)) if looks else view_of(axis)
     return DriveTimeoutError(axis, failed, remedy="more time, if it is only slow", view=view)
 
@@ -190,7 +192,7 @@ def state_lost(axis: Axis, state: State, goal: str) -> StateLostError:
 
 
 def mode_lost(axis: Axis, mode: int, goal: str) -> ModeLostError:
-    """Return the error to raise for a drive that left `mode`."""
+    """Return the error to raise for a drive that left `mode`. goal: what was waited for, for the text."""
     view = view_of(axis)
     reason, remedy = (
         f"0x6061 shows {mode_name(axis.mode or 0)}",
@@ -210,7 +212,7 @@ def is_loss_of(node: AxisNode, report: Event) -> bool:
 
 
 def node_lost(axis: Axis, report: Event, goal: str) -> DriveLostError:
-    """Return the error to raise for such an event."""
+    """Return the error to raise for an event of `is_loss_of`. goal: what was waited for, for the text."""
     match report:
         case HeartbeatLost(timeout=timeout):
             seen = f"no heartbeat came for {timeout / SECOND:g} s"

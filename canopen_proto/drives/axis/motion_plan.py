@@ -108,7 +108,8 @@ class Obstacle(NamedTuple):
 
 
 class NoMotionPlanError(ProcedureError):
-    """No mode can be used to give a drive set-points. obstacles: each mode that was tried, and its obstacle."""
+    """No mode can be used to give a drive set-points. obstacles: each mode that was tried, and its obstacle. message: for
+    people."""
 
     def __init__(self, message: str, obstacles: Sequence[Obstacle]) -> None:
         super().__init__(message)
@@ -271,7 +272,7 @@ def exchange_planned(node: RemoteNode, plan: MotionPlan) -> Procedure[None]:
 
 def pending_steps(node: RemoteNode, plan: MotionPlan) -> Procedure[list[Write]]:
     """Return the writes that `exchange_planned` would make in the node now, in order; the node is only read. Raises
-    SdoTransferError, InvalidPdoError, UnexpectedLengthError."""
+    SdoTransferError, InvalidPdoError, UnexpectedLengthError. plan: as `plan_motion` made it."""
     steps = yield from _steps_to_destroy(node, plan)
     steps += yield from steps_to_destroy(node, plan.spare)
     for pdo in plan.pdos:

@@ -30,17 +30,18 @@ class Occupancy:
 
     def occupy(self, name: str) -> Occupant:
         """Note what moves the axis from now on, for longer than a procedure: `release` ends it. The caller looks at
-        `taken_over_by`."""
+        `taken_over_by`. name: of the command, for error texts."""
         self.occupant = Occupant(name)
         return self.occupant
 
     def release(self, occupant: Occupant | None) -> None:
-        """End it. Does nothing if another one occupies the axis, or None is given."""
+        """End it. Does nothing if another one occupies the axis, or None is given. occupant: what `occupy` returned."""
         if occupant is not None and self.occupant is occupant:
             self.occupant = None
 
     def take_over(self, name: str) -> bool:
-        """Tell the occupant that a stop ends it; return whether there is one that has not been told."""
+        """Tell the occupant that a stop ends it; return whether there is one that has not been told. name: of the stop, for error
+        texts."""
         occupant = self.occupant
         if occupant is None or occupant.taken_over_by:
             return False

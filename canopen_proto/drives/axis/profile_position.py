@@ -115,7 +115,7 @@ def _end_at_rest(axis: Axis) -> Procedure[None]:
 
 def require_option(axis: Axis, direction: RotaryDirection | None, relative_to: RelativeTo | None = None) -> None:
     """Raise DriveError if these options need 0x60F2 and the drive does not have it. Without it, drives count from the target
-    before."""
+    before. direction: of a rotary axis. relative_to: what a relative target counts from."""
     if objects.POSITIONING_OPTION_CODE in axis.node.dictionary:
         return
     if direction is not None:
@@ -127,7 +127,8 @@ def require_option(axis: Axis, direction: RotaryDirection | None, relative_to: R
 
 def option_code(axis: Axis, present: int, direction: RotaryDirection | None = None, relative_to: RelativeTo | None = None) -> int:
     """Return 0x60F2 (`present`) with these options; None leaves one as it is. Bits 4 and 5 become 0: the master itself
-    clears bit 4 of the controlword, and an acknowledge that falls by itself could be missed."""
+    clears bit 4 of the controlword, and an acknowledge that falls by itself could be missed. direction: in the user's sense.
+    relative_to: what a relative target counts from."""
     option = present & ~REQUEST_RESPONSE_OPTION
     if direction is not None:
         if axis.settings.direction < 0:
@@ -229,7 +230,8 @@ def _wait_for_bit(axis: Axis, bit: int, wanted: bool, timeout: Time, goal: str) 
 
 
 def wait_for_acknowledge(axis: Axis, wanted: bool, timeout: Time | None = None) -> Procedure[None]:
-    """Wait until bit 12 is 1 (the set-point was taken) or 0 (there is room for one). timeout: ns; None: `state_timeout`."""
+    """Wait until bit 12 is 1 (the set-point was taken) or 0 (there is room for one). timeout: ns; None: `state_timeout`. wanted:
+    which of the two."""
     goal = f"set-point acknowledge (bit 12) = {int(wanted)}"
     limit = axis.settings.state_timeout if timeout is None else timeout
     yield from _wait_for_bit(axis, ModeStatus.SET_POINT_ACKNOWLEDGE, wanted, limit, goal)

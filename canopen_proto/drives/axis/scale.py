@@ -93,7 +93,7 @@ class Scale:
 
     def rate_to_wire(self, rate: float) -> int:
         """Convert an acceleration (0 or more) in the user's unit per second² to the drive's unit, rounded down. Raises
-        LocalProtocolError as `velocity_to_wire`, unless the settings name the acceleration unit."""
+        LocalProtocolError as `velocity_to_wire`, unless the settings name the acceleration unit. rate: that acceleration."""
         unit = self.acceleration_unit
         if unit is None:
             origin = self.units.origins.get("per_acceleration")
@@ -106,7 +106,8 @@ class Scale:
         return math.floor(rate * self._scale / unit * _EXACT)
 
     def velocity_from_wire(self, number: float) -> float:
-        """Convert a velocity in the drive's unit (a count per second if it is not known) to the user's unit per second."""
+        """Convert a velocity in the drive's unit (a count per second if it is not known) to the user's unit per second. number:
+        as 0x606C has it."""
         return self.way_from_counts(number * (self.velocity_unit or 1.0))
 
     def torque_from_wire(self, per_mille: float) -> float:

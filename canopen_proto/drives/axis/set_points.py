@@ -116,7 +116,8 @@ class RecordSetPoint(SetPoint):
         self._encoded(number, None)
 
     def put(self, number: int, velocity: float | None = None) -> None:
-        """Set the images of the record. velocity: counts per second at that position; None: that of the step there."""
+        """Set the images of the record. velocity: counts per second at that position; None: that of the step there. number: the
+        position, counts."""
         values = self._encoded(number, velocity)
         for variable, value in zip(self._variables, values, strict=True):
             self._store[variable.mux] = value
@@ -135,7 +136,7 @@ class AxisSetPoints:
     """The set-points of one axis; see this module's text. given: how many velocities and torques were set so far."""
 
     def __init__(self, node: AxisNode, scale: Scale, title: str) -> None:
-        """title: of the drive, for messages."""
+        """title: of the drive, for messages. scale: between the user's units and those of the wire."""
         self.given = 0
         self._node = node
         self._scale = scale
@@ -159,7 +160,8 @@ class AxisSetPoints:
             self._position = self._image_of(SET_POINT_OF[mode])
 
     def select_record(self, sub_mode: SubMode, period: Time) -> None:
-        """Make position set-points go into data records of ip. period: ns between two of them."""
+        """Make position set-points go into data records of ip. period: ns between two of them. sub_mode: which objects a record
+        has."""
         if sub_mode.objects == (objects.INTERPOLATION_SET_POINT,):
             self.select(Mode.INTERPOLATED_POSITION)
         else:

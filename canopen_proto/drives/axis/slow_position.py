@@ -84,7 +84,8 @@ def start_slow_position(axis: Axis) -> Procedure[float]:
 
 
 def feed_targets(following: Following) -> Procedure[None]:
-    """Give the drive its newest set-point (`Axis.set_points`) as a target, whenever it has changed, until cancelled.
+    """Give the drive its newest set-point (`Axis.set_points`) as a target, whenever it has changed, until cancelled. following:
+    the watch of the axis.
 
     The watch must be on. It ends with FollowingLost if the drive does not take a target.
     """

@@ -45,7 +45,7 @@ class SubMode(Protocol):
         """
 
     def record(self, point: RecordPoint) -> tuple[int, ...]:
-        """Return the values of `objects`, as they go on the wire."""
+        """Return the values of `objects`, as they go on the wire. point: counts, and counts per second."""
 
 
 @dataclass(frozen=True, slots=True)

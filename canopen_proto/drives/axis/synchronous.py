@@ -135,7 +135,8 @@ def _require_velocity_unit(axis: Axis) -> None:
 
 
 def require_carried(axis: Axis, carried: Collection[Mux], sends_itself: bool) -> None:
-    """Raise DriveError if an object of the set-point is in no RPDO that is exchanged, unless the caller sends it itself."""
+    """Raise DriveError if an object of the set-point is in no RPDO that is exchanged, unless the caller sends it itself. carried:
+    the objects of the set-point."""
     for mux in carried:
         if not sends_itself and not rpdos_with(axis.node, (mux,)):
             raise DriveError(

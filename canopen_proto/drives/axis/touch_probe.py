@@ -50,7 +50,8 @@ class ProbeSource(IntEnum):
 
 class ProbeLatched(Event):
     """A probe has latched a position, in the user's unit. probe: 1 or 2. missed: edges since the last event that were passed
-    over; None: the drive does not count them. axis: of the node."""
+    over; None: the drive does not count them. axis: of the node. is_positive: at the rising edge of its input; else at the
+    falling one."""
 
     __slots__ = ("axis", "is_positive", "missed", "position", "probe")
     __match_args__ = ("node_id", "probe", "is_positive", "position")
@@ -105,7 +106,7 @@ def arm_probe(
 
 @accounted
 def disarm_probe(axis: Axis, probe: int = 1) -> Procedure[None]:
-    """Stop latching. Else as `arm_probe`."""
+    """Stop latching. Else as `arm_probe`. probe: 1 or 2."""
     yield from _command(axis, probe, 0)
 
 

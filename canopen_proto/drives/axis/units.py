@@ -107,7 +107,8 @@ class DriveUnits:
         return self.per_acceleration if "per_acceleration" in self.origins else velocity_unit
 
     def torque(self, per_thousand: float) -> float | None:
-        """Return a torque of 0x6071 or 0x6077 in N·m; None if the drive does not tell its rated torque."""
+        """Return a torque of 0x6071 or 0x6077 in N·m; None if the drive does not tell its rated torque. per_thousand: of the
+        rated torque."""
         return None if self.rated_torque is None else per_thousand / 1000 * self.rated_torque
 
     def per_thousand(self, torque: float) -> float | None:

@@ -100,7 +100,8 @@ class DriveView:
 
 
 def command_text(controlword: int, mode: int | None = None) -> str:
-    """Return a controlword in words: "0x010F (enable operation, halt)"."""
+    """Return a controlword in words: "0x010F (enable operation, halt)". mode: of operation, which gives bits 4 to 6 their names;
+    None: not known."""
     return f"0x{controlword:04X} ({', '.join(describe_command(controlword, mode))})"
 
 

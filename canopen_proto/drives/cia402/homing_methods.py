@@ -108,13 +108,14 @@ _DIRECTIONS: Final = {-1: "negative", +1: "positive"}
 
 
 def homing_method_name(number: int) -> str:
-    """Return a homing method and its name: "method 17: negative limit switch; begins in negative direction"."""
+    """Return a homing method and its name: "method 17: negative limit switch; begins in negative direction". number: of the
+    method (0x6098)."""
     return f"method {number}: {homing_name(number)}"
 
 
 def homing_name(number: int) -> str:
     """Return a homing method in a few words: "home switch, negative end in positive direction, with index pulse; begins in
-    positive direction". Any integer has a name."""
+    positive direction". Any integer has a name. number: of the method (0x6098)."""
     if number == NO_HOMING:
         return "no homing"
     if number < 0:
@@ -136,7 +137,8 @@ def homing_name(number: int) -> str:
 
 
 def describe_homing(number: int) -> str:
-    """Return, in one sentence, where a method goes and what is home; for methods without a picture, the name."""
+    """Return, in one sentence, where a method goes and what is home; for methods without a picture, the name. number: of the
+    method (0x6098)."""
     method = HOMING_METHODS.get(number)
     if method is None or not method.last:
         return homing_name(number)

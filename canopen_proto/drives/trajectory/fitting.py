@@ -53,7 +53,8 @@ _NEARLY: Final = 0.95
 
 
 def is_rounded(steps: Sequence[float], positions: Sequence[float], resolution: float) -> bool:
-    """Return whether rounding to multiples of `resolution` may have made most of what is rough in these samples."""
+    """Return whether rounding to multiples of `resolution` may have made most of what is rough in these samples. steps: s between
+    the samples. positions: one more than steps."""
     if len(positions) < FEWEST or not resolution > 0.0:
         return False
     enough = 1.0 + _TOLERANCE
@@ -70,7 +71,8 @@ def is_rounded(steps: Sequence[float], positions: Sequence[float], resolution: f
 
 
 def held(steps: Sequence[float], positions: Sequence[float]) -> list[int]:
-    """Return the samples that stay as they are: the first, the last, and those of a hold that are not near its ends."""
+    """Return the samples that stay as they are: the first, the last, and those of a hold that are not near its ends. steps: s
+    between the samples. positions: one more than steps."""
     kept, begin, last = {0, len(positions) - 1}, 0, len(positions) - 1
     times = [0.0, *itertools.accumulate(steps)]
     for i, position in enumerate(positions):

@@ -30,7 +30,8 @@ MAX_STEPS: Final = 1_000_000
 
 
 def linear(times: Sequence[float], positions: Rows) -> Path:
-    """Return the path of straight lines. Between any two waypoints the velocities are constant."""
+    """Return the path of straight lines. Between any two waypoints the velocities are constant. times: s, from 0 on, rising.
+    positions: a row for each time, a value for each joint."""
     steps = _steps(times)
     columns = _columns(positions, len(times), 0, "positions")
     return Path([
@@ -39,7 +40,7 @@ def linear(times: Sequence[float], positions: Rows) -> Path:
 
 
 def cubic(times: Sequence[float], positions: Rows, velocities: Rows | None = None, *, natural: bool = False) -> Path:
-    """Return the path of cubic polynomials.
+    """Return the path of cubic polynomials. times, positions: as of `linear`. velocities: rows like the positions, per second.
 
     With velocities it has these at the waypoints; its accelerations jump there. Without, it is the spline with continuous
     accelerations: at rest at both ends, or with free velocities there, and no acceleration, if it is `natural`.
@@ -54,7 +55,8 @@ def cubic(times: Sequence[float], positions: Rows, velocities: Rows | None = Non
 
 
 def quintic(times: Sequence[float], positions: Rows, velocities: Rows, accelerations: Rows) -> Path:
-    """Return the path of polynomials of degree 5 that has these velocities and accelerations at its waypoints."""
+    """Return the path of polynomials of degree 5 that has these velocities and accelerations at its waypoints. times, positions:
+    as of `linear`. velocities, accelerations: rows like the positions, per second and per second²."""
     steps = _steps(times)
     columns = _columns(positions, len(times), 0, "positions")
     slopes = _columns(velocities, len(times), len(columns), "velocities")
@@ -133,6 +135,7 @@ def _quintics(
 
 def spline_velocities(steps: Sequence[float], positions: Sequence[float], ends: tuple[float, float] | None) -> list[float]:
     """Return the velocities with which the accelerations do not jump. ends: those at the ends; None: no acceleration there.
+    steps: s between the positions.
 
     A system of equations with three diagonals, solved from the front to the back and then backwards. Each of its rows has the
     diagonal as its largest term, so that this is stable.

@@ -115,7 +115,7 @@ def first_violation(path: Path, limits: Sequence[JointLimits], cycle_time: float
 def first_violation_in_steps(
     path: Path, limits: Sequence[JointLimits], cycle_time: float
 ) -> Generator[None, None, LimitViolation | None]:
-    """Find what `first_violation` returns, in steps; see steps.py."""
+    """Find what `first_violation` returns, in steps; see steps.py. For the arguments see there."""
     check_same_count(path, limits)
     check_cycle(cycle_time)
     first: LimitViolation | None = None
@@ -136,6 +136,7 @@ def reach_of(path: Path, joint: int) -> tuple[float, float]:
 
 def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count: int | None = None) -> Iterator[Demand]:
     """Yield what segments of a joint ask for, and before each of them what the knot at its begin does, if anything jumps there.
+    cycle_time: s.
 
     first, count: from this segment on, and so many of them; all, unless told otherwise.
     """

@@ -96,7 +96,8 @@ class Margin:
         return SpeedChange(rate, change, 0.0, self.max_change, self.max_onset)
 
     def stop_at(self, time: float, rate: float, change: float) -> SpeedChange:
-        """Return the stop that is over soonest of those that are tried, from this time of the path on.
+        """Return the stop that is over soonest of those that are tried, from this time of the path on. time: s of the path. rate:
+        s of the path per second, 0 or more. change: of the rate, per second.
 
         While joints gather speed, the rate can fall only slowly, with what the path leaves of their jerk. Braking behind that may
         be over sooner, and no further on the path; then the rate is held until there.
@@ -120,7 +121,7 @@ class Margin:
         return held if held.distance <= min(left, stop.at(lasts)[0]) else stop
 
     def braking_at(self, time: float, rate: float, change: float) -> SpeedChange:
-        """Return the shortest stop whose braking begins at this time of the path.
+        """Return the shortest stop whose braking begins at this time of the path. time, rate, change: as of `stop_at`.
 
         It looks at the place itself, then as far as the stop would go that this place allows, and so on until a stop ends within
         what was looked at. Then it tries whether a stronger one, or the end of the path, is sooner: see `rest_time`.
@@ -197,7 +198,8 @@ class Margin:
 def margin_in_steps(
     path: Path, limits: Sequence[JointLimits], cycle_time: float, longest_stop: float
 ) -> Generator[None, None, Margin]:
-    """Find what a path leaves free, in steps; see steps.py.
+    """Find what a path leaves free, in steps; see steps.py. limits: one for each joint. cycle_time: s between two set-points.
+    longest_stop: s.
 
     Raises PathError for arguments that do not fit the path; and if its stop_time is above `longest_stop`, with the joint and the
     place to blame.
@@ -231,7 +233,8 @@ def margin_in_steps(
 
 
 def rest_time(stop: SpeedChange, left: float) -> float:
-    """Return the seconds after which the joints rest, at the latest. left: of the path's time, when the change begins."""
+    """Return the seconds after which the joints rest, at the latest. left: of the path's time, when the change begins. stop: the
+    change of the rate."""
     end = stop.time_at(left)
     return min(stop.duration, end) if stop.wanted == 0.0 else end
 

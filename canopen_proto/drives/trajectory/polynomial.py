@@ -29,7 +29,7 @@ class Extremes(NamedTuple):
 
 
 def value_at(coefficients: Sequence[float], time: float) -> float:
-    """Return the value at `time`."""
+    """Return the value at `time`. coefficients: of the powers of the time, from 0 on."""
     value = 0.0
     for coefficient in reversed(coefficients):
         value = value * time + coefficient
@@ -42,7 +42,8 @@ def derivative_of(coefficients: Sequence[float]) -> list[float]:
 
 
 def derivatives_at(t: float, c1: float, c2: float, c3: float, c4: float, c5: float) -> tuple[float, float, float]:
-    """Return the first, second and third derivative of a polynomial of degree 5 at `t`: velocity, acceleration and jerk."""
+    """Return the first, second and third derivative of a polynomial of degree 5 at `t`: velocity, acceleration and jerk. c1 to
+    c5: the coefficients of the powers of `t`."""
     return (
         c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * (5.0 * c5)))),
         2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * (20.0 * c5))),
@@ -74,7 +75,8 @@ def with_constant_jerk(
 
 
 def turning_point(is_late: Callable[[float], bool], early: float, late: float, halvings: int) -> tuple[float, float]:
-    """Return the last time found at which `is_late` is false, and the first at which it is true, between these two."""
+    """Return the last time found at which `is_late` is false, and the first at which it is true, between `early` and `late`.
+    halvings: of that interval."""
     for _ in range(halvings):
         middle = 0.5 * (early + late)
         if is_late(middle):
@@ -100,7 +102,8 @@ def extremes_of(coefficients: Sequence[float], duration: float, begin: float = 0
 
 
 def roots_of(coefficients: Sequence[float], duration: float) -> list[float]:
-    """Return the times between 0 and `duration` at which the value changes its sign, in order."""
+    """Return the times between 0 and `duration` at which the value changes its sign, in order. coefficients: of the powers of the
+    time, from 0 on."""
     degree = len(coefficients) - 1
     while degree > 0 and coefficients[degree] == 0.0:
         degree -= 1

@@ -78,6 +78,7 @@ class SpeedChange:
 
     def time_at(self, distance: float) -> float:
         """Return the seconds after which it has gone this far, rounded up by 1e-6 of its duration at most; math.inf: never.
+        distance: s of the path.
 
         The speed must not be negative on the way.
         """

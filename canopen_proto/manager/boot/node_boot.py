@@ -107,7 +107,8 @@ def boot_node(
 
 
 def watch_by(node: RemoteNode, period: bytes, now: Time) -> Time:
-    """Watch the heartbeats of a node by its producer heartbeat time (0x1017, as it was read), from now on.
+    """Watch the heartbeats of a node by its producer heartbeat time (0x1017, as it was read), from now on. period: the two bytes
+    of 0x1017, ms.
 
     Returns the consumer time, ns; 0: it sends none. The node is known to send them, so the first one is awaited too.
     The time is no entry of 0x1016, so it may be longer than one could hold.

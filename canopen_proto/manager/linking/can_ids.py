@@ -30,7 +30,8 @@ _BROADCASTS: Final = (indices.COB_ID_SYNC, indices.COB_ID_TIME_STAMP)
 
 
 class CanIds:
-    """Gives CAN-IDs to PDOs. node_ids: of all nodes on the bus, also of those without a file."""
+    """Gives CAN-IDs to PDOs. node_ids: of all nodes on the bus, also of those without a file. members: those whose PDOs are
+    known."""
 
     def __init__(self, members: Iterable[KnownNode], node_ids: Collection[int]) -> None:
         self._node_ids = set(node_ids)
@@ -49,7 +50,8 @@ class CanIds:
         self._hold(pdo.cob_id, f"{pdo.name} of {member.name}")
 
     def give(self, owner: LinkedPdo, others: Iterable[LinkedPdo]) -> int | str:
-        """Return the CAN-ID for a PDO, or why there is none. owner: the end that the predefined connection set counts by."""
+        """Return the CAN-ID for a PDO, or why there is none. owner: the end that the predefined connection set counts by. others:
+        the PDOs of its other ends."""
         fixed = [each for each in (owner, *others) if not each.slot.can_move]
         can_ids = {each.slot.pdo.cob_id & _CAN_ID for each in fixed}
         if len(can_ids) > 1:

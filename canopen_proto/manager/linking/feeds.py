@@ -65,7 +65,7 @@ class Feed:
 
 
 class Feeds:
-    """Collects the feeds of links, and all problems with them."""
+    """Collects the feeds of links, and all problems with them. members: the nodes with a file."""
 
     def __init__(self, members: Sequence[KnownNode]) -> None:
         self._members = {member.name: member for member in members}

@@ -82,7 +82,8 @@ class Bundle:
 
 
 def dummy_entries(bits: int, allowed: frozenset[int]) -> list[int] | None:
-    """Return dummy entries of so many bits together, as few as possible; None if these data types cannot fill them."""
+    """Return dummy entries of so many bits together, as few as possible; None if these data types cannot fill them. allowed: the
+    indices of these types, such as 0x0005."""
     entries: list[int] = []
     for width, index in DUMMY_WIDTHS:
         while index in allowed and width <= bits:
@@ -95,6 +96,8 @@ def bundles_of(feeds: Sequence[Feed], members: Mapping[str, KnownNode], room: Ma
     """Return the PDOs that carry these feeds; see this module's text.
 
     room: by node, the most entries that one of its RPDOs has.
+
+    members: the nodes, by name.
     """
     groups: dict[tuple[str, Timing], list[Bundle]] = {}
     for feed in feeds:

@@ -33,7 +33,8 @@ from canopen_proto.pdo.slots import PdoSlot, has_sync, slots_of
 
 
 class Places:
-    """The PDOs of all nodes, and which of them are taken. fed: by node, the objects that links feed."""
+    """The PDOs of all nodes, and which of them are taken. fed: by node, the objects that links feed. members: the nodes with a
+    file."""
 
     def __init__(self, members: Sequence[KnownNode], fed: Mapping[str, set[Mux]]) -> None:
         self._fed = fed
@@ -46,13 +47,13 @@ class Places:
         return max((slot.capacity for slot in self.free(node, Direction.RPDO)), default=0)
 
     def free(self, node: str, direction: Direction) -> list[PdoSlot]:
-        """Return the PDOs of a node that are not taken."""
+        """Return the PDOs of a node that are not taken. direction: as the node sees it."""
         slots = [slot for slot in self._slots[node] if slot.pdo.direction is direction]
         return [slot for slot in slots if (node, *slot.pdo.place) not in self._taken]
 
     def ready(self, member: KnownNode, wanted: set[int], timing: Timing) -> LinkedPdo | None:
         """Take a TPDO that carries one of these entries as it is. Somebody else sets it up, or all TPDOs of the device have fixed
-        mappings. Returns None if there is none."""
+        mappings. Returns None if there is none. wanted: mapping entries. timing: of the link."""
         for pdo in member.used:
             key = (member.name, pdo.number)
             if (
@@ -71,7 +72,8 @@ class Places:
         return None
 
     def take(self, member: KnownNode, slot: PdoSlot, entries: tuple[int, ...], timing: Timing) -> LinkedPdo | str:
-        """Take a PDO, with the COB-ID of the file for now. Returns its obstacle, if it cannot be used: "a fixed mapping"."""
+        """Take a PDO, with the COB-ID of the file for now. Returns its obstacle, if it cannot be used: "a fixed mapping". slot:
+        which PDO. entries: its new mapping. timing: of the link."""
         kind = _transmission_type(member, slot, timing)
         if obstacle := _obstacle(member, slot, entries, timing):
             return obstacle
@@ -94,7 +96,8 @@ class Places:
         return next((each for each in fixed if sorted(each) == sorted(entries)), entries)
 
     def choose(self, member: KnownNode, direction: Direction, entries: tuple[int, ...], timing: Timing) -> LinkedPdo | str:
-        """Take the best PDO of a node for these entries. Returns why there is none, if so."""
+        """Take the best PDO of a node for these entries. Returns why there is none, if so. direction: as the node sees it.
+        timing: of the link."""
         if direction is Direction.TPDO and timing.every and not has_sync(member.dictionary):
             return "the device does not listen to SYNC (no 0x1005); an event-driven link may do"
         obstacles: dict[str, list[str]] = {}

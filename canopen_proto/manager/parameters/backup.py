@@ -221,7 +221,8 @@ class Patience:
 
 
 def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Patience) -> Procedure[bytes | SdoTransferError]:
-    """Read an object; return its bytes or the failure. Raises SdoTransferError if the device is gone."""
+    """Read an object; return its bytes or the failure. Raises SdoTransferError if the device is gone. patience: says when the
+    device counts as gone. block: see `Block`."""
     answer: bytes | SdoTransferError
     try:
         answer = yield from upload_again(node, index, subindex, block)
@@ -233,7 +234,7 @@ def ask(node: RemoteNode, index: int, subindex: int, block: Block, patience: Pat
 
 def upload_again(node: RemoteNode, index: int, subindex: int, block: Block) -> Procedure[bytes]:
     """Read an object, once more if the first transfer broke or got no answer. Raises SdoTransferError if the second one fails
-    too."""
+    too. block: see `Block`."""
     try:
         return (yield from upload(node.sdo, index, subindex, block=block))
     except SdoTransferError as failed:
@@ -250,7 +251,7 @@ def _is_of_transfer(failed: SdoTransferError) -> bool:
 
 
 def report(node: RemoteNode, reading: Reading, done: int, total: int) -> Procedure[None]:
-    """Report an object by an ObjectRead event."""
+    """Report an object by an ObjectRead event. reading: what became of it. done, total: objects."""
     news = ObjectRead(node.node_id, reading.variable.index, reading.variable.subindex, reading.result, done, total)
     yield from act(lambda now: node.out.events.append(news))
 

@@ -157,7 +157,8 @@ class Restoration:
 
 
 class RestoreError(ProcedureError):
-    """A restore did not come to its end. restoration: its progress. If a step failed, __cause__ is that error."""
+    """A restore did not come to its end. restoration: its progress. If a step failed, __cause__ is that error. message: for
+    people."""
 
     def __init__(self, message: str, restoration: Restoration) -> None:
         super().__init__(message)
@@ -165,7 +166,7 @@ class RestoreError(ProcedureError):
 
 
 class VerifyMismatchError(ProcedureError):
-    """An object reads back as something else than was written."""
+    """An object reads back as something else than was written. write: what was written. shown: the bytes that were read back."""
 
     def __init__(self, node_id: int, write: PlannedWrite, shown: bytes) -> None:
         super().__init__(f"node {node_id} took {write.data.hex()} for {write.variable.label}, but shows {shown.hex()}")
@@ -174,7 +175,8 @@ class VerifyMismatchError(ProcedureError):
 
 
 class ObjectRestored(Event):
-    """One write of a restore was confirmed (and read back, if asked for). done, total: numbers of writes of the plan."""
+    """One write of a restore was confirmed (and read back, if asked for). done, total: numbers of writes of the plan. data: the
+    bytes that were written."""
 
     __slots__ = ("data", "done", "index", "subindex", "total")
     __match_args__ = ("node_id", "index", "subindex", "data", "done", "total")

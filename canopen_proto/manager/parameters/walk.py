@@ -84,7 +84,7 @@ def walk(
 
 
 def back_up_by_names(node: RemoteNode, names: ObjectDictionary, *, domains: bool = False) -> Procedure[Backup]:
-    """Read all objects of a node that has no file of its own.
+    """Read all objects of a node that has no file of its own. domains: also read objects that are known to be DOMAINs.
 
     The whole communication profile area is walked: no general list of names can tell which PDOs and services a device has. Of the
     other areas, the objects in `names` are read, as by `back_up`. WalkProgress events come first, then ObjectRead events.

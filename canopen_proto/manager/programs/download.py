@@ -225,8 +225,8 @@ def download_program(
     1..254. expected_id: the software identification (0x1F56) of the new program; None: it is not known, so all is written, and
     only a change can show that the new program runs (`ProgramDownload.verified_by`). force: write the program even if the device
     has it already. unverified: start it even if it was not verified before: the device has no 0x1F57, and `expected_id` is None.
-    confirm: Zephyr with MCUboot starts a new program on trial, and
-    goes back to the old one at the next reset unless 0x80 is written to 0x1F51.
+    confirm: write 0x80 to 0x1F51 once the new program runs: without it, Zephyr with MCUboot goes back to the old one at the next
+    reset. limits: how long each step may take; None: the defaults. image: the program's bytes.
 
     A ProgramProgress follows for each step, and each 100 ms while data are written. At the end the node is Pre-operational.
     Raises ProgramDownloadError.
@@ -254,7 +254,8 @@ def download_program(
 def look(
     node: RemoteNode, program: int = 1, so_far: ProgramDownload | None = None, limits: DownloadLimits | None = None
 ) -> Procedure[ProgramFound]:
-    """Return what a device has; nothing is written. Raises ProgramDownloadError, also if it takes no program this way."""
+    """Return what a device has; nothing is written. Raises ProgramDownloadError, also if it takes no program this way. so_far:
+    takes what is found; None: it is only returned. limits: how long the device may take."""
     so_far = ProgramDownload(0) if so_far is None else so_far
     patience = TRIES * (DownloadLimits() if limits is None else limits).answer
     try:
@@ -284,6 +285,8 @@ def updating(
 
     image_of: returns the program of a node-ID (0x1F58 of the master); None: there is none, which is ProgramDownloadError.
     confirm, limits: as of `download_program`, whose program 1 is written.
+
+    nmt: the master of the network.
     """
 
     def update(node: RemoteNode, entry: WantsSoftware) -> Procedure[None]:
@@ -296,7 +299,8 @@ def updating(
 
 
 def least_duration(size: int, bitrate: int, *, blocks: bool = True) -> Time:
-    """Return the least time that the data of a program take on an empty bus, in ns. bitrate: in bit/s. Devices take longer."""
+    """Return the least time that the data of a program take on an empty bus, in ns. bitrate: in bit/s. Devices take longer. size:
+    of the program, bytes. blocks: by block transfer; else in segments."""
     segments = -(-size // SEGMENT_SIZE)
     frames = segments + 2 * -(-segments // MAX_BLOCK_SIZE) if blocks else 2 * segments
     return duration(frames * least_bits(8), bitrate)

@@ -34,7 +34,8 @@ _OF_A_LOSS: Final = (
 
 
 class NotReachedError(ProcedureError):
-    """A device did not answer for a time, or not with what was awaited. is_silent: it did not answer the last time."""
+    """A device did not answer for a time, or not with what was awaited. is_silent: it did not answer the last time. message: for
+    people."""
 
     def __init__(self, message: str, *, is_silent: bool) -> None:
         super().__init__(message)
@@ -42,7 +43,8 @@ class NotReachedError(ProcedureError):
 
 
 def is_lost(failed: SdoTransferError) -> bool:
-    """Return whether nobody said no: a frame was lost, late or in the wrong place, or the device has booted meanwhile."""
+    """Return whether nobody said no: a frame was lost, late or in the wrong place, or the device has booted meanwhile. failed:
+    the transfer."""
     if failed.origin is AbortOrigin.PEER:
         return failed.abort_code in _OF_A_LOSS
     return failed.origin is not AbortOrigin.CANCELLED and failed.abort_code != AbortCode.CANNOT_TRANSFER
