@@ -174,7 +174,7 @@ class Node(Peer):
         return (await self._upload(lambda now: self.remote.sdo.upload(*place, now, block=block))).data
 
     async def write_bytes(self, index: int, subindex: int, data: bytes, *, block: Block = False) -> None:
-        """Write bytes to any object, in the dictionary or not. For controlwords, see `write`."""
+        """Write bytes to any object, in the dictionary or not. For controlwords, see `write`. data: little-endian."""
         is_controlword = mux(index, subindex) in self._controlwords and len(data) == 2
         if is_controlword and self.dictionary.get(index) is not None:
             await self.write((index, subindex), int.from_bytes(data, "little"), block=block)
@@ -230,6 +230,7 @@ class Node(Peer):
     @enable_ki_protection
     def enable_rpdo(self, number: int, enabled: bool = True) -> None:
         """Send RPDO `number` (1..512) to the node while it is Operational, or stop sending it. It carries `remote.values`.
+        enabled: False stops it.
 
         It stops when the node boots. Raises LocalProtocolError if this RPDO is not exchanged. An RPDO with a controlword may
         enable a drive: the master takes hold of the drive beside it (`hold` does so before it). Raises NotHeldError if the drive
@@ -243,7 +244,8 @@ class Node(Peer):
 
     @enable_ki_protection
     def send_mpdo(self, number: int, key: Key, value: Value) -> bool:
-        """Write an object by RPDO `number`, a multiplexed PDO (`remote.add_mpdo`); see RemoteNode.send_mpdo.
+        """Write an object by RPDO `number`, a multiplexed PDO (`remote.add_mpdo`); see RemoteNode.send_mpdo. Returns False, with
+        nothing sent, while the node is not Operational.
 
         For controlwords, see `enable_rpdo`.
         """
@@ -298,7 +300,8 @@ class Node(Peer):
         await self._participant.nmt(command, self.node_id, bus=self.bus)
 
     async def reset(self, timeout: float = BOOT_TIME, *, communication_only: bool = False) -> None:
-        """Reset the node and wait for its boot-up frame. Raises NodeSilentError after `timeout` seconds."""
+        """Reset the node and wait for its boot-up frame. Raises NodeSilentError after `timeout` seconds. communication_only: only
+        the communication objects (reset communication); else all (reset node)."""
         with self.events(NodeBooted) as boots:
             await self.nmt(NmtCommand.RESET_COMMUNICATION if communication_only else NmtCommand.RESET_NODE)
             await self._first_of(boots, timeout, "did not boot after a reset")

@@ -21,7 +21,8 @@ log: Final = logging.getLogger("canopen_master")
 
 
 class PdoDiffers(Event):
-    """A device has a PDO set up otherwise than its file describes it. The device's own mapping is used."""
+    """A device has a PDO set up otherwise than its file describes it. The device's own mapping is used. difference: which PDO,
+    and what both say."""
 
     __slots__ = ("difference",)
     __match_args__ = ("node_id", "difference")

@@ -118,7 +118,8 @@ def open_master(
 
 
 class MasterSession:
-    """The async context manager that `open_master` returns; to be entered once."""
+    """The async context manager that `open_master` returns; to be entered once. sources: the buses, by name. make: makes the
+    master of the open transports and their aliases. realtime: what is asked of the operating system; None: nothing."""
 
     def __init__(
         self,

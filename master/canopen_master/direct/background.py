@@ -58,7 +58,8 @@ class Background(Generic[T]):
         clock: trio.abc.Clock | None = None,
     ) -> None:
         """make: returns the context manager; called in the thread. Entering and leaving it are not cancelled: they must end by
-        themselves. failure: why the context ended, None if it was left. clock: trio's; None: the real time."""
+        themselves. failure: why the context ended, None if it was left. clock: trio's; None: the real time. name: of the
+        thread."""
         self._make = make
         self._failure = failure
         self._clock = clock

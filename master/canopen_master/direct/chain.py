@@ -129,7 +129,8 @@ class ChainCalls:
             yield self._call(wait)
 
     def set_pos(self, positions: Sequence[float]) -> None:
-        """Give the set-points to send behind the next SYNC. They are repeated until others are given.
+        """Give the set-points to send behind the next SYNC. They are repeated until others are given. positions: one for each
+        joint, in the order of `joints`.
 
         Raises SetPointRefusedError for a wrong count, a value that does not fit, or one beyond the limits of its joint;
         ChainFaultError if a joint has failed; ChainHaltedError; and ChainError for a chain that is not in IP mode.

@@ -37,14 +37,14 @@ OPENING_ERRORS: Final = (MasterError, TransportError, DataError, DictionaryError
 
 
 class NotConnectedError(MasterError):
-    """There is no open connection."""
+    """There is no open connection. failed: what could not be done, for the text."""
 
     def __init__(self, failed: str = "there is no open connection") -> None:
         super().__init__(MASTER_CLOSED, failed, tries=("open_connection(bus) first",))
 
 
 class AlreadyConnectedError(MasterError):
-    """A connection is open already, and a session has only one."""
+    """A connection is open already, and a session has only one. bus: its locator."""
 
     def __init__(self, bus: str) -> None:
         super().__init__(MASTER_CLOSED, f"the connection to {bus} is still open", tries=("close_connection() first",))
@@ -78,7 +78,8 @@ class Connection:
 
     @contextmanager
     def simulated(self, node_ids: Sequence[int], bus: str) -> Iterator[None]:
-        """Simulate joints on a bus for connections that are opened in the block; leaving the block closes the connection."""
+        """Simulate joints on a bus for connections that are opened in the block; leaving the block closes the connection.
+        node_ids: one for each joint. bus: the locator of a virtual bus."""
         entry = bus, powerballs(*node_ids, sync_tolerance=IN_PROCESS, waits_for_sync=True)
         self._simulated.append(entry)
         try:
@@ -101,6 +102,8 @@ class Connection:
         """Open the buses and begin the master's thread. buses: further ones, by name; those of a machine go before them.
 
         prepare: called with the master at once.
+
+        sdo_timeout: s, None: the default. watchdog, realtime: as of `open_master`.
         """
         with self._lock:
             try:
@@ -145,7 +148,8 @@ class Connection:
         return background.call(function)
 
     def attempt(self, function: Callable[[Master], Awaitable[object]]) -> bool:
-        """Call as `call` does; return True for success, False if a bus or a device failed (`last_error`).
+        """Call as `call` does; return True for success, False if a bus or a device failed (`last_error`). function: gets the
+        master, and runs in its thread.
 
         A wrong call raises: no connection, a node-ID of 200, an unknown name, a value that does not fit.
         """

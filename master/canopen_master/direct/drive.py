@@ -196,12 +196,14 @@ class DirectDrive:
         await self._run(drive.shut_down(self.axis))
 
     async def set_interval(self, milliseconds: int) -> None:
-        """Write the time between two SYNCs to the drive, and switch off its watch over SYNC (Schunk's 0x200E = 0)."""
+        """Write the time between two SYNCs to the drive, and switch off its watch over SYNC (Schunk's 0x200E = 0). milliseconds:
+        1 to 255 (0x60C2)."""
         await self._run(self._set_interval(milliseconds))
         self.interval = milliseconds
 
     async def set_max_speed(self, speed: float) -> None:
-        """Allow set-points this fast, in counts (or the joint's unit) per second, whatever the drive says."""
+        """Allow set-points this fast, in counts (or the joint's unit) per second, whatever the drive says. speed: above 0, else
+        LocalProtocolError."""
         await self._run(identify(self.axis))
         self.axis.settings = replace(self.axis.settings, max_speed=speed)
         self._device.limits = await self._run(read_limits(self.axis))
@@ -214,7 +216,8 @@ class DirectDrive:
         await self._run(waiting)
 
     async def define(self, description: PdoDescription, number: int | None, transmission_type: int) -> None:
-        """Declare a PDO to the device, and use it. An operational node is pre-operational meanwhile, as devices require."""
+        """Declare a PDO to the device, and use it. An operational node is pre-operational meanwhile, as devices require. number:
+        1..512; None: that of the predefined connection set. transmission_type: 0..255."""
         self._require_first_axis("define_pdo")
         number = number or description.number
         state = self.node.nmt_state
@@ -250,7 +253,8 @@ class DirectDrive:
         raise ProcedureError(f"drive {self.node.node_id} was halted meanwhile")
 
     async def send_position(self, position: float) -> None:
-        """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos."""
+        """Send the rPDO with this set-point now. Raises if the drive would not follow it; see Session.send_pos. position: counts,
+        or the joint's unit; see `in_counts`."""
         chain = next((each for each in self.master.chains.values() if self._device in each.devices), None)
         if chain is not None and self.axis.node.rpdo_of(objects.INTERPOLATION_SET_POINT) is not None:
             at = {device: device.desired_position for device in chain.devices} | {self._device: position}
@@ -270,7 +274,8 @@ class DirectDrive:
     # ---- by hand: see HandSync ----
 
     def give(self, position: float) -> bool:
-        """Leave a set-point for the next SYNC by hand; return False, and do nothing, if `send_position` has to take it.
+        """Leave a set-point for the next SYNC by hand; return False, and do nothing, if `send_position` has to take it. position:
+        counts, or the joint's unit; see `in_counts`.
 
         May be called in any thread. Raises as `send_position` does for a set-point that the drive cannot take.
         """
@@ -322,7 +327,7 @@ class DirectDrive:
         self._is_new = True
 
     def lose(self, cause: str) -> None:
-        """Stop it; the next `send_position` says why."""
+        """Stop it; the next `send_position` says why. cause: for its text."""
         self._device.following.lose(cause)
         self.master.pump.pump()
 

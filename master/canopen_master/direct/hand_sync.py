@@ -140,7 +140,8 @@ class HandSync:
         return min((drive.interval * MILLISECOND for drive in self._drives), default=0)
 
     def must_look(self, late: Time) -> bool:
-        """Return whether a drive may be out of reach of the set-point that it would take at this SYNC."""
+        """Return whether a drive may be out of reach of the set-point that it would take at this SYNC. late: ns behind the time
+        at which it was due."""
         return any(drive.must_look(late) for drive in self._drives)
 
     @property

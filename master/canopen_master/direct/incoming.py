@@ -23,6 +23,8 @@ class IncomingPdos:
 
     Each is a `PdoReceived`: node_id, `values` by name, `get("position_actual_value")`, data, timestamp. A full queue loses its
     oldest entries; `dropped` counts them.
+
+    size: how many it holds at most.
     """
 
     def __init__(self, size: int = QUEUE_SIZE) -> None:

@@ -157,6 +157,7 @@ class Session:
 
     def simulated(self, node_ids: Sequence[int], bus: str = "virtual") -> AbstractContextManager[None]:
         """`with session.simulated([12], bus="virtual:demo"):` puts simulated joints on a bus that is opened in the block.
+        node_ids: one for each joint.
 
         They are joints of the Schunk Powerball arm, in this process. Leaving the block closes the connection.
         """
@@ -215,7 +216,8 @@ class Session:
     # ---- objects ----
 
     def send_sdo(self, node: int | str, key: Key, value: Value | None = None) -> Message:
-        """Read an object, or with a value (or a constant's name) write it: `send_sdo(12, "controlword", "sm_shutdown")`.
+        """Read an object, or with a value (or a constant's name) write it: `send_sdo(12, "controlword", "sm_shutdown")`. node:
+        its node-ID, or its name. key: a name or a number, see `Key`.
 
         Once the device has answered, returns the value read or written, with the names of the constants that it bears. Raises
         SdoTimeoutError, SdoRefusedError, SdoGivenUpError (all SdoError), and the errors of wrong calls (see this module's text).
@@ -234,7 +236,7 @@ class Session:
 
     def define_pdo(self, node: int | str, name: str, *, number: int | None = None, transmission_type: int = 1) -> bool:
         """Declare a PDO of PDOs.csv to a device, and use it: a tPDO goes to `incoming_pdos`, an rPDO with a set-point is sent by
-        `send_pos`. Returns False if the device refuses; it then has its old PDO again.
+        `send_pos`. Returns False if the device refuses; it then has its old PDO again. name: in PDOs.csv.
 
         number: by default that of its COB-ID in the predefined connection set. transmission_type: 1 for each SYNC. The device is
         pre-operational meanwhile. Raises PdoNotFoundError.
@@ -306,7 +308,8 @@ class Session:
         return self._attempt(node, lambda drive: move_while_held(drive, speed, held))
 
     def interactive_homing(self, node: int | str, speed: float, held: Callable[[], bool], *, method: int = HOME_HERE) -> bool:
-        """Move the drive as `move_until_user_interrupt` does; where it stands then becomes its home position. True if so.
+        """Move the drive as `move_until_user_interrupt` does; where it stands then becomes its home position. True if so. speed,
+        held: as of `move_until_user_interrupt`.
 
         method: the homing method that takes the present position; 35 for older drives. Schunk's joints have no methods: they
         home in their own way, and MOVE AGAIN.
@@ -368,7 +371,8 @@ class Session:
         return self._connection.attempt(shut_down)
 
     def set_sync_interval(self, node: int | str, milliseconds: int = SYNC_INTERVAL) -> bool:
-        """Write the time between two SYNCs (0x60C2) to the drive, 1 to 255 ms; 10 ms if it is never written.
+        """Write the time between two SYNCs (0x60C2) to the drive, 1 to 255 ms; 10 ms if it is never written. node: its node-ID,
+        or its name.
 
         If the drive has the manual's watch over the SYNC (0x200E), that is switched off: here the user sends the SYNC.
         """
@@ -376,6 +380,7 @@ class Session:
 
     def set_max_speed(self, node: int | str, counts_per_second: float) -> bool:
         """Allow set-points of `send_pos`, and of a chain, this fast; millidegrees per second for the manual's arm.
+        counts_per_second: above 0.
 
         The default is the drive's own limit (0x607F, 0x6080), or 30 000 if it has none. Returns False if the drive does not
         answer. Raises LocalProtocolError unless the speed is above 0.

@@ -305,7 +305,8 @@ class Chain(ChainView, Moving):
         return recording(lambda: self.recorder(path))
 
     def recorder(self, path: str | Path) -> Recorder:
-        """Begin to record, until `Recorder.close`; `Recorder.wait` then waits for the file. Else as `record`."""
+        """Begin to record, until `Recorder.close`; `Recorder.wait` then waits for the file. Else as `record`. path: of the file;
+        .csv or .parquet."""
         followed = self._participant, self.name, self.devices, self._set_points
         return Recorder(*followed, lambda: self.state is not ChainState.OFF, lambda: self.motion, path)
 
@@ -316,11 +317,12 @@ class Chain(ChainView, Moving):
         self._participant.check_open()
 
     def require_following(self, what: str) -> None:
-        """Raise unless it follows set-points, whether a loop or a motion gives them."""
+        """Raise unless it follows set-points, whether a loop or a motion gives them. what: what was to be done, for the error
+        text."""
         self._require(what, ChainState.FOLLOWING)
 
     def require_free(self, what: str) -> None:
-        """Raise unless it follows set-points that no motion gives."""
+        """Raise unless it follows set-points that no motion gives. what: what was to be done, for the error text."""
         self.require_following(what)
         if self.motion is not None:
             seen = "it moves along a path, or by a stream of targets"

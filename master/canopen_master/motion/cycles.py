@@ -76,6 +76,8 @@ class SetPoints:
     this process was late. late_cycles: missed and skipped ones. number: of the current period. taken: SYNCs that took new
     set-points along. given_in: the period in which set-points were last given, or held. sent: the set-points sent last, in the
     user's unit; empty while none are followed. source: gives the set-points at present; None: a loop does.
+
+    cycle_time: s. max_step: the largest step between two set-points, in the user's unit; None: no limit.
     """
 
     def __init__(self, devices: Sequence[Device], cycle_time: float, max_step: float | None) -> None:
@@ -166,7 +168,8 @@ class SetPoints:
         return [device for device, feed in zip(self.devices, self._feeds, strict=True) if not feed.takes_torque]
 
     def give(self, positions: Sequence[float], cycles: int) -> None:
-        """See Chain.set_positions."""
+        """See Chain.set_positions. positions: one for each joint, in its unit. cycles: 1 or more, over which they are reached in
+        a straight line."""
         self._check(positions, cycles)
         self._path.clear()
         if cycles == 1:

@@ -192,6 +192,7 @@ class Moving:
     @asynccontextmanager
     async def stream(self, *, speed: float = 1.0, renew_within: float | None = None) -> AsyncIterator[Targets]:
         """Move to targets that are given while the block runs: `async with arm.stream() as targets: targets.aim_at([...])`.
+        speed: as for `jog`.
 
         A new target may come at any time. renew_within: as for `jog`; None: the joints go to their last target and rest there,
         whatever becomes of the caller. Else as `jog`.

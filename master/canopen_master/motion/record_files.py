@@ -108,7 +108,8 @@ class ParquetFile:
 
 
 def open_record(path: str | Path) -> RecordFile:
-    """Open a file for a recording, as its ending says. An older file is overwritten. Raises OSError, PackageMissingError."""
+    """Open a file for a recording, as its ending says. An older file is overwritten. Raises OSError, PackageMissingError. path:
+    ends with .parquet for Parquet; anything else is CSV."""
     is_parquet = Path(path).suffix.lower() == PARQUET
     if is_parquet:
         pyarrow_modules(str(path))  # before an older file is emptied

@@ -41,7 +41,8 @@ class MotionRecord:
         return len(self.columns["time"])
 
     def of(self, joint: str, quantity: str) -> Sequence[float]:
-        """Return a column of a joint; all NaN if the file does not have it."""
+        """Return a column of a joint; all NaN if the file does not have it. quantity: the name behind the joint's, such as
+        "actual"."""
         return self.columns.get(f"{joint}.{quantity}") or array("d", [math.nan]) * len(self)
 
 

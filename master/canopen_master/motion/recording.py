@@ -194,7 +194,7 @@ def unit_of(settings: AxisSettings) -> str:
 
 @asynccontextmanager
 async def recording(make: Callable[[], Recorder]) -> AsyncIterator[Recorder]:
-    """Record while the block runs; see Chain.record."""
+    """Record while the block runs; see Chain.record. make: makes the recorder when the block begins."""
     recorder = make()
     try:
         yield recorder

@@ -236,7 +236,7 @@ class Bus:
                 self.change(item.state, item.seen)
 
     def change(self, state: BusState, reason: str) -> None:
-        """Handle a change that the transport reports. Events: FramesNotSent, BusChanged."""
+        """Handle a change that the transport reports. Events: FramesNotSent, BusChanged. reason: for people."""
         self.state = state
         self.settle_not_sent()
         if state in (BusState.BUS_OFF, BusState.DOWN):
@@ -256,7 +256,7 @@ class Bus:
             self.network.out.events.append(BusChanged(0, BusState.FAULT, f"SYNC is not sent: {error.failed} ({error.seen})"))
 
     def drop(self, reason: str) -> None:
-        """Count a frame that could not be sent. Event: FramesNotSent, for the first of them."""
+        """Count a frame that could not be sent. Event: FramesNotSent, for the first of them. reason: for people."""
         if self._reason:
             self._not_sent += 1
         else:

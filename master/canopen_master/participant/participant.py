@@ -151,23 +151,24 @@ class Participant:
         return self._nmt[bus]
 
     async def nmt_start(self, node_id: int = 0, *, bus: str | None = None) -> None:
-        """Start remote node: to Operational."""
+        """Start remote node: to Operational. node_id: 1..127; 0: all nodes. bus: its name; None: the only one, and for all nodes
+        all buses."""
         await self.nmt(NmtCommand.START, node_id, bus=bus)
 
     async def nmt_stop(self, node_id: int = 0, *, bus: str | None = None) -> None:
-        """Stop remote node: to Stopped, where only NMT and heartbeat live."""
+        """Stop remote node: to Stopped, where only NMT and heartbeat live. node_id, bus: as of `nmt_start`."""
         await self.nmt(NmtCommand.STOP, node_id, bus=bus)
 
     async def nmt_enter_pre_operational(self, node_id: int = 0, *, bus: str | None = None) -> None:
-        """Enter pre-operational: SDO, no PDOs."""
+        """Enter pre-operational: SDO, no PDOs. node_id, bus: as of `nmt_start`."""
         await self.nmt(NmtCommand.ENTER_PRE_OPERATIONAL, node_id, bus=bus)
 
     async def nmt_reset_node(self, node_id: int = 0, *, bus: str | None = None) -> None:
-        """Reset node: as after power-on. `Node.reset` also waits for the boot-up."""
+        """Reset node: as after power-on. `Node.reset` also waits for the boot-up. node_id, bus: as of `nmt_start`."""
         await self.nmt(NmtCommand.RESET_NODE, node_id, bus=bus)
 
     async def nmt_reset_communication(self, node_id: int = 0, *, bus: str | None = None) -> None:
-        """Reset communication: the communication objects as after power-on."""
+        """Reset communication: the communication objects as after power-on. node_id, bus: as of `nmt_start`."""
         await self.nmt(NmtCommand.RESET_COMMUNICATION, node_id, bus=bus)
 
     @property
@@ -206,7 +207,7 @@ class Participant:
         await self._sent(self._own_buses)
 
     def guard_sync(self, guard: SyncGuard) -> None:
-        """Ask before a SYNC is sent that is late. Not for a SYNC that the transport sends."""
+        """Ask before a SYNC is sent that is late. Not for a SYNC that the transport sends. guard: is asked."""
         self._guards.append(guard)
 
     def _before_ordered_sync(self, now: Time) -> None:
@@ -256,7 +257,8 @@ class Participant:
 
     @enable_ki_protection
     def begin(self, bus: Bus, remote: RemoteNode, submit: Callable[[Time], RequestId]) -> OpenRequest:
-        """Give a command with an outcome. The caller waits for the outcome, or takes the request back."""
+        """Give a command with an outcome. The caller waits for the outcome, or takes the request back. submit: gives the command
+        at a time, and returns its RequestId."""
         self.check_open()
         return OpenRequest(self._pump, self._dispatcher, bus, remote, submit)
 
@@ -285,7 +287,7 @@ class Participant:
 
     @enable_ki_protection
     def take_back(self, request_id: RequestId) -> None:
-        """Cancel a procedure; does nothing if it has ended."""
+        """Cancel a procedure; does nothing if it has ended. request_id: the one that the procedure got."""
         self.runner.cancel(request_id, self.now())
         self._pump.pump()
 
@@ -309,11 +311,12 @@ class Participant:
     def watch(
         self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0
     ) -> Watcher:
-        """Call `callback` with each event of these kinds, in the pump's turn. It must not raise or block."""
+        """Call `callback` with each event of these kinds, in the pump's turn. It must not raise or block. bus: only of this one;
+        None: of all. node_id: only of this one; 0: of all."""
         return self._dispatcher.watch(kinds, callback, bus, node_id)
 
     def unwatch(self, watcher: Watcher) -> None:
-        """End a `watch`."""
+        """End a `watch`. watcher: what `watch` returned."""
         self._dispatcher.unwatch(watcher)
 
     # ---- what the pump tells ----

@@ -67,7 +67,7 @@ class PatientClock(trio.abc.Clock):
         return now
 
     def deadline_to_sleep_time(self, deadline: float) -> float:
-        """Return the real seconds until this time. Called by trio's loop before it sleeps."""
+        """Return the real seconds until this time. Called by trio's loop before it sleeps. deadline: s on trio's clock."""
         time, before = self._seen
         self._sleeps_until = deadline
         return deadline - time - (self._real() - before) - self._to_make_up

@@ -68,12 +68,13 @@ class Peer:
         return self._participant.watch(kinds, callback, self._bus, self.node_id)
 
     def begin(self, submit: Callable[[Time], RequestId]) -> OpenRequest:
-        """Give its machines a command that has an outcome."""
+        """Give its machines a command that has an outcome. submit: gives the command at a time, and returns its RequestId."""
         return self._participant.begin(self._bus, self.remote, submit)
 
     @enable_ki_protection
     async def request(self, submit: Callable[[Time], RequestId]) -> Outcome:
-        """Give its machines a command and wait for the outcome. If the task is cancelled, the request is taken back."""
+        """Give its machines a command and wait for the outcome. If the task is cancelled, the request is taken back. submit:
+        gives the command at a time, and returns its RequestId."""
         return await self._participant.begin(self._bus, self.remote, submit).outcome()
 
     def send_nmt(self, command: NmtCommand, now: Time) -> None:
@@ -81,5 +82,6 @@ class Peer:
         self._participant.nmt_master(self._bus).send(command, self.node_id, now)
 
     def error_of(self, aborted: SdoAborted, attempt: str, *, size_unknown: bool = False) -> SdoError:
-        """Return the exception for a transfer that ended with an abort; see `sdo_error`."""
+        """Return the exception for a transfer that ended with an abort; see `sdo_error`. aborted: that outcome. attempt:
+        "reading", "writing 5 to". size_unknown: the size of a stream was not announced."""
         return sdo_error(self.network, self.remote, self.bus, aborted, attempt, self.now(), size_unknown=size_unknown)
