@@ -157,7 +157,8 @@ class OtherTraffic:
 
 
 def streams_of(joints: Sequence[Exchange], cycle_time: Time, background: OtherTraffic) -> tuple[Stream, ...]:
-    """Return all streams on a bus with these joints. Raises LocalProtocolError if two have the same identifier."""
+    """Return all streams on a bus with these joints. Raises LocalProtocolError if two have the same identifier. cycle_time: ns.
+    background: what else is on the bus."""
     streams = [Stream("SYNC", "SYNC", 0, SYNC, int(background.sync_counter), cycle_time, cycle_time)]
     for joint in joints:
         for kind, pdos in (("RPDO", joint.rpdo), ("TPDO", joint.tpdo)):
@@ -186,7 +187,8 @@ def streams_of(joints: Sequence[Exchange], cycle_time: Time, background: OtherTr
 
 
 def bounds(streams: Sequence[Stream], bitrate: int, order: QueueOrder, errors: Time = NEVER) -> list[ResponseTime]:
-    """Return the worst-case response time of each stream. errors: the shortest time between two, ns."""
+    """Return the worst-case response time of each stream. errors: the shortest time between two, ns. bitrate: bit/s. order: in
+    which a node's queue sends."""
     messages = [_message(stream, bitrate, order) for stream in streams]
     # A TPDO is late by the delay of its SYNC and the device's own time.
     late = response_times(messages, bitrate, error_interval=errors)[0].worst
@@ -209,7 +211,8 @@ def _message(stream: Stream, bitrate: int, order: QueueOrder) -> PeriodicMessage
 def bus_timing(
     bus: str, joints: Sequence[Exchange], cycle_time: Time, bitrate: int, background: OtherTraffic = OtherTraffic()
 ) -> BusTiming:
-    """Analyse a bus with these joints: whether all streams fit, and their latencies. cycle_time: ns. bitrate: bit/s."""
+    """Analyse a bus with these joints: whether all streams fit, and their latencies. cycle_time: ns. bitrate: bit/s. background:
+    what else is on the bus."""
     streams = streams_of(joints, cycle_time, background)
     found = bounds(streams, bitrate, background.order, background.errors)
     worst, load = simulate(streams, bitrate, background.order)
@@ -226,21 +229,22 @@ def bus_timing(
 
 
 def shortest_cycle(joints: Sequence[Exchange], bitrate: int, background: OtherTraffic) -> Time | None:
-    """Return the shortest of CYCLES that fits, ns; None if none does."""
+    """Return the shortest of CYCLES that fits, ns; None if none does. bitrate: bit/s. background: what else is on the bus."""
     # By halves: streams that fit into a cycle also fit into each longer one
     place = bisect_left(CYCLES, True, key=lambda cycle: fits(streams_of(joints, cycle, background), bitrate, background))
     return CYCLES[place] if place < len(CYCLES) else None
 
 
 def fits(streams: Sequence[Stream], bitrate: int, background: OtherTraffic) -> bool:
-    """Return whether all streams always meet their deadlines."""
+    """Return whether all streams always meet their deadlines. bitrate: bit/s. background: what else is on the bus."""
     return all(each.fits for each in bounds(streams, bitrate, background.order, background.errors))
 
 
 def simulate(
     streams: Sequence[Stream], bitrate: int, order: QueueOrder, cycles: int = SIMULATED_CYCLES, seed: int = 0
 ) -> tuple[dict[int, Time], float]:
-    """Run the bus machine. Returns the longest latency of each CAN-ID that was sent, and the load.
+    """Run the bus machine. Returns the longest latency of each CAN-ID that was sent, and the load. bitrate: bit/s. order: in
+    which a node's queue sends. seed: of the phases.
 
     Frames without room in their queue are left out. cycles: the least number; each stream comes at least once, within
     SIMULATED_FRAMES.

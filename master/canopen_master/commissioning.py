@@ -116,7 +116,7 @@ class DriveCommissioning:
         return await self._run(learn_units(self.axis))
 
     def set_unit(self, unit: Unit | None, counts_per_unit: float | None) -> None:
-        """Choose the unit of its positions. None, None: counts."""
+        """Choose the unit of its positions. None, None: counts. counts_per_unit: above 0."""
         self._set(unit=unit, counts_per_unit=counts_per_unit or 1.0)
         self.done.append(f"its positions are in {self.unit_name}, {counts_per_unit or 1.0:.10g} counts each")
 
@@ -126,7 +126,8 @@ class DriveCommissioning:
         return limits, await self._run(procedures.read_position(self.axis))
 
     def set_limits(self, lowest: float | None, highest: float | None, speed: float | None) -> None:
-        """Choose the limits of the joint. None: none but the drive's own."""
+        """Choose the limits of the joint. None: none but the drive's own. lowest, highest: positions, in the chosen unit. speed:
+        per second."""
         self._set(min_position=lowest, max_position=highest, max_speed=speed)
         self.done.append("its limits are asked for")
 
@@ -151,7 +152,7 @@ class DriveCommissioning:
     # ---- it moves ----
 
     def small_speed(self, way: float) -> float:
-        """The speed of a small move: it takes SMALL_MOVE_TIME, if the joint may go so fast."""
+        """The speed of a small move: it takes SMALL_MOVE_TIME, if the joint may go so fast. way: in the chosen unit."""
         return min(abs(way) / SMALL_MOVE_TIME, self._most())
 
     def usual_speed(self) -> float:
@@ -182,7 +183,8 @@ class DriveCommissioning:
         return position
 
     async def move_to(self, target: float, speed: float) -> float:
-        """Move to a position, in the chosen unit, at a speed of at most the joint's. IT MOVES. Return where it stands."""
+        """Move to a position, in the chosen unit, at a speed of at most the joint's. IT MOVES. Return where it stands. target:
+        that position. speed: per second."""
         return await self._motion("the first move", self._move(target, relative=False), min(speed, self._most()))
 
     def _move(self, position: float, *, relative: bool) -> Procedure[None]:

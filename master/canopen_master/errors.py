@@ -178,7 +178,8 @@ class UnexpectedAnswerError(NodeError, ValueError):
 
 
 class ChainFileError(MasterError, ValueError):
-    """A chain file cannot be used. problems: every problem found, as (line, column, text); lines and columns count from 1."""
+    """A chain file cannot be used. problems: every problem found, as (line, column, text); lines and columns count from 1.
+    source: the name of the file."""
 
     def __init__(self, source: str, problems: Iterable[tuple[int, int, str]]) -> None:
         self.source = source
@@ -280,7 +281,8 @@ _JOINT = re.compile(r"\b[Jj]oint ([0-9]+)\b")
 
 
 class PackageMissingError(MasterError, ImportError):
-    """A Python package that only this task needs is not installed. package: its name. extra: ours that brings it."""
+    """A Python package that only this task needs is not installed. package: its name. extra: ours that brings it. task: what
+    needs it, for the text. error: of the import."""
 
     def __init__(self, package: str, extra: str, task: str, error: ImportError) -> None:
         super().__init__(
@@ -364,10 +366,11 @@ class ChainFaultError(ChainError):
 def sdo_error(
     network: Network, node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time, *, size_unknown: bool = False
 ) -> SdoError:
-    """Return the exception for a transfer that ended with an abort.
+    """Return the exception for a transfer that ended with an abort. bus: its name. aborted: that outcome.
 
     network: of the node. attempt: "reading", or "writing 5 to".
-    size_unknown: it was a download whose size the server was not told."""
+    size_unknown: it was a download whose size the server was not told.
+    """
     place = f"{attempt} {_name_of(node, aborted.index, aborted.subindex)}"
     who = f"node {aborted.node_id}"
     code_text = f"abort 0x{aborted.abort_code:08X}, {text_of(aborted.abort_code)}"

@@ -39,12 +39,13 @@ class Counted(NamedTuple):
 
 
 def exchange_of_file(name: str, node_id: int, dictionary: ObjectDictionary) -> Counted:
-    """Return what a device with this file exchanges: all PDOs that are valid and not empty."""
+    """Return what a device with this file exchanges: all PDOs that are valid and not empty. name: of the device, for people."""
     return _exchange(name, node_id, dictionary, _valid_pdos(dictionary, node_id))
 
 
 def exchange_of_plans(name: str, plans: Sequence[MotionPlan]) -> Counted:
-    """Return what a drive exchanges by the plans of its axes: their PDOs, and those TPDOs of its file that they leave alone."""
+    """Return what a drive exchanges by the plans of its axes: their PDOs, and those TPDOs of its file that they leave alone.
+    name: of the device, for people."""
     dictionary, node_id = plans[0].dictionary, plans[0].node_id
     planned = {pdo.place: pdo for plan in plans for pdo in plan.pdos}
     off = {pdo.place for plan in plans for pdo in (*plan.destroyed, *plan.spare)}
@@ -54,14 +55,14 @@ def exchange_of_plans(name: str, plans: Sequence[MotionPlan]) -> Counted:
 
 
 def exchange_of_named(name: str, node_id: int, rpdo: PdoDescription, tpdo: PdoDescription) -> Counted:
-    """Return what a device exchanges by two PDOs of PDOs.csv."""
+    """Return what a device exchanges by two PDOs of PDOs.csv. name: of the device, for people. rpdo, tpdo: those two."""
     received, sent = (((each.can_id(node_id), (each.bit_length + 7) // 8),) for each in (rpdo, tpdo))
     return Counted(Exchange(name, node_id, received, sent))
 
 
 def exchange_with_links(counted: Counted, node: str, plan: LinkPlan) -> Counted:
     """Return what a node exchanges with the PDOs that links change, by name of the node. A PDO that another node sends to it is
-    counted there."""
+    counted there. plan: of the links on its bus."""
     exchange = counted.exchange
     pdos = (*plan.pdos_of(node), *(each for each in plan.destroyed if each.node == node))
     gone = {each.slot.pdo.cob_id & 0x7FF for each in pdos if each.slot.pdo.is_valid}
@@ -129,7 +130,8 @@ class Room(NamedTuple):
 
 
 def room_for(joints: Sequence[Exchange], cycle_time: Time, bitrate: int, background: OtherTraffic = BESIDE) -> Room:
-    """Look whether SYNC and all PDOs fit into each cycle; see this module's text. cycle_time: ns. bitrate: bit/s."""
+    """Look whether SYNC and all PDOs fit into each cycle; see this module's text. cycle_time: ns. bitrate: bit/s. background:
+    what else is on the bus."""
     wire = Wire(WireSettings(bitrate=bitrate))
     rpdos, tpdos = [each for joint in joints for each in joint.rpdo], [each for joint in joints for each in joint.tpdo]
     sizes = [int(background.sync_counter), *(size for _, size in (*rpdos, *tpdos))]

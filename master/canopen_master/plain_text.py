@@ -33,7 +33,8 @@ def clean_lines(text: str) -> str:
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """Return a JSON document that is safe to show. NaN, infinities and values unknown to JSON become text."""
+    """Return a JSON document that is safe to show. NaN, infinities and values unknown to JSON become text. indent: spaces for
+    each level; None: one line."""
     text = json.dumps(_finite(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str)
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 

@@ -98,7 +98,8 @@ def _program_of(machine: MachineFile, name: str, boot: BootSettings) -> Program:
 
 
 def stamp_of(writes: Sequence[Write]) -> tuple[int, int]:
-    """Return the stamp of a configuration: two numbers in the range of the date and time of 0x1020, neither of them 0."""
+    """Return the stamp of a configuration: two numbers in the range of the date and time of 0x1020, neither of them 0. writes:
+    the configuration."""
     digest = hashlib.sha256(pack_concise(writes)).digest()
     days, milliseconds = int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:8], "little")
     return 1 + days % _DAYS, 1 + milliseconds % (_MILLISECONDS_A_DAY - 1)

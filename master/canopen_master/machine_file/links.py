@@ -48,7 +48,7 @@ def linked_buses(machine: MachineFile) -> list[str]:
 
 def plan_bus(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> LinkPlan:
     """Return the PDOs for the links on a bus. Raises DictionaryError with each link that cannot be, and its line; as
-    `network_of` for files that cannot be used."""
+    `network_of` for files that cannot be used. bus: its name in the machine file."""
     on_bus = [node for node in machine.nodes.values() if node.bus == bus]
     names = {node.name for node in on_bus}
     links = [link for link in machine.links if {end.node for end in (*link.sources, *link.targets)} & names]
@@ -77,7 +77,8 @@ def plan_bus(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> Link
 
 
 def linked_writes(machine: MachineFile, bus: str, dictionaries: Dictionaries) -> dict[str, list[Write]]:
-    """Return the writes that set up the linked PDOs of a bus, by the name of the node. Raises as `plan_bus`."""
+    """Return the writes that set up the linked PDOs of a bus, by the name of the node. Raises as `plan_bus`. bus: its name in the
+    machine file."""
     if bus not in linked_buses(machine):
         return {}
     plan = plan_bus(machine, bus, dictionaries)

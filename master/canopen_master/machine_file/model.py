@@ -200,7 +200,7 @@ class MachineFile:
         return str(beside) if beside is not None and beside.exists() else name
 
     def beside(self, name: str) -> str:
-        """Return the path of a file that may not be there yet; "" stays as it is."""
+        """Return the path of a file that may not be there yet; "" stays as it is. name: as the machine file has it."""
         return name if self.folder is None or not name else str(self.folder / name)
 
     def node_of(self, name: str) -> NodeEntry | None:

@@ -52,7 +52,7 @@ _NUMBER: Final = re.compile("0[xX].*|[0-9].*")
 
 
 def read_machine(path: str | Path) -> MachineFile:
-    """Return the machine that a file describes.
+    """Return the machine that a file describes. path: may begin with `~`.
 
     Raises DataError if it cannot be read, DictionaryError with every error in it, also for each file that it names and that is
     not there.
@@ -65,7 +65,8 @@ def read_machine(path: str | Path) -> MachineFile:
 
 
 def parse_machine(content: str, source: str = "machine.toml", folder: Path | None = None) -> MachineFile:
-    """Return the machine that a text describes. folder: of the files that it names; None: they are not looked for.
+    """Return the machine that a text describes. folder: of the files that it names; None: they are not looked for. source: the
+    name for messages.
 
     Raises DictionaryError with every error in it.
     """
@@ -73,7 +74,8 @@ def parse_machine(content: str, source: str = "machine.toml", folder: Path | Non
 
 
 def machine_of_tables(content: dict[str, Any], source: str, folder: Path | None = None) -> MachineFile:
-    """Return the machine that tables describe, with the keys of a machine file, but from elsewhere.
+    """Return the machine that tables describe, with the keys of a machine file, but from elsewhere. source: the name for
+    messages.
 
     As `parse_machine` otherwise.
     """

@@ -33,7 +33,7 @@ FIND: Final = "find the cause"
 
 
 def joint_failed(chain: str, operation: str, failed: JointError) -> ChainError:
-    """The error for a joint whose procedure failed in `operation`."""
+    """The error for a joint whose procedure failed in `operation`. chain: its name."""
     device, error = failed.device, failed.error
     if isinstance(error, DriveInFaultError):
         return joint_fault(chain, device, "is in fault", Reason(error.reason, FIND) if error.reason else None)
@@ -57,7 +57,8 @@ def joint_failed(chain: str, operation: str, failed: JointError) -> ChainError:
 
 
 def raise_first(chain: str, operation: str, failures: Sequence[JointError | None]) -> None:
-    """Raise the error of the first joint that failed, if one did; the others are its notes."""
+    """Raise the error of the first joint that failed, if one did; the others are its notes. chain: its name. operation: "home",
+    for the text. failures: one for each joint, None for one that did not fail."""
     errors = [joint_failed(chain, operation, failed) for failed in failures if failed is not None]
     if errors:
         for other in errors[1:]:
@@ -66,12 +67,14 @@ def raise_first(chain: str, operation: str, failures: Sequence[JointError | None
 
 
 def not_now(chain: str, what: str, seen: str, step: str) -> ChainError:
-    """The error for a command that the chain cannot take in its present state. step: the next one."""
+    """The error for a command that the chain cannot take in its present state. step: the next one. what: the command. seen: the
+    state."""
     return ChainError(CHAIN_NOT_READY, chain, f"chain {chain} cannot {what} now", seen=seen, tries=(step,))
 
 
 def other_cycle(chain: str, cycle_time: float, period: Time, others: Sequence[str]) -> ChainError:
-    """Return the error for a chain whose cycle is not that of the others: SYNC is one for all. period: of SYNC, in ns."""
+    """Return the error for a chain whose cycle is not that of the others: SYNC is one for all. period: of SYNC, in ns.
+    cycle_time: the chain's, s."""
     failed = f"chain {chain} cannot run with a cycle of {cycle_time:g} s"
     seen = f"SYNC runs with {period / SECOND:g} s for {', '.join(others)}"
     return ChainError(CHAIN_NOT_READY, chain, failed, seen=seen, tries=("one cycle_time for all chains",))

@@ -57,7 +57,8 @@ class ChainDescription:
 
 
 def read_chains(path: str | Path, folder: str | Path | None = None) -> tuple[ChainDescription, ...]:
-    """The chains of a file: a path, or the name of one of the data files ("single_device.csv"; see canopen_data).
+    """The chains of a file: a path, or the name of one of the data files ("single_device.csv"; see canopen_data). folder: of the
+    user's data files, see `canopen_data.user_folder`.
 
     Raises ChainFileError, and DataError if the file cannot be read.
     """

@@ -34,7 +34,8 @@ class FeedForward:
         self._has_offsets = self._takes_velocity or self.takes_torque
 
     def put(self, position: float, velocity: float, torque: float = 0.0) -> None:
-        """Set what the next RPDO takes along. Raises LocalProtocolError, ValueRangeError for values that do not fit."""
+        """Set what the next RPDO takes along. Raises LocalProtocolError, ValueRangeError for values that do not fit. position: in
+        the user's unit. velocity: per second. torque: a share of the rated torque."""
         self.torque = torque
         self._axis.set_points.set_position(position, velocity)
         if self._has_offsets:

@@ -80,6 +80,7 @@ def failure_of(device: Device, procedure: Procedure[object]) -> Procedure[JointE
 
 def ensure_answers(node: Node, key: Key = DEVICE_TYPE) -> Procedure[None]:
     """Read an object to see whether the node answers. A node in state Stopped cannot answer, and is made pre-operational first.
+    key: of that object.
 
     The last program that used the drive has left it stopped: a chain, and the manual's shutdownDevice, end so.
     """
@@ -182,7 +183,8 @@ def find(device: Device) -> Procedure[None]:
 
 
 def prepare(device: Device, settings: ChainSettings, heartbeat_timeout: Time) -> Procedure[None]:
-    """Exchange PDOs with the joint, have it send its heartbeat if that is supervised, and read its limits."""
+    """Exchange PDOs with the joint, have it send its heartbeat if that is supervised, and read its limits. heartbeat_timeout: ns;
+    0: no heartbeat is supervised."""
     node = device.node.remote
     yield from exchange(device, settings)
     is_guarded = node.guarding.guard_time  # its answers count as heartbeats, and a device has one or the other
@@ -223,7 +225,7 @@ def follow(
     """Halt the joint, read its limits, and let it follow set-points from where it stands.
 
     name: gives the set-points, and occupies the joint from then on: `Device.release` ends it. cycle_time: ns. mode: csp, ip, or
-    pp, in which a joint follows slowly.
+    pp, in which a joint follows slowly. sends_itself: the caller sends the set-points, not the RPDOs at SYNC.
     """
     axis = device.axis
     yield from halt(axis)

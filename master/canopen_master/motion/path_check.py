@@ -61,6 +61,7 @@ def check_start(
     devices: Sequence[Device], path: Path, start: PathPoint, limits: Sequence[JointLimits], cycle_time: float
 ) -> None:
     """Check that a path has a row for each joint, and begins where they stand, or as they move. Raises PathRefusedError.
+    cycle_time: s.
 
     The step to the start of the path, in one cycle, must be within the acceleration of the joint, and no longer than its way in
     START_TIME; START_COUNTS are allowed in any case. The speed of joints that move may change by the acceleration of one cycle.

@@ -183,7 +183,7 @@ class Motion:
             self.news.unpark_all()
 
     def halt(self, why: str) -> None:
-        """Brake along the path, and then halt the chains."""
+        """Brake along the path, and then halt the chains. why: for the text of ChainHaltedError."""
         for lane in self.lanes:
             lane.follower.stopping(why)
         self.brake()

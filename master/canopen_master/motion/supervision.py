@@ -67,6 +67,7 @@ class Supervision:
 
     def begin_following(self, followed: Sequence[Followed], silent_cycles: int, cycle_time: Time) -> None:
         """Watch joints that now follow set-points, and give the slow ones their targets. silent_cycles: see ChainSettings.
+        followed: what `follow` returned, for each joint.
 
         cycle_time: ns from SYNC to SYNC.
         """

@@ -67,7 +67,7 @@ FUNCTIONS: Final = {"setup": 1, "run": 1, "step": 2, "on_read": 3, "on_write": 4
 
 
 class ScriptError(Explained, Exception):
-    """A script cannot be used. place: file and line."""
+    """A script cannot be used. place: file and line. message: for people."""
 
     def __init__(self, place: str, message: str) -> None:
         super().__init__("CO331", f"{place}: {message}", cause="a mistake in the script")
@@ -174,12 +174,12 @@ class ScriptDevice:
         self._owner.pump()
 
     def raise_error(self, code: int, vendor_data: bytes = b"") -> None:
-        """Raise an error: sends EMCY, sets 0x1001 and 0x1003. code: 0x0100..0xFFFF."""
+        """Raise an error: sends EMCY, sets 0x1001 and 0x1003. code: 0x0100..0xFFFF. vendor_data: up to 5 bytes."""
         self.node.raise_error(code, int(register_bits_of(code)), vendor_data, self._owner.now())
         self._owner.pump()
 
     def clear_error(self, code: int) -> None:
-        """Clear an error."""
+        """Clear an error. code: as it was raised."""
         self.node.clear_error(code, self._owner.now())
         self._owner.pump()
 

@@ -108,7 +108,7 @@ class Host:
 
     keeper: keeps what they store, by the node-ID with which they were made (255, 256 ... for those without one); by default in
     memory. say: called with the messages and errors of scripts. Raises
-    ScriptError if a script cannot be run.
+    ScriptError if a script cannot be run. on_event: called with each event of the devices.
     """
 
     def __init__(

@@ -67,7 +67,8 @@ class ParameterKeeper:
         return self._lss.get(node_id)
 
     def keep_lss(self, node_id: int, stored: LssConfiguration) -> None:
-        """Keep what a device stores by LSS. Raises OSError, with nothing changed, if that fails."""
+        """Keep what a device stores by LSS. Raises OSError, with nothing changed, if that fails. node_id: with which the device
+        was made. stored: node-ID and bit rate."""
         after = {**self._lss, node_id: stored}
         self._write(self._kept, after)
         self._lss = after

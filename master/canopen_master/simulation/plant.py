@@ -68,7 +68,7 @@ class PlantFile:
 
 
 def parse_plant(content: str, source: str = "plant.toml") -> PlantFile:
-    """Return the plant that a text describes. Raises DictionaryError with every error in it."""
+    """Return the plant that a text describes. Raises DictionaryError with every error in it. source: the name for messages."""
     reading = toml.TomlReading(source, "plant")
     plant = toml.TomlTable(reading, "", toml.parse_toml(content, source), _PLANT_KEYS, owner="plant")
     bus, state, entries = (plant.take(key) for key in _PLANT_KEYS)

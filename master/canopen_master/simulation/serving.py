@@ -108,11 +108,12 @@ class SimulatedDevices:
         return sorted({node.node_id for host in self._hosts for node in host.nodes})
 
     def raise_fault(self, node_id: int, error_code: int) -> None:
-        """Let a drive break down. Raises KeyError if no drive has that node-ID."""
+        """Let a drive break down. Raises KeyError if no drive has that node-ID. error_code: 0x603F and EMCY then have it."""
         self.change(node_id, lambda drive, now: drive.raise_fault(error_code, now))
 
     def change(self, node_id: int, change: Callable[[DriveNode, Time], object]) -> None:
-        """Let something happen to a drive. Raises KeyError if no drive has that node-ID."""
+        """Let something happen to a drive. Raises KeyError if no drive has that node-ID. change: called with the drive and the
+        time, ns."""
         drive = self.drives[node_id]
         for host in self._hosts:
             if drive in host.nodes:
