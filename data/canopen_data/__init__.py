@@ -95,7 +95,7 @@ def user_folder(folder: str | Path | None = None) -> Path | None:
 
 
 def read(name: str, folder: str | Path | None = None) -> DataFile:
-    """Return a data file by its name: the user's own, else the installed one.
+    """Return a data file by its name: the user's own, else the installed one. folder: of the user's files, see `user_folder`.
 
     Raises DataError if there is neither (it lists the installed ones), or if it cannot be read.
     """
@@ -116,7 +116,8 @@ def read(name: str, folder: str | Path | None = None) -> DataFile:
 
 
 def read_chain_file(name: str | Path, folder: str | Path | None = None) -> DataFile:
-    """Return a chain file by its path or, if there is no such file, by its name (see `read`). Raises DataError."""
+    """Return a chain file by its path or, if there is no such file, by its name (see `read`). Raises DataError. folder: of the
+    user's files, see `user_folder`."""
     path = expanded(name)
     text = text_of(path, str(path))
     return read(str(name), folder) if text is None else DataFile(path.name, text, str(path))
@@ -124,6 +125,7 @@ def read_chain_file(name: str | Path, folder: str | Path | None = None) -> DataF
 
 def load_dictionary(folder: str | Path | None = None) -> tuple[ObjectDictionary, list[Finding]]:
     """Return the object dictionary of indices.csv, constants.csv and PDOs.csv, and what was found: notices first, then warnings.
+    folder: of the user's files, see `user_folder`.
 
     A user's indices.csv may have fewer objects than the installed one: lines of installed files about the missing objects are
     left out.

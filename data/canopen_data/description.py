@@ -164,5 +164,6 @@ class DeviceDescription:
         return None if self.commissioning is None else self.commissioning.node_id
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
-        """Return line and column of an object in the file; see Document.place_of. (0, 0) if there is no file."""
+        """Return line and column of an object in the file; see Document.place_of. (0, 0) if there is no file. field: its name
+        in the file; "" for the object."""
         return (0, 0) if self.document is None else self.document.place_of(index, subindex, field)

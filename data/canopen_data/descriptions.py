@@ -33,7 +33,8 @@ def samples() -> list[str]:
 
 
 def read_file(path: str | Path) -> bytes:
-    """Return the bytes of a description's file, or of a sample. Raises DataError if there is none, or if it cannot be read."""
+    """Return the bytes of a description's file, or of a sample. Raises DataError if there is none, or if it cannot be read. path:
+    of a file, or the name of a sample."""
     own = expanded(path)
     content = content_of(own, str(own))
     if content is None and str(path) in samples():
@@ -44,7 +45,8 @@ def read_file(path: str | Path) -> bytes:
 
 
 def load_description(path: str | Path, *, strict: bool = False) -> DeviceDescription:
-    """Return the description in a file. Its findings list everything wrong with the file.
+    """Return the description in a file. Its findings list everything wrong with the file. path: of a file, or the name of a
+    sample.
 
     Raises DataError if it cannot be read; with strict, DictionaryError for the first error in it.
     """

@@ -93,12 +93,13 @@ _OF_HEAD: Final = ("dummies", "modules", "connected_modules", "dynamic_channels"
 
 
 def compare(before: DeviceDescription, after: DeviceDescription) -> list[Difference]:
-    """Return all differences: first of the device as a whole, then by index and subindex. Empty if both say the same."""
+    """Return all differences: first of the device as a whole, then by index and subindex. Empty if both say the same. before,
+    after: the two descriptions."""
     return [*_of_device(before, after), *compare_dictionaries(before.dictionary, after.dictionary)]
 
 
 def compare_dictionaries(before: ObjectDictionary, after: ObjectDictionary) -> list[Difference]:
-    """Compare the objects alone; see `compare`."""
+    """Compare the objects alone; see `compare`. before, after: the two dictionaries."""
     found: list[Difference] = []
     for index in sorted(before.objects.keys() | after.objects.keys()):
         old, new = before.objects.get(index), after.objects.get(index)

@@ -42,7 +42,7 @@ def lines_of(text: str) -> list[str]:
 
 def open_description(path: str, encoding: str = "", connected: tuple[int, ...] = ()) -> DescriptionFile:
     """Read a device's own file, however many faults it has. encoding: of its text, "" for a guess. connected: see
-    `read_description`.
+    `read_description`. path: of a file, or the name of a sample.
 
     Raises DataError if it cannot be read, UnusableFileError if it describes no object.
     """

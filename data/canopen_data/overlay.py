@@ -71,7 +71,7 @@ def lay_over(dictionary: ObjectDictionary, text: str, source: str = "overlay") -
 def lay_tables_over(
     dictionary: ObjectDictionary, tables: Mapping[str, Any], source: str = "overlay"
 ) -> tuple[ObjectDictionary, list[Finding]]:
-    """Do as `lay_over`, with tables that are parsed already."""
+    """Do as `lay_over`, with tables that are parsed already. source: the name for findings."""
     reading = _Reading(source)
     for name in tables.keys() - {"objects"}:
         reading.error(_path(name), f"there is no such table{did_you_mean(name, ['objects'])}")

@@ -22,6 +22,7 @@ def read_description(
 ) -> DeviceDescription:
     """Read a device description of any kind. source: the file's name, for findings. encoding: of an EDS or DCF (XML names its
     own), "" = guess it. connected: the module in each slot of a modular device, instead of the file's own; only for EDS and DCF.
+    data: the file's bytes.
 
     Never raises for faulty content: the description's findings hold everything wrong with it. With strict, raises the first error
     as a DictionaryError.

@@ -130,7 +130,7 @@ class PdoRow:
 
 
 def read_indices(text: str, source: str, findings: list[Finding]) -> list[IndexRow]:
-    """Return the valid rows of indices.csv; errors go to `findings`."""
+    """Return the valid rows of indices.csv; errors go to `findings`. text: of the file. source: its name, for findings."""
     rows = []
     for cells in _lines(text, source):
         if not _has_columns(cells, ("alias", "index", "subindex", "length", "mode"), findings):
@@ -153,7 +153,7 @@ def read_indices(text: str, source: str, findings: list[Finding]) -> list[IndexR
 
 
 def read_constants(text: str, source: str, findings: list[Finding]) -> list[ConstantRow]:
-    """Return the valid rows of constants.csv; errors go to `findings`."""
+    """Return the valid rows of constants.csv; errors go to `findings`. text: of the file. source: its name, for findings."""
     rows = []
     for cells in _lines(text, source):
         if not _has_columns(cells, ("alias of an object", "name", "mask", "value"), findings):
@@ -166,7 +166,7 @@ def read_constants(text: str, source: str, findings: list[Finding]) -> list[Cons
 
 
 def read_pdos(text: str, source: str, findings: list[Finding]) -> list[PdoRow]:
-    """Return the valid rows of PDOs.csv; errors go to `findings`."""
+    """Return the valid rows of PDOs.csv; errors go to `findings`. text: of the file. source: its name, for findings."""
     rows = []
     for cells in _lines(text, source):
         if len(cells) < 3:

@@ -33,7 +33,8 @@ _SHOWN: Final = 40
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """Return the tables of a TOML text. Raises DictionaryError with line and column if it is not TOML."""
+    """Return the tables of a TOML text. Raises DictionaryError with line and column if it is not TOML. source: its name, for the
+    error."""
     if len(text) > MAX_TEXT:
         raise _failure(source, f"{len(text)} characters; a file of this kind has {MAX_TEXT} at most")
     try:
@@ -115,7 +116,8 @@ class TomlReading:
     """The places that have errors."""
 
     def error(self, place: str, message: str, path: Path = ()) -> None:
-        """Add an error. The line is that of the path, or of the innermost table on the way to it that has one."""
+        """Add an error. The line is that of the path, or of the innermost table on the way to it that has one. place: its name in
+        the text. message: for people."""
         while path and path not in self.places:
             path = path[:-1]
         where = self.places.get(path, (0, 0))
@@ -156,7 +158,7 @@ class TomlTable:
                 reading.error(place or owner, message, (*path, key))
 
     def error(self, message: str, key: str = "") -> None:
-        """Add an error about the table, or about one of its keys."""
+        """Add an error about the table, or about one of its keys. message: for people."""
         place = ": ".join(filter(None, (self.place, key)))
         self._reading.error(place, message, (*self.path, key) if key else self.path)
 
@@ -196,17 +198,17 @@ def listed(value: Any) -> list[Any]:
 
 
 def text(expected: str) -> ValueKind:
-    """A text that is not blank."""
+    """A text that is not blank. expected: what it is, for errors."""
     return ValueKind(expected, _is_text)
 
 
 def texts(expected: str) -> ValueKind:
-    """A text, or a list of them; always read as a tuple."""
+    """A text, or a list of them; always read as a tuple. expected: what it is, for errors."""
     return ValueKind(expected, lambda value: all(map(_is_text, listed(value))), lambda value: tuple(listed(value)), list)
 
 
 def tables(expected: str) -> ValueKind:
-    """A list of tables."""
+    """A list of tables. expected: what it is, for errors."""
     return ValueKind(expected, lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value))
 
 
@@ -217,7 +219,7 @@ def one_of(choices: Iterable[str]) -> ValueKind:
 
 
 def whole(expected: str, least: int, most: int) -> ValueKind:
-    """A whole number of least..most."""
+    """A whole number of least..most. expected: what it is, for errors."""
     return ValueKind(f"{expected} of {least}..{most}", lambda value: type(value) is int and least <= value <= most)
 
 

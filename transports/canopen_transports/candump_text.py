@@ -106,7 +106,8 @@ def _check_identifier(identifier: str, data: str) -> None:
 
 
 class CandumpWriter:
-    """Writes `.log`. Each line goes to the system at once, so that a killed process leaves all of them."""
+    """Writes `.log`. Each line goes to the system at once, so that a killed process leaves all of them. file: open for
+    writing."""
 
     def __init__(self, file: TextIO) -> None:
         self.left_out = 0

@@ -226,7 +226,8 @@ def _packet_of(frame: Frame) -> bytes:
 
 
 class PcapWriter:
-    """Writes pcap with times in nanoseconds. Each packet goes to the system at once. left_out: frames of 2106 and later."""
+    """Writes pcap with times in nanoseconds. Each packet goes to the system at once. left_out: frames of 2106 and later. file:
+    open for writing."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.left_out = 0
@@ -251,7 +252,7 @@ class PcapWriter:
 class PcapngWriter:
     """Writes pcapng with times in nanoseconds, names of buses, and directions. Each block goes to the system at once.
 
-    left_out: frames of the year 2554 and later.
+    left_out: frames of the year 2554 and later. file: open for writing.
     """
 
     def __init__(self, file: BinaryIO) -> None:

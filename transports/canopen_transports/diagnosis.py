@@ -118,7 +118,8 @@ def queue_is_full(error: BaseException) -> bool:
 
 
 def is_can_device(name: str, root: Path = Path("/")) -> bool | None:
-    """Return whether a network interface is a CAN bus; None if the system does not tell."""
+    """Return whether a network interface is a CAN bus; None if the system does not tell. name: of the interface, such as "can0".
+    root: of the files to read; a test passes a folder of its own."""
     try:
         return int((root / "sys/class/net" / name / "type").read_text()) == _ARPHRD_CAN
     except (OSError, ValueError):
@@ -126,7 +127,8 @@ def is_can_device(name: str, root: Path = Path("/")) -> bool | None:
 
 
 def found_here(root: Path = Path("/")) -> list[str]:
-    """Return locators of what looks like a CAN adapter on this computer."""
+    """Return locators of what looks like a CAN adapter on this computer. root: of the files to read; a test passes a folder of
+    its own."""
     names = sorted(path.name for path in (root / "sys/class/net").glob("*"))
     found = [f"socketcan:{name}" for name in names if is_can_device(name, root)]
     for prefix, pattern in (("", "pcan[0-9]*"), ("slcan:", "ttyACM*"), ("slcan:", "ttyUSB*")):
@@ -227,7 +229,7 @@ def bitrate_is_set_elsewhere(locator: Locator) -> TransportError:
 
 
 def unknown_option(locator: Locator, option: str, known: list[str]) -> TransportError:
-    """Return the error for an option that our own transport of this interface does not have."""
+    """Return the error for an option that our own transport of this interface does not have. known: those that it has."""
     seen = f"{locator.interface} has no option {option!r}; it has {', '.join(known)}"
     tries = (f"{locator.interface}:{locator.channel}", f"pythoncan:{locator.text}   (python-can's own, with its options)")
     return bad_locator(locator.text, seen, tries)
@@ -250,6 +252,8 @@ def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> 
     """Return the error for frames that do not get out: the queue stays full, or the controller is bus-off.
 
     doing: what was tried. received: the number of frames heard so far.
+
+    seen: what was observed.
     """
     rate = f" (ours {bitrate_text(locator.bitrate)})" if locator.bitrate else ""
     causes = [f"wrong bit rate{rate}", "CAN-H and CAN-L swapped or a wire broken", "termination (60 ohm between them)"]
@@ -272,7 +276,8 @@ def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> 
 
 
 def no_room(locator: Locator, doing: str, seconds: float, received: int, last_error: str) -> TransportError:
-    """Return the error for a transmit queue that stayed full for so many seconds. received, last_error: see the transports."""
+    """Return the error for a transmit queue that stayed full for so many seconds. received, last_error: see the transports.
+    doing: what was tried."""
     heard = f"{received} frames received so far" if received else "no frame ever received"
     seen = f"no room in the transmit queue for {seconds:g} s; {heard}" + (f"; {last_error}" if last_error else "")
     return not_acknowledged(locator, doing, seen, received)

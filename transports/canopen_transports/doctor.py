@@ -72,7 +72,7 @@ class DoctorFinding:
 
 
 def examine(root: Path = Path("/")) -> list[DoctorFinding]:
-    """Run all checks on this computer."""
+    """Run all checks on this computer. root: of the files to read; a test passes a folder of its own."""
     findings = [
         *check_socketcan(root, ip_links()),
         *check_peak(root, library=ctypes.util.find_library("pcanbasic"), channels=attached()),
@@ -100,7 +100,8 @@ def ip_links() -> list[dict[str, Any]]:
 
 
 def check_socketcan(root: Path, links: Iterable[dict[str, Any]]) -> Iterator[DoctorFinding]:
-    """Check each CAN interface of the kernel: whether it is up, its bit rate, its controller. links: see `ip_links`."""
+    """Check each CAN interface of the kernel: whether it is up, its bit rate, its controller. links: see `ip_links`. root: see
+    `examine`."""
     told = {str(each.get("ifname")): each for each in links}
     for path in sorted((root / "sys/class/net").glob("*")):
         if is_can_device(path.name, root):
@@ -159,6 +160,8 @@ def check_peak(root: Path, *, library: str | None, channels: dict[str, str]) -> 
     """Check PEAK's adapters: whether one is plugged in, its driver, `/proc/pcan`, PCAN-Basic.
 
     library: the name of the PCAN-Basic library, None if there is none. channels: see `attached`.
+
+    root: see `examine`.
     """
     driver = _text(root / "proc/pcan")
     if driver:
@@ -244,7 +247,7 @@ _USB_ADAPTERS: Final = (
 
 
 def check_usb(root: Path) -> Iterator[DoctorFinding]:
-    """Check that each plugged-in adapter of another maker has a driver."""
+    """Check that each plugged-in adapter of another maker has a driver. root: see `examine`."""
     for adapter in _USB_ADAPTERS:
         yield from _plugged_in(root, adapter)
 
@@ -267,7 +270,8 @@ def _plugged_in(root: Path, adapter: _UsbAdapter) -> Iterator[DoctorFinding]:
 
 
 def check_serial_lines(root: Path, *, has_serial: bool) -> Iterator[DoctorFinding]:
-    """Check that this user may open the serial lines, which may lead to an slcan adapter."""
+    """Check that this user may open the serial lines, which may lead to an slcan adapter. root: see `examine`. has_serial:
+    pyserial is installed."""
     for pattern in ("ttyACM*", "ttyUSB*"):
         for path in sorted((root / "dev").glob(pattern)):
             locator, name = f"slcan:/dev/{path.name}@500k", f"serial line /dev/{path.name}"
@@ -281,7 +285,7 @@ def check_serial_lines(root: Path, *, has_serial: bool) -> Iterator[DoctorFindin
 
 
 def check_vcan(root: Path) -> Iterator[DoctorFinding]:
-    """Check whether the kernel has virtual CAN buses."""
+    """Check whether the kernel has virtual CAN buses. root: see `examine`."""
     if not any((root / "sys/class/net").glob("*can*")) and not (root / "sys/module/vcan").exists():
         yield DoctorFinding(
             "vcan", Health.NOTE, "no virtual CAN bus; the kernel's module vcan is not loaded", ("sudo modprobe vcan",)
@@ -289,7 +293,7 @@ def check_vcan(root: Path) -> Iterator[DoctorFinding]:
 
 
 def check_multicast(root: Path) -> Iterator[DoctorFinding]:
-    """Check whether udp_multicast has a route; with one, two terminals of this computer share a bus."""
+    """Check whether udp_multicast has a route; with one, two terminals of this computer share a bus. root: see `examine`."""
     routes = _text(root / "proc/net/route").splitlines()[1:]
     for line in routes:
         fields = line.split()

@@ -86,6 +86,8 @@ class ReceiveOverrun(Report):
     """Received frames were lost at this place in the order of frames.
 
     lost: how many, at least 1. It is a lower bound if a CAN controller reports a loss without its number.
+
+    seen: how the loss showed. cause: "" for the usual one, a process that was too slow.
     """
 
     def __init__(self, locator: str, lost: int, seen: str, *, cause: str = "") -> None:
@@ -119,10 +121,11 @@ class FrameNotSentError(TransportError):
 
     @classmethod
     def because(cls, reason: TransportError) -> FrameNotSentError:
-        """Return the same error as a FrameNotSentError."""
+        """Return the same error as a FrameNotSentError. reason: that error."""
         return cls(reason.code, reason.locator, reason.failed, seen=reason.seen, cause=reason.cause, tries=reason.tries)
 
 
 def bad_locator(text: str, seen: str, tries: Iterable[str]) -> TransportError:
-    """Return the error for a locator that is not valid (CO100)."""
+    """Return the error for a locator that is not valid (CO100). text: the locator. seen: what is wrong with it. tries: what to
+    try."""
     return TransportError(BAD_LOCATOR, text, f"the bus {text!r} is not a valid locator", seen=seen, tries=tries)

@@ -75,7 +75,8 @@ class Locator(NamedTuple):
 
 
 def parse_locator(text: str) -> Locator:
-    """Return the parts of a locator. Raises TransportError (CO100), which names the wrong part and proposes a correction."""
+    """Return the parts of a locator. Raises TransportError (CO100), which names the wrong part and proposes a correction. text:
+    such as "socketcan:can0" or "pcan:PCAN_USBBUS1@500k"."""
     address, _, query = text.strip().partition("?")
     options = dict(_options(text, query))
     if address.startswith("file:"):  # a path may contain any character
@@ -116,7 +117,7 @@ def parse_bitrate(text: str) -> int:
 
 
 def bitrate_text(bitrate: int) -> str:
-    """Return the short form of a bit rate: "500k" for 500000."""
+    """Return the short form of a bit rate: "500k" for 500000. bitrate: bit/s."""
     if bitrate % 1_000_000 == 0:
         return f"{bitrate // 1_000_000}M"
     return f"{bitrate // 1000}k" if bitrate % 1000 == 0 else str(bitrate)

@@ -72,7 +72,7 @@ class LogFileError(Explained, Exception):
 
 
 def kind_of(path: Path) -> str:
-    """Return the kind of a log file by its name: a key of LOSSES. Raises LogFileError."""
+    """Return the kind of a log file by its name: a key of LOSSES. Raises LogFileError. path: its ending counts."""
     kind = path.suffix.lower()
     if kind not in LOSSES:
         raise LogFileError(
@@ -140,7 +140,8 @@ def _text(stream: BufferedReader) -> TextIOWrapper:
 
 
 def log_writer(path: Path) -> LogWriter:
-    """Create a log file of the kind that its name says, replacing an older one. Raises LogFileError."""
+    """Create a log file of the kind that its name says, replacing an older one. Raises LogFileError. path: its ending says the
+    kind, see `kind_of`."""
     kind = kind_of(path)
     try:
         if kind == ".log":

@@ -55,7 +55,7 @@ def timestamp_of(message: can.Message) -> int | None:
 
 
 def message_of(frame: Frame, channel: str | None = None) -> can.Message:
-    """Return the message for a frame that has passed `check_frame`."""
+    """Return the message for a frame that has passed `check_frame`. channel: the bus's name in python-can, which files need."""
     return can.Message(
         arbitration_id=frame.can_id,
         is_extended_id=bool(frame.flags & EXTENDED),

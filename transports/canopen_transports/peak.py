@@ -50,12 +50,12 @@ def state_of(status: int) -> BusState:
 
 
 def has_overrun(status: int) -> bool:
-    """Whether received frames were lost."""
+    """Whether received frames were lost. status: of PCAN-Basic, bits."""
     return bool(status & _OVERRUNS)
 
 
 def is_lost(status: int) -> bool:
-    """Whether the adapter or its driver has failed."""
+    """Whether the adapter or its driver has failed. status: of PCAN-Basic, bits."""
     return bool(status & ~(_BUS | _OVERRUNS | _NO_FAULT))
 
 

@@ -42,7 +42,7 @@ _HEADER: Final = re.compile(r"\s*(;|(date|base)\s)", re.IGNORECASE)
 
 
 def read_text(file: TextIO, kind: str, skip: Skip) -> Iterator[Record]:
-    """Yield the records of an `.asc` or a `.trc`."""
+    """Yield the records of an `.asc` or a `.trc`. file: open for reading. kind: ".asc" or ".trc"."""
     lines = _EntryLines(file, _ENTRY[kind], skip)
     reader = can.ASCReader(lines, relative_timestamp=False) if kind == ".asc" else can.TRCReader(lines)  # type: ignore[arg-type]
     found = False
@@ -63,7 +63,7 @@ def read_text(file: TextIO, kind: str, skip: Skip) -> Iterator[Record]:
 
 
 def read_blf(file: BinaryIO, skip: Skip) -> Iterator[Record]:
-    """Yield the records of a `.blf`."""
+    """Yield the records of a `.blf`. file: open for reading."""
     size = file.seek(0, os.SEEK_END)
     file.seek(0)
     said = size
@@ -135,7 +135,7 @@ class _EntryLines:
 
 
 class PythonCanWriter:
-    """Writes by python-can. Channels are numbered in the order of their first frames."""
+    """Writes by python-can. Channels are numbered in the order of their first frames. kind: ".asc", ".blf" or ".trc"."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.left_out = 0

@@ -44,11 +44,12 @@ class System:
         return policy, os.sched_getparam(0).sched_priority
 
     def set_scheduler(self, policy: int, priority: int) -> None:
-        """Set them; threads and processes that it starts are ordinary ones."""
+        """Set the scheduling policy and the priority of this thread; threads and processes that it starts are ordinary ones.
+        policy: `os.SCHED_FIFO` and the like. priority: 1..99 for that."""
         os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
     def limit(self, name: str) -> int:
-        """Return the soft limit of a resource, such as "RLIMIT_RTPRIO"; UNLIMITED for none."""
+        """Return the soft limit of a resource, such as "RLIMIT_RTPRIO"; UNLIMITED for none. name: of the resource."""
         import resource  # not on Windows
 
         soft, _ = resource.getrlimit(getattr(resource, name))
@@ -71,7 +72,7 @@ class System:
         return _call("prctl", _PR_GET_TIMERSLACK, 0, 0, 0, 0)
 
     def set_timer_slack(self, slack: int) -> None:
-        """Set it."""
+        """Set the timer slack of this thread. slack: ns."""
         _call("prctl", _PR_SET_TIMERSLACK, slack, 0, 0, 0)
 
     def cores(self) -> int:

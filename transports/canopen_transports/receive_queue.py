@@ -32,7 +32,8 @@ class _Lost:
 
 
 class ReceiveQueue:
-    """See this module's text. `put` and `report` may be called in any thread; then call `wake` in the trio thread."""
+    """See this module's text. `put` and `report` may be called in any thread; then call `wake` in the trio thread. size: frames,
+    at least 1, else ValueError."""
 
     def __init__(self, locator: str, size: int) -> None:
         if size < 1:

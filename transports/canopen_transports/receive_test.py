@@ -73,7 +73,7 @@ def silently(locator: Locator) -> str:
 
 
 async def listen(text: str, seconds: float, each: Each = lambda frame, stamp: None) -> Heard:
-    """Report what is heard on a bus within `seconds`. each: called with each frame and its time stamp.
+    """Report what is heard on a bus within `seconds`. each: called with each frame and its time stamp. text: the locator.
 
     Raises TransportError if the bus cannot be opened, or fails.
     """
@@ -90,7 +90,7 @@ async def listen_on(
     *,
     listen_only: bool = False,
 ) -> Heard:
-    """Do the same on an open bus."""
+    """Do as `listen` on an open bus. text: its locator, for the result. listen_only: it does not acknowledge."""
     heard = Heard(text, listen_only)
     with trio.move_on_after(seconds):
         while True:
@@ -112,7 +112,7 @@ async def listen_on(
 
 
 async def find_bitrate(text: str, seconds: float, told: Callable[[Heard], None] = lambda heard: None) -> Heard | None:
-    """Listen at one bit rate after the other; return the first result with frames and without errors, or None.
+    """Listen at one bit rate after the other; return the first result with frames and without errors, or None. text: the locator.
 
     seconds: for each bit rate. told: called with each result. Bit rates that the adapter does not support are left out. Raises
     TransportError if the adapter cannot listen only (CO100), or cannot be opened.

@@ -157,7 +157,7 @@ class ReplayTransport(trio.abc.AsyncResource):
 
 
 def open_replay(locator: str, channel: str, options: dict[str, Option]) -> ReplayTransport:
-    """Open the bus for the parts of a locator. Raises TransportError: CO100, CO101."""
+    """Open the bus for the parts of a locator. Raises TransportError: CO100, CO101. channel: the path of the log file."""
     speed = options.get("speed", 1)
     factor = {"max": MAX, "step": STEP}.get(speed) if isinstance(speed, str) else float(speed)
     sends = options.get("send", _SENDS[0])

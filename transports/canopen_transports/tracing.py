@@ -96,7 +96,8 @@ class Trace:
         return made
 
     def channel_of(self, locator: str) -> str:
-        """Return a bus's name in the file: can0 for SocketCAN's can0, else the interface with a number, such as virtual0."""
+        """Return a bus's name in the file: can0 for SocketCAN's can0, else the interface with a number, such as virtual0.
+        locator: of the bus."""
         if locator not in self._names:
             parsed = parse_locator(locator)
             number = sum(name.startswith(parsed.interface) for name in self._names.values())

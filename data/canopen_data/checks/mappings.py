@@ -79,7 +79,8 @@ def _check_transmission_type(subject: Subject, place: PdoPlace, index: int) -> I
 
 
 def is_valid(subject: Subject, communication: int) -> bool:
-    """Return whether a PDO exists after start-up: bit 31 of its COB-ID is 0."""
+    """Return whether a PDO exists after start-up: bit 31 of its COB-ID is 0. communication: the index of its communication
+    record."""
     cob_id = subject.number(communication, COB_ID)
     return cob_id is not None and not cob_id.value & COB_ID_INVALID
 

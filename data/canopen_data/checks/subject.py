@@ -82,23 +82,26 @@ class Subject:
     # ---- findings ----
 
     def of_object(self, code: str, index: int, text: str, field: str = "") -> Finding:
-        """Return a finding about a whole object. field: the file's name of the faulty field."""
+        """Return a finding about a whole object. field: the file's name of the faulty field. code: of the rule. text: for
+        people."""
         known = self.dictionary.objects.get(index)
         name = known.name if known is not None else ""
         return self._finding(code, f"in {self._section(index)}{f' {name}' if name else ''}: {text}", index, None, field)
 
     def of_variable(self, code: str, variable: Variable, text: str, field: str = "") -> Finding:
-        """Return a finding about a sub-object, or a VAR."""
+        """Return a finding about a sub-object, or a VAR. code: of the rule. text: for people. field: the file's name of the
+        faulty field."""
         index, subindex = variable.index, variable.subindex
         name = f" {variable.name}" if variable.name else ""
         return self._finding(code, f"in {self._section(index, subindex)}{name}: {text}", index, subindex, field)
 
     def of_value(self, code: str, variable: Variable, text: str) -> Finding:
-        """Return a finding about the first value of a sub-object."""
+        """Return a finding about the first value of a sub-object. code: of the rule. text: for people."""
         return self.of_variable(code, variable, text, "DefaultValue" if variable.configured is None else "ParameterValue")
 
     def of_entry(self, code: str, section: str, entry: str, text: str) -> Finding:
-        """Return a finding about an entry of a section that is not an object: [DeviceInfo] and the like."""
+        """Return a finding about an entry of a section that is not an object: [DeviceInfo] and the like. code: of the rule. text:
+        for people."""
         where = f"in [{section}]: " if self.has_lists else ""
         document = self.description.document
         found = document.section(section) if isinstance(document, EdsDocument) else None

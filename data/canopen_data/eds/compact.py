@@ -99,7 +99,8 @@ class Compact:
         return variables | own
 
     def pdos(self, info: DeviceInfo, known: dict[int, Object]) -> Iterator[Object]:
-        """Yield the PDO parameters that CompactPDO stands for, without those that the file has."""
+        """Yield the PDO parameters that CompactPDO stands for, without those that the file has. known: the objects of the
+        file."""
         if not info.compact_pdo:
             return
         bases = (
@@ -116,7 +117,8 @@ class Compact:
                     yield _mapping(index + 0x200 + number, f"{what} {number + 1} mapping parameter")
 
     def may_make(self, count: int, line: int) -> bool:
-        """Return whether so many more variables may be made, and count them. The first time that they may not is an error."""
+        """Return whether so many more variables may be made, and count them. The first time that they may not is an error. line:
+        of the compact form, for the error."""
         self._made += count
         if self._made <= MAX_MADE:
             return True

@@ -49,14 +49,15 @@ class Fields:
         self.values = {} if section is None else section.values
 
     def warn(self, code: str, message: str, key: str = "", severity: Severity = Severity.WARNING) -> None:
-        """Add a finding about the section, or about one of its values."""
+        """Add a finding about the section, or about one of its values. code: of the finding. message: for people. key: of the
+        value, "" for the section."""
         if self._section is not None and not self._findings.full(severity):
             line, column = self._section.place_of(key)
             message = f"in [{quoted(self._section.name)}]: {message}"
             self._findings.add(severity, code, message, line, column)
 
     def text(self, key: str) -> str:
-        """Return a text; "" if there is none."""
+        """Return a text; "" if there is none. key: in any case of letters."""
         return self.values.get(key.lower(), "")
 
     def number(self, key: str, *, most: int = UNSIGNED32) -> int | None:
@@ -85,14 +86,15 @@ class Fields:
         return flag
 
     def numbered(self, count_key: str) -> list[tuple[int, str]]:
-        """Return a list: its entries with their numbers, in the order of the numbers. A wrong count is a warning."""
+        """Return a list: its entries with their numbers, in the order of the numbers. A wrong count is a warning. count_key: of
+        the entry that says how many there are."""
         found = [(int(key), text) for key, text in self.values.items() if _NUMBERED.fullmatch(key)]
         found.sort()
         self._check(count_key, len(found))
         return found
 
     def indices(self, count_key: str) -> tuple[int, ...]:
-        """Return a list of objects."""
+        """Return a list of objects. count_key: of the entry that says how many there are."""
         found = []
         for number, text in self.numbered(count_key):
             index, remark = read_number(text)

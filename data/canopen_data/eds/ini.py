@@ -56,7 +56,7 @@ _SUBINDICES: Final = {
 
 
 class Findings:
-    """The findings about one file, each with its place; bounded."""
+    """The findings about one file, each with its place; bounded. source: the file's name."""
 
     def __init__(self, source: str) -> None:
         self.source = source
@@ -73,7 +73,7 @@ class Findings:
         return True
 
     def add(self, severity: Severity, code: str, message: str, line: int = 0, column: int = 0) -> None:
-        """Add a finding. line, column: from 1; 0 = the whole file."""
+        """Add a finding. line, column: from 1; 0 = the whole file. code: of the finding. message: for people."""
         if not self.full(severity):
             self._list.append(Finding(severity, code, message, self.source, line, column))
 
@@ -202,7 +202,7 @@ class EdsDocument:
 
     def place_of(self, index: int, subindex: int | None = None, field: str = "") -> tuple[int, int]:
         """Return the place; see `description.Document`. For a sub-object in compact form it is that of its own name or value, if
-        any."""
+        any. field: a key of its section, "" for the section itself."""
         section = self.objects.get(index)
         if subindex is not None:
             sub = self.subs.get(index, {}).get(subindex)

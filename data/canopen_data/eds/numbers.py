@@ -54,7 +54,8 @@ NOTHING: Final[Reading] = (None, False, "", False)
 
 
 def read_number(text: str) -> tuple[int | None, str]:
-    """Return a whole number, and a remark on what is odd about it ("" = nothing). None, with a remark, if it is not a number."""
+    """Return a whole number, and a remark on what is odd about it ("" = nothing). None, with a remark, if it is not a number.
+    text: of an entry."""
     match = _NUMBER.fullmatch(text)
     if match is not None:
         sign, digits, decimal = match.groups()

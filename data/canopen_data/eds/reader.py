@@ -52,7 +52,7 @@ def read_eds(
     data: bytes | str, source: str = "", *, strict: bool = False, encoding: str = "", connected: tuple[int, ...] = ()
 ) -> DeviceDescription:
     """Read an EDS or a DCF. source: the file's name, for findings. encoding: of its bytes, "" = guess it. connected: the
-    module in each slot of a modular device, instead of [ConnectedModules]; see modules.py.
+    module in each slot of a modular device, instead of [ConnectedModules]; see modules.py. data: the file's bytes, or its text.
 
     Any bytes are accepted: the description's findings hold everything wrong with them. With strict, raises the first error as a
     DictionaryError. The kind is DCF if the file commissions a device or configures one of its objects. The default of an object

@@ -189,7 +189,7 @@ class Variables:
         return None
 
     def value(self, section: Section, key: str, text: str, data_type: DataType) -> tuple[Value | None, bool]:
-        """Return the value of a text in a section, and whether the node-ID is added to it."""
+        """Return the value of a text in a section, and whether the node-ID is added to it. key: that has the text."""
         value, adds_node_id, remark, lost = self._readings_of(data_type)[text]
         if remark:
             self._remark(section, key, remark, lost)
@@ -220,7 +220,7 @@ class Variables:
             self._findings.add(Severity.NOTICE, "unknown-key", message, *section.place_of(keys[0]))
 
     def warn(self, section: Section, key: str, code: str, message: str, severity: Severity = Severity.WARNING) -> None:
-        """Add a finding about a key of a section."""
+        """Add a finding about a key of a section. code: of the finding. message: for people."""
         self._told += 1
         if not self._findings.full(severity):
             line, column = section.place_of(key)

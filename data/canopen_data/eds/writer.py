@@ -83,7 +83,7 @@ def text_of(sections: Sections) -> str:
 
 def encode_eds(text: str, encoding: str = "utf-8") -> bytes:
     """Return the bytes of a file in the old file's encoding (`DeviceDescription.encoding`), or in UTF-8 if that lacks a
-    character."""
+    character. text: of the whole file."""
     try:
         return text.encode(encoding)
     except UnicodeEncodeError:

@@ -52,7 +52,8 @@ def changed_text(document: EdsDocument, before: Sections, after: Sections) -> st
 
 
 def foreign_text(document: EdsDocument, known: Sections) -> str:
-    """Return the sections that a description has no field for, as they are in the file; lines end with a line feed."""
+    """Return the sections that a description has no field for, as they are in the file; lines end with a line feed. known: the
+    sections that it has fields for."""
     editor = _Editor(document)
     names = {fold(name) for name in known}
     objects = {_object_of(name) for name in names} - {""}

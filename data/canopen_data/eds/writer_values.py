@@ -35,7 +35,8 @@ _TIMES: Final = (indices.COMMUNICATION_CYCLE_PERIOD, indices.SYNCHRONOUS_WINDOW_
 
 
 def value_text(variable: Variable, value: Value, adds_node_id: bool) -> str:
-    """Return a default or configured value as text. "" for an empty string, no octets, and NaN, which have no text."""
+    """Return a default or configured value as text. "" for an empty string, no octets, and NaN, which have no text. adds_node_id:
+    the value is relative to the node-ID."""
     if isinstance(value, str):
         return one_line(value)
     if isinstance(value, bytes | bytearray | memoryview):

@@ -100,21 +100,23 @@ class XddFindings(Findings):
         self.text = b""
 
     def about(self, severity: Severity, code: str, message: str, element: Element, attribute: str = "") -> None:
-        """Add a finding about an element, or about one of its attributes."""
+        """Add a finding about an element, or about one of its attributes. code: of the finding. message: for people. attribute:
+        "" for the element itself."""
         if not self.full(severity):
             self.add(severity, code, message, *place_in(self.text, element, attribute))
 
     def error(self, code: str, message: str, element: Element, attribute: str = "") -> None:
-        """Add an error: something was left out."""
+        """Add an error: something was left out. code, message, attribute: as of `about`."""
         self.about(Severity.ERROR, code, message, element, attribute)
 
     def warning(self, code: str, message: str, element: Element, attribute: str = "") -> None:
-        """Add a warning: something was read, but is not in order."""
+        """Add a warning: something was read, but is not in order. code, message, attribute: as of `about`."""
         self.about(Severity.WARNING, code, message, element, attribute)
 
 
 def place_in(text: bytes, element: Element, attribute: str = "") -> tuple[int, int]:
-    """Return line and column of an attribute's value in the file as UTF-8; of the element if it has no such attribute."""
+    """Return line and column of an attribute's value in the file as UTF-8; of the element if it has no such attribute. text: that
+    file."""
     tag = _TAG.match(text, element.offset, element.offset + MAX_TAG) if attribute in element.attributes else None
     if tag is not None:
         for match in _ATTRIBUTE.finditer(text, element.offset, tag.end()):
@@ -127,7 +129,7 @@ def place_in(text: bytes, element: Element, attribute: str = "") -> tuple[int, i
 
 
 def parse(data: bytes, findings: XddFindings) -> tuple[Element | None, str]:
-    """Return the root element of a file, or None, and the encoding used. Never raises."""
+    """Return the root element of a file, or None, and the encoding used. Never raises. data: the file's bytes."""
     if len(data) > MAX_FILE_SIZE:
         message = f"the file has {len(data)} bytes, more than {MAX_FILE_SIZE // 1024**2} MiB; nothing was read"
         findings.add(Severity.ERROR, "too-large", message)

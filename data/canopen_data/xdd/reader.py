@@ -67,7 +67,7 @@ _MAPPINGS: Final = {"no": False, "default": True, "optional": True, "tpdo": True
 
 
 def read_xdd(data: bytes, source: str = "", *, strict: bool = False) -> DeviceDescription:
-    """Read an XDD or an XDC. source: the file's name, for findings.
+    """Read an XDD or an XDC. source: the file's name, for findings. data: the file's bytes.
 
     Any bytes are accepted: the description's findings hold everything wrong with them. With strict, raises the first error as a
     DictionaryError. A broken file gives the content before the break. Source: CiA 311 v1.1.

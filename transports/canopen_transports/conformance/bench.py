@@ -104,7 +104,7 @@ class TransportBench:
         self._stack = stack
 
     async def join(self, place: int) -> Transport:
-        """Open one more member of the bus."""
+        """Open one more member of the bus. place: which member it is, from 0."""
         return self.keep(await self._bus.join(place))
 
     def keep(self, member: T) -> T:

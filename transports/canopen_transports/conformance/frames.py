@@ -41,7 +41,7 @@ def number_of(frame: Frame) -> int:
 
 def expect_numbers(seen: list[int], expected: list[int], what: str) -> None:
     """Raise ViolationError unless the lists are equal. Its text shows where they differ, and which numbers are missing or
-    surplus."""
+    surplus. seen: what came. expected: what should have come. what: for the text."""
     if seen == expected:
         return
     place = next(

@@ -67,7 +67,8 @@ class Batch:
         self._control_view = memoryview(self._control).cast("B")
 
     def receive(self, fd: int) -> int:
-        """Receive up to BATCH frames without waiting; return how many came. Raises OSError as the socket does."""
+        """Receive up to BATCH frames without waiting; return how many came. Raises OSError as the socket does. fd: of the
+        socket."""
         ctypes.memmove(self._slots, self._fresh, len(self._fresh))
         ctypes.memset(self._control, 0, len(self._control))
         count: int = self._receive(fd, self._slots, BATCH, socket.MSG_DONTWAIT, None)
@@ -80,7 +81,7 @@ class Batch:
 
     def frames(self, count: int) -> Iterator[tuple[int, int, bytes, int | None, int]]:
         """Yield the frames of the last call: CAN-ID with flags, length, eight data bytes, time stamp in ns, frames dropped so
-        far."""
+        far. count: what `receive` returned."""
         frames = CAN_FRAME.iter_unpack(self._frame_view[: count * CAN_FRAME.size])
         controls = _CONTROL.iter_unpack(self._control_view[: count * _CONTROL.size])
         for (can_id, length, data), (_, _, kind, seconds, rest, _, _, second_kind, dropped) in zip(frames, controls, strict=True):

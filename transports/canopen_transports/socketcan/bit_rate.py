@@ -52,7 +52,7 @@ def bitrate_in(answer: bytes) -> int | None:
 
 
 def attributes(data: bytes) -> dict[int, bytes]:
-    """Return the attributes in a row, by type."""
+    """Return the attributes in a row, by type. data: of a netlink message."""
     found = {}
     place = 0
     while place + _ATTRIBUTE.size <= len(data):

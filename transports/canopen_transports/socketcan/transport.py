@@ -200,7 +200,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         return (await self.receive_many(1))[0]
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
-        """Wait until the kernel has received something; return at most one batch. One task at a time."""
+        """Wait until the kernel has received something; return at most one batch. One task at a time. limit: how many at most."""
         await trio.lowlevel.checkpoint_if_cancelled()
         items = self._items
         while not items:
@@ -208,7 +208,8 @@ class SocketCanTransport(trio.abc.AsyncResource):
         return [items.popleft() for _ in range(min(limit, len(items)))]
 
     def receive_nowait(self, limit: int) -> list[Received | Report] | None:
-        """Return what the kernel has received; None while frames come in bursts, and while the interface is down."""
+        """Return what the kernel has received; None while frames come in bursts, and while the interface is down. limit: how many
+        at most."""
         if self._closed:
             raise trio.ClosedResourceError(f"{self.locator} was closed")
         if not self._items:

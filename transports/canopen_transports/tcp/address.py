@@ -35,7 +35,8 @@ def address_text(host: str, port: int) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this computer can reach this address. A name other than localhost counts as not."""
+    """Return whether only this computer can reach this address. A name other than localhost counts as not. host: an address or a
+    name."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -53,7 +54,7 @@ def joining(locator: str) -> tuple[str, str]:
 
 
 def serve_command(host: str, port: int) -> str:
-    """Return the command that starts a server at this address."""
+    """Return the command that starts a server at this address. host, port: where it shall listen."""
     command = "canopen bus serve" + (f" --port {port}" if port != DEFAULT_PORT else "")
     if is_loopback(host):
         return f"{command}    (in another terminal)"
@@ -61,7 +62,7 @@ def serve_command(host: str, port: int) -> str:
 
 
 def cannot_connect(locator: str, host: str, port: int, error: OSError | UnicodeError) -> TransportError:
-    """Return why there is no connection. UnicodeError: the host is not a valid name."""
+    """Return why there is no connection. UnicodeError: the host is not a valid name. port: of the server."""
     number = _error_number(error)
     tries: tuple[str, ...] = (serve_command(host, port),)
     if isinstance(error, socket.gaierror | UnicodeError):
@@ -77,20 +78,23 @@ def cannot_connect(locator: str, host: str, port: int, error: OSError | UnicodeE
 
 
 def no_bus_server(locator: str, host: str, port: int, seen: str) -> TransportError:
-    """Return the error if another program listens there, or the bus server refuses us."""
+    """Return the error if another program listens there, or the bus server refuses us. host, port: of the server. seen: what it
+    sent."""
     tries = (serve_command(host, port + 1 if port < 65535 else DEFAULT_PORT),)
     cause = "another program uses this port, or another version of this one; or the bus server is stopped (Ctrl-Z)"
     return TransportError(CANNOT_OPEN, locator, f"cannot open {locator}", seen=seen, cause=cause, tries=tries)
 
 
 def connection_lost(locator: str, doing: str, seen: str, cause: str) -> TransportError:
-    """Return the error for a connection that has ended. We do not reconnect: the caller would miss frames without knowing it."""
+    """Return the error for a connection that has ended. We do not reconnect: the caller would miss frames without knowing it.
+    doing: what was tried. seen, cause: see Explained."""
     tries = (serve_command(*parse_address(locator, locator.partition(":")[2])), "start this program again once it runs")
     return TransportError(BUS_LOST, locator, f"cannot {doing} on {locator}", seen=seen, cause=cause, tries=tries)
 
 
 def cannot_listen(host: str, port: int, error: OSError | UnicodeError) -> TransportError:
-    """Return why no server can be started there. UnicodeError: the host is not a valid name."""
+    """Return why no server can be started there. UnicodeError: the host is not a valid name. host, port: where it should have
+    listened."""
     where = f"tcp:{address_text(host, port)}"
     number, code = _error_number(error), CANNOT_OPEN
     seen = _unknown_name(host, error) if isinstance(error, socket.gaierror | UnicodeError) else str(error)

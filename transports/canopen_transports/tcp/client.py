@@ -151,7 +151,8 @@ class TcpTransport(trio.abc.AsyncResource):
 
 
 async def open_tcp(locator: str, channel: str) -> TcpTransport:
-    """Join the bus of a bus server. Raises TransportError: CO100, CO101. If cancelled, nothing stays open."""
+    """Join the bus of a bus server. Raises TransportError: CO100, CO101. If cancelled, nothing stays open. channel: host and
+    port, as "localhost:20301"."""
     host, port = parse_address(locator, channel)
     try:
         with trio.fail_after(CONNECT_TIME):

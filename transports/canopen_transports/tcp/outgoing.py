@@ -16,7 +16,8 @@ BATCH: Final = 512
 
 
 class Outgoing:
-    """Lines for one member. One `lost` line marks a loss at its place, however many lines are missing there."""
+    """Lines for one member. One `lost` line marks a loss at its place, however many lines are missing there. size: how many lines
+    it holds."""
 
     def __init__(self, size: int = QUEUE_SIZE) -> None:
         self._size = size

@@ -118,7 +118,7 @@ class BusServer:
             self._leave(member)
 
     def end(self, reason: str) -> None:
-        """Cut all members off. Their connections end within FAREWELL_TIME."""
+        """Cut all members off. Their connections end within FAREWELL_TIME. reason: they are told."""
         for member in self._connections:
             member.cut_off(reason)
 
@@ -201,7 +201,7 @@ async def serve_bus(
     server: BusServer,
     task_status: trio.TaskStatus[list[str]] = trio.TASK_STATUS_IGNORED,
 ) -> None:
-    """Listen until cancelled, then tell the members. Raises TransportError (CO101, CO102).
+    """Listen until cancelled, then tell the members. Raises TransportError (CO101, CO102). host: the address to listen at.
 
     Started in a nursery it returns the locators; for port 0 they have the port that the system chose.
     """
