@@ -231,7 +231,7 @@ class Bench:
         return state
 
     def expect_state(self, expected: NmtState, when: str) -> Procedure[None]:
-        """Check that the device shows this NMT state."""
+        """Check that the device shows this NMT state. when: for the text, as in "after its boot-up"."""
         state = yield from self.state()
         expect(state is expected, f"{when}, the device is {state.name}, not {expected.name}")
 
@@ -283,7 +283,8 @@ class Bench:
         return self.probe.take_all(key)
 
     def expect_period(self, key: RoutingKey, duration: Time, period: Time, what: str) -> Procedure[list[FrameHeard]]:
-        """Listen for `duration` ns and check that frames with this routing key come once per period; return the frames.
+        """Listen for `duration` ns and check that frames with this routing key come once per period; return the frames. what: the
+        frames, for the text.
 
         The time from the first frame to the last is measured: it is known better than our listening time. Raises TimingError.
         """
@@ -293,7 +294,8 @@ class Bench:
         return heard
 
     def check_period(self, heard: Sequence[FrameHeard], begin: Time, end: Time, period: Time, what: str) -> None:
-        """Check that the frames heard from `begin` to `end` came once per period. Raises TimingError."""
+        """Check that the frames heard from `begin` to `end` came once per period. Raises TimingError. what: the frames, for the
+        text."""
         wanted = f"the period is {period / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
         seen = f"{what} came {len(heard)} times in {(end - begin) / SECOND:.3g} s"
         if len(heard) < 2:
@@ -307,13 +309,13 @@ class Bench:
             raise TimingError(f"{seen}, and then not for {pause / MILLISECOND:.0f} ms; {wanted}")
 
     def expect_silence(self, key: RoutingKey, duration: Time, what: str) -> Procedure[None]:
-        """Check that no frame with this routing key comes within `duration` ns."""
+        """Check that no frame with this routing key comes within `duration` ns. what: for the text."""
         heard = yield from self.frames_within(key, duration)
         if heard:
             raise ViolationError(f"{what}: {heard[0].frame} came")
 
     def sync(self, counter: int | None = None) -> Procedure[None]:
-        """Send a SYNC, and give the device time to react."""
+        """Send a SYNC, and give the device time to react. counter: 1..240; None: an empty frame."""
         yield from self.send(self.sync_key, b"" if counter is None else bytes((counter,)))
         yield from self.sleep(REACTION_TIME)
 
@@ -355,7 +357,8 @@ class Bench:
         yield from self.transfer(download(self.sdo, index, subindex, self.encode(index, subindex, value)))
 
     def encode(self, index: int, subindex: int, value: int) -> bytes:
-        """Return the bytes of an unsigned number, with the object's width in the dictionary."""
+        """Return the bytes of an unsigned number, with the object's width in the dictionary. value: 0 or more; ViolationError if
+        the object is too short for it."""
         variable = self.variable(index, subindex)
         if variable.size is None or value.bit_length() > 8 * variable.size:
             raise ViolationError(f"{variable.label} is a {variable.data_type.name}, which does not hold the number {value}")
@@ -384,12 +387,12 @@ class Bench:
         return None
 
     def expect_number(self, index: int, subindex: int, expected: int, when: str) -> Procedure[None]:
-        """Check that an object holds this number."""
+        """Check that an object holds this number. expected: unsigned. when: for the text."""
         seen = yield from self.number(index, subindex)
         expect_equal(seen, expected, f"{when}, 0x{index:04X}:{subindex:02X}")
 
     def expect_default(self, index: int, subindex: int, when: str) -> Procedure[None]:
-        """Check that an object can be read, and holds its default, if the dictionary has one."""
+        """Check that an object can be read, and holds its default, if the dictionary has one. when: for the text."""
         content = yield from self.read(index, subindex)
         variable = self.dictionary.get(index, subindex)
         expected = None if variable is None else self.content_of(variable)

@@ -43,7 +43,7 @@ def read_device_type(bench: Bench) -> Procedure[None]:
 
 
 def read_long(crc: bool, bench: Bench) -> Procedure[str]:
-    """2.22 and 2.23: blocks bring the object's value, each time."""
+    """2.22 and 2.23: blocks bring the object's value, each time. crc: whether one is asked for."""
     variable = long_object(bench)
     for _ in range(2):
         content, with_crc = yield from block_upload(bench, variable.index, variable.subindex, crc=crc)
@@ -52,7 +52,7 @@ def read_long(crc: bool, bench: Bench) -> Procedure[str]:
 
 
 def write_time(index: int, crc: bool, bench: Bench) -> Procedure[str]:
-    """2.20, 2.21, 2.24, 2.25: two bytes in one segment."""
+    """2.20, 2.21, 2.24, 2.25: two bytes in one segment. crc: whether one is offered."""
     written = bench.encode(index, 0, ANY_TIME)
     expect_equal(len(written), TIME_SIZE, f"the number of bytes of 0x{index:04X}:00, by the dictionary,")
     with_crc = yield from block_download(bench, index, 0, written, crc=crc)

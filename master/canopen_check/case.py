@@ -85,7 +85,8 @@ class Case:
 
 
 def for_each(bench: Bench, items: Iterable[T], look: Callable[[T], Procedure[object]]) -> Procedure[int]:
-    """Check each item, whatever is wrong with the others; return their number. Failures and refusals are noted.
+    """Check each item, whatever is wrong with the others; return their number. Failures and refusals are noted. look: makes the
+    check of an item.
 
     If the device does not answer at all, the case ends: to wait for each item would take minutes.
     """

@@ -34,7 +34,7 @@ _REQUEST: Final = initiate(INITIATE_UPLOAD, DEVICE_TYPE, 0)
 
 
 def read_records(bench: Bench, indices: range) -> Procedure[str]:
-    """Check that present records hold their defaults, and that missing ones cannot be read."""
+    """Check that present records hold their defaults, and that missing ones cannot be read. indices: of the records."""
 
     def look(index: int) -> Procedure[None]:
         code = yield from bench.refusal_of_read(index, 0)
@@ -51,7 +51,7 @@ def _fields(bench: Bench, indices: range) -> Iterator[Variable]:
 
 
 def configurable(bench: Bench, indices: range) -> list[int]:
-    """Return the records whose COB-IDs can be written."""
+    """Return the records whose COB-IDs can be written. indices: of the records."""
     found = []
     for index in indices:
         cob_ids = [bench.dictionary.get(index, subindex) for subindex in (TO_SERVER, TO_CLIENT)]
@@ -61,7 +61,7 @@ def configurable(bench: Bench, indices: range) -> list[int]:
 
 
 def write_channel(bench: Bench, index: int, to_server: int, to_client: int) -> Procedure[None]:
-    """Give a record other COB-IDs, in the order that the standard wants: not valid first."""
+    """Give a record other COB-IDs, in the order that the standard wants: not valid first. to_server, to_client: the COB-IDs."""
     for subindex, cob_id in ((TO_SERVER, to_server), (TO_CLIENT, to_client)):
         standing = yield from bench.number(index, subindex)
         yield from bench.write(index, subindex, standing | COB_ID_INVALID)
@@ -69,7 +69,8 @@ def write_channel(bench: Bench, index: int, to_server: int, to_client: int) -> P
 
 
 def expect_server(bench: Bench, index: int, to_server: RoutingKey, to_client: RoutingKey) -> Procedure[None]:
-    """Check that a request is answered on its channel, as the first server answers it, and on no other."""
+    """Check that a request is answered on its channel, as the first server answers it, and on no other. to_server, to_client: its
+    routing keys."""
     expected = yield from ask(bench, _REQUEST)
     bench.probe.listen_also(to_client)
     yield from bench.send(to_server, _REQUEST)
@@ -80,7 +81,7 @@ def expect_server(bench: Bench, index: int, to_server: RoutingKey, to_client: Ro
 
 
 def expect_no_server(bench: Bench, when: str) -> Procedure[None]:
-    """Check that a request to the trial channel gets no answer."""
+    """Check that a request to the trial channel gets no answer. when: for the text."""
     bench.probe.listen_also(bench.response_key)
     yield from bench.send(TRIAL_TO_SERVER, _REQUEST)
     yield from bench.expect_silence(TRIAL_TO_CLIENT, REACTION_TIME, when)

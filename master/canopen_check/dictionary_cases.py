@@ -110,7 +110,7 @@ def change_settings(bench: Bench) -> Procedure[list[tuple[Variable, bytes]]]:
 
 
 def expect_put_back(bench: Bench, before: list[tuple[Variable, bytes]]) -> Procedure[None]:
-    """Check that a reset has undone what `change_settings` did."""
+    """Check that a reset has undone what `change_settings` did. before: the objects and their bytes."""
 
     def look(changed: tuple[Variable, bytes]) -> Procedure[None]:
         variable, content = changed

@@ -34,7 +34,7 @@ def next_error(bench: Bench, timeout: Time, what: str) -> Procedure[FrameHeard]:
 
 
 def expect_no_error(bench: Bench, duration: Time, what: str) -> Procedure[None]:
-    """Check that no message about an error comes within `duration` ns."""
+    """Check that no message about an error comes within `duration` ns. what: for the text."""
     bench.probe.listen_also(bench.emcy_key)
     yield from bench.sleep(duration)
     for each in errors_heard(bench):

@@ -63,12 +63,12 @@ class Notes:
             self.failures.append(noted)
 
     def remark(self, text: str) -> None:
-        """Note a behaviour that the standard leaves open."""
+        """Note a behaviour that the standard leaves open. text: for people."""
         if text not in self.remarks:
             self.remarks.append(text)
 
     def beyond(self, condition: bool, otherwise: str) -> None:
-        """If the condition does not hold, note a violation of the standard that CiA's tool accepts."""
+        """If the condition does not hold, note a violation of the standard that CiA's tool accepts. otherwise: the text then."""
         if not condition and self.strict:
             self.fail(ViolationError(otherwise))
         elif not condition:
@@ -96,7 +96,7 @@ class Notes:
 
 def expect_refusal(abort_code: int | None, valid: Collection[AbortCode], what: str) -> None:
     """Go on if an access was refused with one of these codes, else raise ViolationError. abort_code: None if it was not
-    refused."""
+    refused. valid: those codes. what: the access, for the text."""
     codes = " or ".join(f"0x{code:08X}" for code in valid)
     if abort_code is None:
         raise ViolationError(f"{what} was not refused; abort {codes} expected")

@@ -120,7 +120,8 @@ def monitor_in_time(bench: Bench) -> Procedure[str]:
 
 
 def check_not_early(after: Time, time: Time, what: str) -> None:
-    """Check that something that is due after `time` did not come much earlier. Raises TimingError."""
+    """Check that something that is due after `time` did not come much earlier. Raises TimingError. after: ns until it came. what:
+    for the text."""
     if after < time * (1 - PERIOD_TOLERANCE):
         wanted = f"the time is {time / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}"
         raise TimingError(f"{what} after {after / MILLISECOND:.0f} ms; {wanted}")

@@ -39,13 +39,15 @@ def _expect_initiated(response: bytes, expected: SdoFrame, index: int, subindex:
 
 
 def initiate_block_upload(bench: Bench, index: int, subindex: int, *, crc: bool, block_size: int) -> Procedure[bytes]:
-    """Send an initiate block upload request; return the answer, whatever it is."""
+    """Send an initiate block upload request; return the answer, whatever it is. crc: whether one is asked for. block_size:
+    segments in a sub-block, 1 to 127."""
     command = BLOCK_UPLOAD | (CRC_BIT if crc else 0)
     return (yield from ask(bench, initiate(command, index, subindex, bytes((block_size,)))))
 
 
 def begin_block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Procedure[bytes]:
-    """Send an initiate block upload request; check and return the answer. The upload can be started then."""
+    """Send an initiate block upload request; check and return the answer. The upload can be started then. crc: whether one is
+    asked for."""
     response = yield from initiate_block_upload(bench, index, subindex, crc=crc, block_size=MAX_BLOCK_SIZE)
     _expect_initiated(response, SdoFrame.BLOCK_UPLOAD, index, subindex)
     return response
@@ -89,7 +91,8 @@ def block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Proce
 
 
 def block_download(bench: Bench, index: int, subindex: int, content: bytes, *, crc: bool) -> Procedure[bool]:
-    """Do a whole block download of one segment (1 to 7 bytes); return whether a CRC protected it."""
+    """Do a whole block download of one segment (1 to 7 bytes); return whether a CRC protected it. content: those bytes. crc:
+    whether one is offered."""
     command = BLOCK_DOWNLOAD | BLOCK_SIZE_BIT | (CRC_BIT if crc else 0)
     response = yield from ask(bench, initiate(command, index, subindex, len(content).to_bytes(4, "little")))
     _expect_initiated(response, SdoFrame.BLOCK_DOWNLOAD, index, subindex)

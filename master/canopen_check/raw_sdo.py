@@ -39,7 +39,7 @@ def multiplexer(index: int, subindex: int) -> bytes:
 
 
 def initiate(command: int, index: int, subindex: int, content: bytes = b"") -> bytes:
-    """Return a request that names an object, with up to four bytes after it."""
+    """Return a request that names an object, with up to four bytes after it. command: the command byte. content: those bytes."""
     return (bytes((command,)) + multiplexer(index, subindex) + content).ljust(8, b"\x00")
 
 
@@ -52,7 +52,7 @@ def ask(bench: Bench, request: bytes) -> Procedure[bytes]:
 
 
 def answer(bench: Bench, what: str) -> Procedure[bytes]:
-    """Return the server's next frame."""
+    """Return the server's next frame. what: the answer, for the text."""
     heard = yield from bench.next_frame(bench.response_key, ANSWER_TIME, what)
     data = heard.frame.data
     expect_equal(len(data), 8, f"the length of {what} ({heard.frame})")
@@ -112,7 +112,7 @@ def upload_segments(bench: Bench) -> Procedure[bytes]:
 
 
 def segmented_download(bench: Bench, index: int, subindex: int, content: bytes) -> Procedure[None]:
-    """Do a whole download in segments, however short the data."""
+    """Do a whole download in segments, however short the data. content: the bytes of the value."""
     size = len(content).to_bytes(4, "little")
     response = yield from ask(bench, initiate(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size))
     what = f"the segmented download of 0x{index:04X}:{subindex:02X}"

@@ -96,7 +96,8 @@ def _length(bench: Bench, variable: Variable) -> int:
 
 
 def holds(bench: Bench, variable: Variable, content: bytes, how: str) -> None:
-    """Check that the device sent the value that an object holds if it was never written."""
+    """Check that the device sent the value that an object holds if it was never written. content: what it sent. how: for the
+    text, as in "in segments"."""
     expected = bench.content_of(variable)
     if expected is not None:
         expect_equal(content, expected, f"{variable.label}, read {how},")
@@ -142,7 +143,7 @@ def read_and_write(bench: Bench) -> Procedure[str]:
 
 
 def expect_own_value(bench: Bench, variable: Variable, content: bytes) -> Procedure[None]:
-    """Check that an object takes its own value.
+    """Check that an object takes its own value. content: the bytes of that value.
 
     Three kinds may refuse: an enabled mapping, any parameter of a valid PDO, and 0x1019 while 0x1006 is not 0. They cannot change
     then, and the standard does not say whether the same value is a change.

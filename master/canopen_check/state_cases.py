@@ -104,7 +104,8 @@ def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
 
 
 def expect_booted(bench: Bench, when: str) -> Procedure[None]:
-    """Check that the device is Pre-operational after its boot-up; if it has started by itself, command Pre-operational."""
+    """Check that the device is Pre-operational after its boot-up; if it has started by itself, command Pre-operational. when: for
+    the text."""
     state = yield from bench.state()
     if state is NmtState.OPERATIONAL:
         itself = f"{when}, the device is OPERATIONAL: it starts by itself"
@@ -194,7 +195,8 @@ def resets(bench: Bench) -> Procedure[None]:
 
 
 def transition(target: NmtState, bench: Bench) -> Procedure[None]:
-    """10.2 to 10.4: a command leads from each state to the same state, whether sent to this node or to all."""
+    """10.2 to 10.4: a command leads from each state to the same state, whether sent to this node or to all. target: that
+    state."""
     command = _LEADS_TO[target]
     yield from bench.supervise()
     for state, way in _LEADS_TO.items():
