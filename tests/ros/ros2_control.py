@@ -213,7 +213,7 @@ class JointTrajectoryController:
 
 
 def _between(begin: TrajectoryPoint, end: TrajectoryPoint, time: float) -> list[float]:
-    """Return the positions on the cubic polynomial between two points: "splines" of joint_trajectory_controller, from memory."""
+    """Return the positions on the cubic polynomial between two points: "splines" of joint_trajectory_controller."""
     h = end.time_from_start - begin.time_from_start
     s = (time - begin.time_from_start) / h
     curve = zip(begin.positions, begin.velocities, end.positions, end.velocities, strict=True)
@@ -259,7 +259,7 @@ ALLOWED_START_TOLERANCE: Final = 0.01
 SCALING, MARGIN = 1.1, 0.5
 """MoveIt, TrajectoryExecutionManager: DEFAULT_CONTROLLER_GOAL_DURATION_SCALING, and _MARGIN in seconds."""
 STEP: Final = 0.1
-"""Seconds between two points: `resample_dt` of MoveIt's time parametrisation, from memory."""
+"""Seconds between two points: the default of `resample_dt` of MoveIt's TimeOptimalTrajectoryGeneration."""
 
 
 class Executor(Protocol):

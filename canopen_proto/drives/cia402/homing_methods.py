@@ -96,8 +96,9 @@ MAXON_HOMING: Final[dict[int, HomingMethod]] = {
     -3: HomingMethod(HomingSwitch.POSITIVE_STOP, +1, +1, +1),
     -4: HomingMethod(HomingSwitch.NEGATIVE_STOP, -1, -1, -1),
 }
-"""The methods of maxon's EPOS drives, from memory: onto a hard stop, until the current is above a threshold; with index pulse,
-back to the first one. Other makers use the same numbers for something else."""
+"""The methods of maxon's EPOS drives (the numbers and names are those of its EPOS Command Library, FindHome): onto a hard stop,
+until the current is above a threshold; with index pulse, back to the first one (that direction from memory). Other makers use the
+same numbers for something else."""
 
 HOMING_BY_PROBE: Final = 36
 

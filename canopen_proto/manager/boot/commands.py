@@ -1,4 +1,4 @@
-"""NMT commands with a pause between them: object 0x102A of a master, the NMT inhibit time (CiA 302-2; from memory)."""
+"""NMT commands with a pause between them: object 0x102A of a master, the NMT inhibit time (CiA 302-2, as Lely has it)."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ _BRAKE_TEST: Final = (
     "a safety function of Pilz's arms: prbt_hardware_support has the drive test its brake. Nothing here does; the test is still "
     "due, by the maker's own means"
 )
-"""Source: pilz_robots, prbt_hardware_support and the driver configuration of prbt_support (from memory)."""
+"""Source: pilz_robots, canopen_braketest_adapter.h of prbt_hardware_support."""
 MILLISECONDS: Final = (1, 60_000)
 """Of a cycle."""
 
