@@ -46,7 +46,7 @@ class NotInDictionaryError(LocalProtocolError, KeyError):
 
 @mypyc_attr(native_class=False)
 class ObjectNotFoundError(NotInDictionaryError):
-    """No such object or subindex."""
+    """The dictionary has no such object, or no such subindex."""
 
 
 @mypyc_attr(native_class=False)

@@ -216,7 +216,8 @@ def spare_tpdos(chosen: Iterable[PdoSettings], own: Iterable[PdoSlot], welcome: 
 
 
 def entry_of(dictionary: ObjectDictionary, key: Mux, direction: Direction) -> tuple[int | None, str]:
-    """Return the mapping entry of an object in its full width, or None and why a PDO of that direction cannot carry it."""
+    """Return the mapping entry of an object in its full width and "", or None and the reason why no PDO of that direction can
+    carry it."""
     variable = dictionary.get(*split_mux(key))
     if variable is None:
         return None, f"it has no {mux_text(key)}"

@@ -119,7 +119,8 @@ LEAST_RESPONSE: Final = tuple(
 
 
 def complete(data: bytes, least: tuple[int, ...]) -> bytes | None:
-    """Return a frame's data as eight bytes, or None if bytes are missing that its command byte announces."""
+    """Return a frame's data as eight bytes, or None if bytes are missing that its command byte announces. least: by command byte,
+    the fewest bytes that make sense."""
     if not data or len(data) < least[data[0]]:
         return None
     return data[:8].ljust(8, b"\x00")
@@ -212,7 +213,7 @@ def segment_data(frame: bytes) -> bytes:
 
 
 def unused_at_end(frame: bytes) -> int:
-    """Return how many bytes of the last segment an "end block transfer" declares unused."""
+    """Return how many bytes of the last segment are unused, 0 to 7. frame: an "end block transfer", which says it."""
     return frame[0] >> 2 & 7
 
 

@@ -98,7 +98,7 @@ def confirm(transfer: Transfer, answer: Frame) -> None:
 
 
 class WriteAccess(Transfer):
-    """The host has a whole download, and is to say whether it takes it."""
+    """A whole download that waits for the host, which takes or refuses it."""
 
     __slots__ = ("_answer",)
 

@@ -36,7 +36,7 @@ def with_configured(
     *,
     file_info: FileInfo | None = None,
 ) -> DeviceDescription:
-    """Return the description of a DCF: besides the values that are configured already, it sets these values, by mux.
+    """Return the description of a DCF that sets these values, by mux, besides those that are configured already.
 
     commissioning: node-ID, bit rate and so on; None: those of the description. A value that is already configured relative to
     $NODEID stays so. file_info: for the new file (its name, its author and date: the core has no clock); None: that of the old

@@ -36,7 +36,8 @@ class DescriptionFile:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text as findings count them; str.splitlines knows more line ends."""
+    """Return the lines of a text as findings count them: a line feed or a carriage return ends a line. str.splitlines knows more
+    ends."""
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
 
 

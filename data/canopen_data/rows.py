@@ -111,7 +111,7 @@ class ConstantRow:
 
 @dataclass(frozen=True, slots=True)
 class PdoRow:
-    """A row of PDOs.csv."""
+    """A row of PDOs.csv. cob_base: the CAN-ID without the node-ID. entries: the aliases of its objects. cells: all of the row."""
 
     alias: Cell
     cob_base: int

@@ -216,7 +216,8 @@ def write_too_short(bench: Bench) -> Procedure[None]:
 
 
 def limited(bench: Bench) -> list[tuple[Variable, int | None, int | None]]:
-    """Return the objects with limits of their own, with the next value below and above these, None if the type has none."""
+    """Return the objects with limits of their own, each with the next value below and the next one above them. None: the type has
+    no such value."""
     found = []
     for variable in bench.dictionary:
         span = range_of(variable.data_type)

@@ -195,8 +195,7 @@ def resets(bench: Bench) -> Procedure[None]:
 
 
 def transition(target: NmtState, bench: Bench) -> Procedure[None]:
-    """10.2 to 10.4: a command leads from each state to the same state, whether sent to this node or to all. target: that
-    state."""
+    """10.2 to 10.4: the command for `target` leads there from each state, whether it is sent to this node or to all."""
     command = _LEADS_TO[target]
     yield from bench.supervise()
     for state, way in _LEADS_TO.items():

@@ -30,7 +30,8 @@ Tell = Callable[[Feedback], object]
 
 
 class GoalMotion:
-    """See this module's text. goal: what the client asked for. has_begun: the joints follow it. over: they do no longer.
+    """A goal on its way; see this module's text. goal: what the client asked for. has_begun: the joints follow it. over: is set
+    once they follow it no longer.
 
     All times are those of trio's clock.
     """

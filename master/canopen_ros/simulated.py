@@ -36,7 +36,7 @@ def on_virtual_buses(machine: MachineFile) -> MachineFile:
 
 @asynccontextmanager
 async def simulated_machine(machine: MachineFile) -> AsyncIterator[Mapping[str, Host]]:
-    """Serve all devices of a machine while the block runs; by the name of the bus.
+    """Serve all devices of a machine, simulated, while the block runs. Yields what serves them, by the name of the bus.
 
     A node without a file is a joint of Schunk's Powerball arm. Raises DataError, DictionaryError for a file that cannot be used.
     """

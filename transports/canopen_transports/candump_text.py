@@ -120,5 +120,5 @@ class CandumpWriter:
         self._file.write(f"({seconds:010d}.{fraction:06d}) {record.channel or DEFAULT_CHANNEL} {record.frame} {direction}\n")
 
     def close(self) -> None:
-        """End the file."""
+        """Close the file."""
         self._file.close()

@@ -118,9 +118,11 @@ class NoMotionPlanError(ProcedureError):
 
 @dataclass(frozen=True, slots=True)
 class MotionPlan:
-    """See this module's text. axis: of the node. reason: why this mode. pdos: to be exchanged. written: those of them whose
-    settings differ from the file's. destroyed: PDOs with another node's CAN-ID, as they shall be. spare: TPDOs that are switched
-    off, as they shall be. rejected: the modes that come before this one, and why not. notes: problems that stay.
+    """The mode in which a drive follows set-points, and the PDOs for it; see this module's text.
+
+    axis: of the node. reason: why this mode. pdos: to be exchanged. written: those of them whose settings differ from the file's.
+    destroyed: PDOs with another node's CAN-ID, as they shall be. spare: TPDOs that are switched off, as they shall be. rejected:
+    the modes that come before this one, and why not. notes: problems that stay.
     """
 
     dictionary: ObjectDictionary

@@ -82,7 +82,7 @@ class DriveSettings:
     position follows, ns; 0 follows at once. load: torque that it always needs while powered, per mille of the rated torque.
     sync_tolerance: in ip and csp, a SYNC that stays away for less, in ns, is late and not lost: the axis brakes until it comes,
     then goes on. Three periods of SYNC (1006h, 60C2h) count if they are more. waits_for_sync: it does not brake then, and stands
-    at its set-point, as if the time of its world waited for SYNC.
+    at its set-point until SYNC comes.
     self_test: from power-on to Switch on disabled, ns. homing_method: the homing method of a Schunk Powerball, whose 6098h is
     constant. reaction: from the arrival of a controlword or a mode (6060h) until the drive acts on it, ns; real drives take 1 ms
     to 1 s. unset: muxes of objects that count as not set if they are 0. mechanics: the mass that moves, in place of `lag` and
@@ -91,7 +91,7 @@ class DriveSettings:
     set_points: how many set-points of profile position can wait behind the one that runs; 0: none, and each has to come with bit
     5, as in Synapticon's drives. mode_change_state: the highest state in which it takes another mode (6060h), of Switch on
     disabled, Ready to switch on, Switched on, Operation enabled. changes_mode_halted: whether it does so while bit 8 of the
-    controlword is set; Engel's drives do not. own_modes: modes of its maker, below 0; it stands in them.
+    controlword is set; Engel's drives do not. own_modes: modes of its maker, below 0; the axis stands still in them.
 
     torque_is_off: the STO input is active at power-on, as with an emergency stop that is pressed. sto_bit: the bit that shows it,
     by default that of Beckhoff's AX8000. sto_fault: error code of the fault that STO makes in a drive with power; 0: none, it

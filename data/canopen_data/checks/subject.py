@@ -68,7 +68,7 @@ class Subject:
         return None if device_type is None else device_type.value & 0xFFFF
 
     def number(self, index: int, subindex: int = 0) -> Number | None:
-        """Return the first value of an object, or None: no such object, not a number, or not in the file."""
+        """Return the first value of an object. None: there is no such object, it holds no number, or the file gives none."""
         variable = self.dictionary.get(index, subindex)
         if variable is None:
             return None

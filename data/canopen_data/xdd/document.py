@@ -23,7 +23,8 @@ _OF_PARAMETER: Final = {
 
 
 class XddDocument:
-    """The places of a file's objects. text: the file as UTF-8. objects, parameters: by index and subindex, None = the object."""
+    """The places of a file's objects. text: the file as UTF-8. objects, parameters: by index and subindex; subindex None is the
+    object itself."""
 
     def __init__(
         self,

@@ -94,7 +94,8 @@ class Draft:
     _descriptions: dict[Path, DeviceDescription] = field(default_factory=dict)
 
     def is_lost(self, value: Value, keys: Iterable[str]) -> bool:
-        """Return whether one of these keys of a node, or of the defaults, could not be used, nor their whole section."""
+        """Return whether one of these keys, or the section that would have it, was left out because it could not be used. It may
+        be the node's own, or that of the defaults."""
         places = {f"{place}.{key}" for place in (value.place, "defaults") for key in keys}
         return not self.lost.isdisjoint(places | {"defaults"})
 

@@ -96,7 +96,7 @@ class SmoothedMotion:
         """In seconds, from rest to rest."""
 
     def at(self, time: float) -> tuple[float, float, float]:
-        """Return s, r and dr/dt at a time from 0 to `duration`."""
+        """Return the place s on the curve, the rate r = ds/dt, and dr/dt. time: seconds from the begin, 0 to `duration`."""
         area, s, r = self._sharp(time)
         area_before, s_before, r_before = self._sharp(time - self._window)
         window = self._window

@@ -118,13 +118,13 @@ class Logger(Protocol):
     """The logger of a node."""
 
     def info(self, message: str) -> bool:
-        """Log it."""
+        """Log a message."""
 
     def warning(self, message: str) -> bool:
-        """Log it."""
+        """Log a message."""
 
     def error(self, message: str) -> bool:
-        """Log it."""
+        """Log a message."""
 
 
 class Parameter(Protocol):
