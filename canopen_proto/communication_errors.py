@@ -64,12 +64,14 @@ class CommunicationErrors:
         self._emcy.clear(EMCY_CONNECTION_LOST, now, _OUR_MASTER)
 
     def rpdo_failed(self, number: int, emcy_code: int, now: Time) -> None:
-        """Report that an RPDO had a wrong length, or did not come: the first two vendor bytes of the EMCY are its number."""
+        """Report that an RPDO had a wrong length, or did not come: the first two vendor bytes of the EMCY are its number. number:
+        1..512. emcy_code: 0x8210 and the like."""
         self.rpdos.setdefault(number, set()).add(emcy_code)
         self._emcy.raise_error(emcy_code, COMMUNICATION_ERROR_BIT, number.to_bytes(2, "little"), now, number)
 
     def rpdo_good(self, number: int, now: Time, *, but: int | None = None) -> None:
-        """Clear the error of an RPDO: it came as it should, or got other settings. but: the code of an error that still lasts."""
+        """Clear the error of an RPDO: it came as it should, or got other settings. but: the code of an error that still lasts.
+        number: 1..512."""
         codes = self.rpdos.pop(number, set())
         if but in codes:
             self.rpdos[number] = {but}

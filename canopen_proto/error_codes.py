@@ -255,7 +255,7 @@ _BITS: Final = {
 
 
 def register_names(error_register: int) -> tuple[str, ...]:
-    """Return the names of the bits that are set: 0x11 -> ("generic", "communication")."""
+    """Return the names of the bits that are set: 0x11 -> ("generic", "communication"). error_register: 0x1001."""
     return tuple(name for bit, name in _REGISTER_NAMES if error_register & bit)
 
 

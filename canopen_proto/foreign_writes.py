@@ -68,7 +68,7 @@ class ForeignWrites(Machine):
         return self._pdos.keys() - {producer.key for producer in self._rpdos.values()}
 
     def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = _NONE) -> ForeignWrite | None:
-        """Return the last write of an object; None if there was none.
+        """Return the last write of an object; None if there was none. wanted: its mux.
 
         others: the mappings of RPDOs that we do not send. An RPDO of unknown mapping is left out: any device may send PDOs to it.
         """

@@ -40,12 +40,14 @@ def duration(bits: int, bitrate: int) -> Time:
 
 
 def least_bits(data_length: int, *, extended: bool = False) -> int:
-    """Return the length of a frame without any stuff bit: 8n + 47, or 8n + 67 with a 29-bit identifier."""
+    """Return the length of a frame without any stuff bit: 8n + 47, or 8n + 67 with a 29-bit identifier. data_length: 0 to 8
+    bytes."""
     return (STUFFED_EXTENDED if extended else STUFFED_STANDARD) + 8 * data_length + FRAME_TAIL
 
 
 def worst_bits(data_length: int, *, extended: bool = False) -> int:
-    """Return the length of a frame with the most stuff bits possible."""
+    """Return the length of a frame with the most stuff bits possible. data_length: 0 to 8 bytes. extended: with a 29-bit
+    identifier."""
     stuffed = (STUFFED_EXTENDED if extended else STUFFED_STANDARD) + 8 * data_length
     return stuffed + FRAME_TAIL + (stuffed - 1) // (MAX_RUN - 1)
 

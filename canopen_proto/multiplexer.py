@@ -49,7 +49,8 @@ def mux_text(multiplexer: Mux) -> str:
 
 
 def mapping_entry(multiplexer: Mux, bits: int) -> int:
-    """Return the entry of a PDO mapping parameter for an object of so many bits, 0..0xFF. CiA 301 v4.2.0, 7.5.2.36"""
+    """Return the entry of a PDO mapping parameter for an object of so many bits, 0..0xFF. CiA 301 v4.2.0, 7.5.2.36 multiplexer:
+    of the object."""
     return multiplexer << 8 | bits
 
 

@@ -47,18 +47,19 @@ class NotApplicable(ProcedureError):
 
 
 def does_not_apply(reason: str) -> NoReturn:
-    """End the case: what is tested does not have its subject."""
+    """End the case: what is tested does not have its subject. reason: for people."""
     raise NotApplicable(reason)
 
 
 def expect(condition: bool, otherwise: str) -> None:
-    """Go on if the condition holds, else raise ViolationError with this text."""
+    """Go on if the condition holds, else raise ViolationError with this text. otherwise: that text."""
     if not condition:
         raise ViolationError(otherwise)
 
 
 def expect_equal(seen: object, expected: object, what: str) -> None:
-    """Go on if the two are equal, else raise ViolationError, which shows both; numbers also as hexadecimal."""
+    """Go on if the two are equal, else raise ViolationError, which shows both; numbers also as hexadecimal. seen, expected: those
+    two. what: it is, for the text."""
     if seen != expected:
         raise ViolationError(f"{what} is {_shown(seen)}, not {_shown(expected)}")
 

@@ -73,7 +73,7 @@ def of_error_control(frame: Frame) -> Words:
 
 
 def state_text(byte: int) -> str:
-    """Return the NMT state in a heartbeat or guarding answer, which may have the toggle bit."""
+    """Return the NMT state in a heartbeat or guarding answer, which may have the toggle bit. byte: the only one of the frame."""
     state = STATE_OF_BYTE[byte]
     return state.name.lower().replace("_", "-") if state is not None else f"unknown state 0x{byte & _STATE:02X}"
 

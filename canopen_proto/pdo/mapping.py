@@ -318,7 +318,7 @@ def entries_of(parameters: Iterable[int], dictionary: ObjectDictionary) -> Itera
 
 
 def may_have_width(data_type: DataType, bit_length: int) -> bool:
-    """Return whether a PDO may carry an object of this type with so many bits; see this module's text."""
+    """Return whether a PDO may carry an object of this type with so many bits; see this module's text. bit_length: how many."""
     if not 1 <= bit_length <= MAX_BITS:
         return False
     full = bit_length_of(data_type)

@@ -83,29 +83,33 @@ INITIATE_BY_RECEIVER: Final = struct.Struct("<BHBB3x")
 
 
 def silence_limit(timeout: Time) -> Time:
-    """Return the longest pause that a side with this time-out survives inside a block transfer, in ns."""
+    """Return the longest pause that a side with this time-out survives inside a block transfer, in ns. timeout: its own, ns."""
     return max(timeout, LEAST_SILENCE)
 
 
 def is_next(command: int, due: int) -> bool:
-    """Return whether a frame that comes out of place continues a run of segments whose next number is `due`, or begins one."""
+    """Return whether a frame that comes out of place continues a run of segments whose next number is `due`, or begins one.
+    command: its command byte."""
     sequence = command & SEQUENCE
     return 0 < sequence < LEAST_INITIATE or due <= sequence <= due + MOST_LOST
 
 
 def next_number(command: int) -> int:
-    """Return the number after that segment in its sub-block; above MAX_BLOCK_SIZE if it is the last."""
+    """Return the number after that segment in its sub-block; above MAX_BLOCK_SIZE if it is the last. command: its command
+    byte."""
     return MAX_BLOCK_SIZE + 1 if command & FINAL else (command & SEQUENCE) + 1
 
 
 def sender_initiate(specifier: int, index: int, subindex: int, size: int | None, crc: bool) -> bytes:
-    """Make the initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13"""
+    """Make the initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13
+    specifier: BLOCK_DOWNLOAD or the answer to BLOCK_UPLOAD. size: of the whole, bytes; None: not known. crc: this side has it."""
     command = specifier | (CRC_BIT if crc else 0) | (0 if size is None else BLOCK_SIZE_BIT)
     return INITIATE.pack(command, index, subindex, size or 0)
 
 
 def receiver_initiate(index: int, subindex: int, block_size: int, crc: bool) -> bytes:
-    """Make the initiate frame of the other side: a server's for a download, a client's for an upload (with pst = 0). .9, .13"""
+    """Make the initiate frame of the other side: a server's for a download, a client's for an upload (with pst = 0). .9, .13
+    block_size: segments in the first sub-block, 1 to 127. crc: this side has it."""
     return INITIATE_BY_RECEIVER.pack(BLOCK_UPLOAD | (CRC_BIT if crc else 0), index, subindex, block_size)
 
 

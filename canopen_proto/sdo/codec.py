@@ -88,7 +88,8 @@ EXPEDITED_BITS: Final = tuple((MAX_EXPEDITED - size) << 2 | EXPEDITED_BIT | SIZE
 
 
 def segment(toggle: int, content: bytes, offset: int) -> bytes:
-    """Make the segment of `content` from `offset` on, with the last-bit if the content ends with it. CiA 301, 7.2.4.3.4, .7"""
+    """Make the segment of `content` from `offset` on, with the last-bit if the content ends with it. CiA 301, 7.2.4.3.4, .7
+    toggle: 0 or 0x10."""
     end = offset + 7
     unused = end - len(content)
     if unused < 0:
@@ -180,7 +181,7 @@ INITIATES: Final = (SdoFrame.DOWNLOAD, SdoFrame.UPLOAD, SdoFrame.BLOCK_DOWNLOAD,
 
 
 def is_initiate(command: int) -> bool:
-    """Return whether a client's frame begins a transfer of any kind."""
+    """Return whether a client's frame begins a transfer of any kind. command: its command byte."""
     return REQUESTS[command] in INITIATES
 
 

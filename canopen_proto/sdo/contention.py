@@ -108,7 +108,8 @@ class OtherClient:
         self._names.add(name)
 
     def on_request(self, data: bytes, ours: Transfer | None, timeout: Time, now: Time) -> None:
-        """Take a stranger's request. ours: our own transfer that is under way."""
+        """Take a stranger's request. ours: our own transfer that is under way. data: eight bytes. timeout: ns, after which it
+        counts as over."""
         command = data[0]
         self.count += 1
         self.heard, self.heard_at = data, now
@@ -137,7 +138,8 @@ class OtherClient:
             self._names.add(name)
 
     def on_answer(self, data: bytes, timeout: Time, now: Time) -> None:
-        """Take an answer of the server that is none to us. Does nothing if no stranger has anything under way."""
+        """Take an answer of the server that is none to us. Does nothing if no stranger has anything under way. data: eight bytes.
+        timeout: ns, as of `on_request`."""
         if not self.last or self.last[0] == ABORT:
             return
         if self._is_last_answer(data) and (not self._is_ambiguous or self._is_idle_after(data)):
@@ -242,6 +244,7 @@ class Contested(Transfer):
 
 
 def is_own_refusal(transfer: Transfer, data: bytes) -> bool:
-    """Return whether an abort of the server is its refusal of our request, and not a stranger's doing."""
+    """Return whether an abort of the server is its refusal of our request, and not a stranger's doing. data: of the abort, eight
+    bytes."""
     is_believed = isinstance(transfer, Contested) and transfer.believes
     return is_believed and data[1:4] == transfer.first[1:4] and data[7] != SERVICE_ERROR

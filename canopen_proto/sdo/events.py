@@ -60,6 +60,8 @@ class SdoAborted(Outcome):
     waited: where the server fell silent, how long that was, in ns; else 0.
     other: with origin CONTESTED, the last request of the other client, eight bytes; `others_doing` says it in words. Then
     not_confirmed is True for every download that was begun: the other client's frames may have ended it.
+
+    abort_code: 32 bits, the server's or ours. origin: which side ended it. request_id: the one that the request returned.
     """
 
     __slots__ = ("abort_code", "index", "not_confirmed", "origin", "other", "subindex", "waited")
@@ -115,6 +117,8 @@ class SdoChunk(SdoProgress):
     """A piece of an upload stream, 1 to 889 bytes, `offset` bytes behind its beginning. `proceed` asks for the next one.
 
     It counts only once SdoStreamUploaded has come: the checksum stands at the end of the transfer.
+
+    request_id: the one that `upload_stream` returned.
     """
 
     __slots__ = ("data", "offset")
@@ -130,7 +134,7 @@ class SdoChunk(SdoProgress):
 
 
 class SdoDataWanted(SdoProgress):
-    """A download stream runs short: `feed` it, with up to `room` bytes."""
+    """A download stream runs short: `feed` it, with up to `room` bytes. request_id: the one that `download_stream` returned."""
 
     __slots__ = ("room",)
     __match_args__ = ("node_id", "request_id", "index", "subindex", "room")

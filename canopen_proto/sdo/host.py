@@ -59,7 +59,8 @@ class Door:
             self.is_reading = True
 
     def hand_over(self, transfer: Transfer, content: bytes, offset: int, *, more: bool) -> None:
-        """Give the host what was downloaded, all of it or a piece."""
+        """Give the host what was downloaded, all of it or a piece. offset: of the piece in the whole, bytes. more: others
+        follow."""
         self._report(transfer, content, more, offset)
         self.is_reading = False
 
@@ -70,7 +71,8 @@ class Door:
         end.out.events.append(ObjectAccessPending(end.node_id, self.access_id, index, subindex, content, more, offset))
 
     def write(self, transfer: Transfer, content: bytes, offset: int, answer: Frame, now: Time) -> None:
-        """Write what was downloaded, whole or as its last piece from `offset` on; send `answer` when it is done."""
+        """Write what was downloaded, whole or as its last piece from `offset` on; send `answer` when it is done. content: those
+        bytes."""
         result = PENDING if self.takes_pieces else self.store.write(transfer.index, transfer.subindex, content, now)
         if result is None:
             confirm(transfer, answer)
@@ -80,7 +82,8 @@ class Door:
     def defer(
         self, transfer: Transfer, result: AbortCode | Pending, content: bytes, offset: int, answer: Frame, now: Time
     ) -> None:
-        """Do what the store says instead of writing: refuse, or let the host take the content."""
+        """Do what the store says instead of writing: refuse, or let the host take the content. result: what the store said.
+        offset: of the content in the whole. answer: what confirms the download."""
         if isinstance(result, Pending):
             self.hand_over(transfer, content, offset, more=False)
             transfer.instead = WriteAccess(transfer.end, transfer.index, transfer.subindex, transfer.first, answer, now)
@@ -90,7 +93,7 @@ class Door:
 
 
 def confirm(transfer: Transfer, answer: Frame) -> None:
-    """End a download: the object was written."""
+    """End a download: the object was written. answer: the frame that says so."""
     end = transfer.end
     end.out.events.append(ObjectWritten(end.node_id, transfer.index, transfer.subindex))
     end.out.frames.append(answer)

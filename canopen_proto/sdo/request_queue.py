@@ -65,7 +65,8 @@ class RequestQueue:
         return waiting
 
     def take(self, now: Time, copy_guard: Time) -> Transfer | None:
-        """Return the request whose turn it is, and take it out of the queue. None: look at `held_until`."""
+        """Return the request whose turn it is, and take it out of the queue. None: look at `held_until`. copy_guard: ns, see
+        client.py."""
         self.held_until = NEVER
         queue = self.urgent or self.others
         if not queue:
@@ -104,13 +105,15 @@ class RequestQueue:
             self.unsettled = True
 
     def expect_late(self, multiplexer: bytes, until: Time) -> None:
-        """Hold requests for this object until its late answer has come, or until then."""
+        """Hold requests for this object until its late answer has come, or until then. multiplexer: the three bytes of a frame
+        that name the object."""
         self.overdue.pop(multiplexer, None)
         self.overdue[multiplexer] = until
         if len(self.overdue) > MAX_OVERDUE:
             del self.overdue[next(iter(self.overdue))]
 
     def is_overdue(self, specifier: int, multiplexer: bytes) -> bool:
-        """Return whether a response is the late one to a request that timed out; if so, stop waiting for it."""
+        """Return whether a response is the late one to a request that timed out; if so, stop waiting for it. specifier,
+        multiplexer: as the response has them."""
         names_it = specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE, ABORT)
         return names_it and self.overdue.pop(multiplexer, None) is not None

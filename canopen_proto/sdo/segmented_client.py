@@ -152,5 +152,5 @@ def own(content: Buffer, index: int, subindex: int) -> bytes:
 
 
 def impossible(what: str, index: object, subindex: object) -> LocalProtocolError:
-    """Return the error for an index or subindex that no frame can carry."""
+    """Return the error for an index or subindex that no frame can carry. what: was to be done, for the text."""
     return LocalProtocolError(f"{what} {index!r}:{subindex!r}: index 0..0xFFFF and subindex 0..0xFF expected")

@@ -43,14 +43,16 @@ class ValuesStore:
             return AbortCode.INTERNAL_INCOMPATIBILITY
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | None:
-        """Return None, or 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x06070012, 0x06070013."""
+        """Return None, or 0x06020000, 0x06090011, 0x06010002, 0x06070010, 0x06070012, 0x06070013. size: bytes, as announced;
+        None: not announced."""
         variable = self._writable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.READ_ONLY)
         return None if size is None or size == variable.size else self.check_size(variable, size)
 
     def write(self, index: int, subindex: int, data: bytes, now: Time) -> AbortCode | None:
-        """Store the value and return None; or return what `check_write` says, 0x06090030, 0x06090031 or 0x06090032."""
+        """Store the value and return None; or return what `check_write` says, 0x06090030, 0x06090031 or 0x06090032. data:
+        little-endian."""
         variable = self._writable.get(mux(index, subindex))
         if variable is None:
             return self._missing(index, subindex, AbortCode.READ_ONLY)
@@ -77,7 +79,7 @@ class ValuesStore:
 
     @staticmethod
     def check_size(variable: Variable, size: int) -> AbortCode | None:
-        """Return None if a value of so many bytes fits the object's type, else why not."""
+        """Return None if a value of so many bytes fits the object's type, else why not. size: bytes."""
         expected = variable.size
         if expected is None:
             odd = variable.data_type == DataType.UNICODE_STRING and size % 2

@@ -108,15 +108,16 @@ class ChannelEnd(Machine):
         self._use((to_server, to_client))
 
     def send(self, payload: bytes) -> None:
-        """Send eight bytes to the other end."""
+        """Send eight bytes to the other end. payload: those bytes."""
         self.out.frames.append(Frame(self.can_id, payload, self.flags, 8))
 
     def ignore(self, frame: Frame, reason: str) -> None:
-        """Report that a frame was not acted on."""
+        """Report that a frame was not acted on. reason: for people."""
         self.out.events.append(FrameIgnored(self.node_id, frame, reason))
 
     def report_abort(self, transfer: Transfer, abort_code: int, origin: AbortOrigin, not_confirmed: bool) -> None:
-        """Report that a transfer ended by an abort. not_confirmed: a download that may have been executed nevertheless."""
+        """Report that a transfer ended by an abort. not_confirmed: a download that may have been executed nevertheless.
+        abort_code: 32 bits. origin: which side ended it."""
         raise NotImplementedError
 
     def _use(self, channel: Channel | None) -> None:
@@ -188,7 +189,8 @@ class Transfer:
     # ---- commands of the user: the caller of a stream, or the host ----
 
     def feed(self, piece: Buffer, last: bool, now: Time) -> None:
-        """Send these bytes too; last: no more follow."""
+        """Send these bytes too; last: no more follow. piece: those bytes. Raises LocalProtocolError for a transfer that takes
+        none."""
         raise LocalProtocolError(f"{self}: nothing can be fed: it is no download stream, or it is complete")
 
     @property
@@ -201,7 +203,8 @@ class Transfer:
         return False
 
     def abort(self, abort_code: int, origin: AbortOrigin = AbortOrigin.LOCAL) -> None:
-        """End the transfer by an abort frame. CiA 301 v4.2.0, 7.2.4.3.17"""
+        """End the transfer by an abort frame. CiA 301 v4.2.0, 7.2.4.3.17 abort_code: 32 bits. origin: which side ended it, as it
+        is reported."""
         end = self.end
         end.send(INITIATE.pack(ABORT, self.index, self.subindex, abort_code))
         self.is_given_up = True
@@ -246,5 +249,5 @@ class Transfer:
         return 0
 
     def fault_of(self, command: int) -> AbortCode:
-        """Return the abort code for a frame that is not due."""
+        """Return the abort code for a frame that is not due. command: its command byte."""
         return AbortCode.INVALID_COMMAND

@@ -196,7 +196,8 @@ class BootDone(Event):
 
 
 def boot_loader_dictionary(node_id: int, heartbeat_ms: int = HEARTBEAT_MS) -> ObjectDictionary:
-    """Return the dictionary of a BootLoader: the usual communication objects, and those of its program."""
+    """Return the dictionary of a BootLoader: the usual communication objects, and those of its program. heartbeat_ms: the default
+    of 0x1017, ms."""
     identity: dict[int, Value] = {1: 0, 2: 0x302, 3: 0x10000, 4: node_id}
     return ObjectDictionary(
         [

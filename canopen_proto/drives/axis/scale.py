@@ -55,7 +55,8 @@ class Scale:
         return counts / self._scale
 
     def way_to_counts(self, way: float) -> float:
-        """Convert the difference of two positions, or a velocity, from the user's unit to counts; not rounded."""
+        """Convert the difference of two positions, or a velocity, from the user's unit to counts; not rounded. way: that
+        difference, or that velocity."""
         return self.direction * way * self._scale
 
     def counts_of_amount(self, amount: float) -> float:

@@ -192,7 +192,8 @@ def positions_beyond(pieces: Iterable[Piece], least: float, most: float) -> Iter
 
 
 def jumps(velocity: float, acceleration: float, next_velocity: float, next_acceleration: float) -> bool:
-    """Return whether velocity or acceleration jump at a knot, by more than a rounding error."""
+    """Return whether velocity or acceleration jump at a knot, by more than a rounding error. velocity, acceleration: before it.
+    next_velocity, next_acceleration: behind it."""
     if abs(next_velocity - velocity) > _SAME_SPEED * max(1.0, abs(next_velocity)):
         return True
     return abs(next_acceleration - acceleration) > _SAME_ACCELERATION * max(1.0, abs(next_acceleration))

@@ -30,7 +30,8 @@ _INT16: Final = 1 << 15
 
 
 def statusword_of(state: State, mode_status: int, servo: Servo, *, is_referenced: bool) -> int:
-    """Return 6041h. mode_status: the bits of the mode, while operation is enabled."""
+    """Return 6041h. mode_status: the bits of the mode, while operation is enabled. is_referenced: the drive knows its
+    position."""
     word = _STATE_BITS[state] | mode_status
     if state is State.QUICK_STOP_ACTIVE and servo.is_settled:
         word |= StatusBit.TARGET_REACHED

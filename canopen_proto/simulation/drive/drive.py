@@ -242,7 +242,7 @@ class Drive(Machine):
         self._show()
 
     def end_fault(self, error_code: int) -> None:
-        """End the cause of a lasting fault: a fault reset clears it then."""
+        """End the cause of a lasting fault: a fault reset clears it then. error_code: as it was raised."""
         self._lasting_faults.discard(error_code)
 
     def block(self, blocked: bool, now: Time) -> None:

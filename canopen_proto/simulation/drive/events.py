@@ -8,7 +8,7 @@ from canopen_proto.multiplexer import Mux
 
 
 class DriveStateChanged(Event):
-    """The drive went to another state. transition: its number in the standard, 0 to 16."""
+    """The drive went to another state. transition: its number in the standard, 0 to 16. previous: the state that it left."""
 
     __slots__ = ("axis", "previous", "state", "transition")
     __match_args__ = ("node_id", "previous", "state", "transition", "axis")
@@ -22,7 +22,7 @@ class DriveStateChanged(Event):
 
 
 class StatuswordChanged(Event):
-    """6041h now holds another value; the node sends the event-driven TPDOs that map it."""
+    """6041h now holds another value; the node sends the event-driven TPDOs that map it. statusword: that value."""
 
     __slots__ = ("axis", "statusword")
     __match_args__ = ("node_id", "statusword", "axis")
@@ -72,7 +72,7 @@ class DriveFault(Event):
 
 
 class DriveFaultCleared(Event):
-    """A fault that DriveFault reported was reset."""
+    """A fault that DriveFault reported was reset. error_code: of that fault."""
 
     __slots__ = ("axis", "error_code")
     __match_args__ = ("node_id", "error_code", "axis")

@@ -78,7 +78,8 @@ class RecordBuffer:
         self._is_placed = False  # the host has written where to write
 
     def place(self, position: int) -> None:
-        """Let the next records go to this place on, and take that of those which wait there."""
+        """Let the next records go to this place on, and take that of those which wait there. position: counted from 0; beyond the
+        last place it begins again."""
         self.write = position % len(self._places)
         self._is_placed = True
 

@@ -101,14 +101,15 @@ class _Plan:
 
 
 def hold(start: Time, position: float) -> Profile:
-    """Plan to rest at a position."""
+    """Plan to rest at a position. start: ns, when it begins."""
     return Profile(start, ((0.0, position, 0.0, 0.0, 0.0),))
 
 
 def line(
     start: Time, position: float, target: float, duration: float, leaving: float = 0.0, deceleration: float = 1.0
 ) -> Profile:
-    """Plan one step of an interpolation: from `position` to `target` at constant speed in `duration` seconds (above 0).
+    """Plan one step of an interpolation: from `position` to `target` at constant speed in `duration` seconds (above 0). start:
+    ns, when it begins.
 
     Then it brakes from the velocity `leaving` at `deceleration` (above 0); it rests at `target` if `leaving` is 0.
     """
@@ -148,14 +149,15 @@ def passage(
 
 
 def stop(start: Time, position: float, velocity: float, deceleration: float) -> Profile:
-    """Plan to brake to rest at `deceleration` (above 0)."""
+    """Plan to brake to rest at `deceleration` (above 0). start: ns, when it begins, at this position and velocity."""
     plan = _Plan(position, velocity)
     plan.ramp(0.0, deceleration)
     return plan.finish(start, plan.position)
 
 
 def run(start: Time, position: float, velocity: float, to_velocity: float, acceleration: float, deceleration: float) -> Profile:
-    """Plan to change to `to_velocity` (of either sign) and keep it. Both rates are magnitudes above 0."""
+    """Plan to change to `to_velocity` (of either sign) and keep it. Both rates are magnitudes above 0. start: ns, when it begins,
+    at this position and velocity."""
     plan = _Plan(position, velocity)
     if velocity * to_velocity < 0.0:
         plan.ramp(0.0, deceleration)
@@ -166,7 +168,8 @@ def run(start: Time, position: float, velocity: float, to_velocity: float, accel
 def move(
     start: Time, position: float, velocity: float, target: float, max_velocity: float, acceleration: float, deceleration: float
 ) -> Profile:
-    """Plan to go from `position` at `velocity` to `target` and rest there. Limits: magnitudes above 0; see this module's text."""
+    """Plan to go from `position` at `velocity` to `target` and rest there. Limits: magnitudes above 0; see this module's text.
+    start: ns, when it begins."""
     plan = _Plan(position, velocity)
     ahead = target - position - _braking_distance(velocity, deceleration)
     if velocity and ahead and (velocity > 0.0) is not (ahead > 0.0):  # it moves away, or cannot stop in time: brake, come back

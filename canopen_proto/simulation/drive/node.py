@@ -97,7 +97,8 @@ class DriveNode(LocalNode):
             drive.set_node_id(node_id)
 
     def raise_fault(self, error_code: int, now: Time, *, lasting: bool = False, axis: int = 0) -> None:
-        """Make a fault in a drive: it goes into Fault, and the node sends an EMCY. See Drive.raise_fault."""
+        """Make a fault in a drive: it goes into Fault, and the node sends an EMCY. See Drive.raise_fault. error_code: 0x603F and
+        EMCY then have it. lasting: until `end_fault` a fault reset does not clear it."""
         with self._settling(now):
             self.drives[axis].raise_fault(error_code, now, lasting=lasting)
 
@@ -185,6 +186,7 @@ class DriveNode(LocalNode):
 
 
 def powerball(out: Outbox, node_id: int, sync_tolerance: Time = SYNC_TOLERANCE, waits_for_sync: bool = False) -> DriveNode:
-    """Return a joint of the Schunk Powerball arm, as the manual's library met it. The other parameters: see DriveSettings."""
+    """Return a joint of the Schunk Powerball arm, as the manual's library knows it. sync_tolerance, waits_for_sync: see
+    DriveSettings."""
     settings = DriveSettings(shape=Shape.SCHUNK_POWERBALL, sync_tolerance=sync_tolerance, waits_for_sync=waits_for_sync)
     return DriveNode(out, node_id, settings)

@@ -379,7 +379,8 @@ class Servo(Parameters):
         self.is_stopped_by_switch = self.has_met_switch = True
 
     def push(self, target: float, slope: float = math.inf) -> None:
-        """Command a torque, per mille of the rated torque; it is reached by `slope`, per mille per second.
+        """Command a torque, per mille of the rated torque; it is reached by `slope`, per mille per second. target: that torque,
+        with its sign.
 
         The axis moves as the torque makes it, up to `fastest` and to the software limits.
         """
@@ -417,7 +418,7 @@ class Servo(Parameters):
                 self._wake(plant)
 
     def brake(self, deceleration: float) -> None:
-        """Stop with this ramp."""
+        """Stop with this ramp. deceleration: units/s², above 0."""
         self._plan(motion.stop(self.time, self.demand_position, self.demand_velocity, deceleration))
 
     def energise(self) -> None:

@@ -49,7 +49,7 @@ class Track:
     ends: tuple[float, float] = (-math.inf, math.inf)
 
     def moved(self, way: float) -> Track:
-        """Return the same track, so much further along, without its probes."""
+        """Return the same track, so much further along, without its probes. way: units, with its sign."""
         begin, end = self.home_switch
         return Track(
             self.negative_limit + way,

@@ -129,7 +129,7 @@ class _Way:
 
 
 def move(start: Time, position: float, velocity: float, acceleration: float, target: float, limits: ProfileLimits) -> Profile:
-    """Plan to go from this state to `target` and rest there; see this module's text."""
+    """Plan to go from this state to `target` and rest there; see this module's text. start: ns, when it begins."""
     way = _Way(limits, 0.0, position, velocity, acceleration)
     if velocity * (target - way.stop_after(0.0)) < 0.0:
         way.change(0.0)
@@ -140,7 +140,7 @@ def move(start: Time, position: float, velocity: float, acceleration: float, tar
 
 
 def run(start: Time, position: float, velocity: float, acceleration: float, to_velocity: float, limits: ProfileLimits) -> Profile:
-    """Plan to change to `to_velocity` (of either sign) and keep it."""
+    """Plan to change to `to_velocity` (of either sign) and keep it. start: ns, when it begins."""
     way = _Way(limits, 0.0, position, velocity, acceleration)
     if velocity * to_velocity < 0.0:
         way.change(0.0)
