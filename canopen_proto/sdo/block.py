@@ -102,7 +102,7 @@ def next_number(command: int) -> int:
 
 def sender_initiate(specifier: int, index: int, subindex: int, size: int | None, crc: bool) -> bytes:
     """Make the initiate frame of the side that has the data: a client's for a download, a server's for an upload. .9, .13
-    specifier: BLOCK_DOWNLOAD or the answer to BLOCK_UPLOAD. size: of the whole, bytes; None: not known. crc: this side has it."""
+    specifier: 0xC0 for either. size: of the whole, bytes; None: not known. crc: this side has it."""
     command = specifier | (CRC_BIT if crc else 0) | (0 if size is None else BLOCK_SIZE_BIT)
     return INITIATE.pack(command, index, subindex, size or 0)
 

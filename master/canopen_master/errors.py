@@ -71,21 +71,21 @@ class RealtimeRefusedError(MasterError):
 
 class DeviceRefusedError(MasterError, ValueError):
     """A simulated device cannot be made as its entry says: its node-ID is not known, or another one has it; a value does not
-    fit."""
+    fit. For the fields see Explained."""
 
     def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
         super().__init__(SIMULATED_DEVICE, failed, seen=seen, tries=tries)
 
 
 class DemonstrationRefusedError(MasterError, ValueError):
-    """A demonstration cannot be shown with these joints: one has no scale, or does not turn."""
+    """A demonstration cannot be shown with these joints: one has no scale, or does not turn. For the fields see Explained."""
 
     def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
         super().__init__(DEMONSTRATION_REFUSED, failed, seen=seen, tries=tries)
 
 
 class NoDriveInFileError(MasterError, ValueError):
-    """A file describes no drive by CiA 402 that could move."""
+    """A file describes no drive by CiA 402 that could move. For the fields see Explained."""
 
     def __init__(self, failed: str, *tries: str) -> None:
         super().__init__(NOT_A_DRIVE, failed, tries=tries)
@@ -114,7 +114,7 @@ class HaltNotConfirmedError(MasterError):
 
 
 class NodeError(MasterError):
-    """An error of one node. node_id: 1..127; bus: the name of its bus."""
+    """An error of one node. node_id: 1..127; bus: the name of its bus. For the other fields see Explained."""
 
     def __init__(
         self, code: str, node_id: int, bus: str, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()
@@ -138,7 +138,8 @@ class NodeIsNoDriveError(NodeError):
 
 
 class SdoError(NodeError):
-    """An SDO transfer ended without success. abort_code: 32 bits, the node's or ours (0x05040000 for a timeout)."""
+    """An SDO transfer ended without success. abort_code: 32 bits, the node's or ours (0x05040000 for a timeout). bus: its name.
+    For the other fields see Explained."""
 
     def __init__(
         self, code: str, aborted: SdoAborted, bus: str, failed: str, seen: str, cause: str, tries: Iterable[str]
@@ -200,7 +201,8 @@ class UnknownChainError(MasterError, KeyError):
 
 
 class SetPointRefusedError(MasterError, ValueError):
-    """Set-points were refused. None of them is sent; the ones before stay. joint: the joint refused, "" for all."""
+    """Set-points were refused. None of them is sent; the ones before stay. joint: the joint refused, "" for all. For the other
+    fields see Explained."""
 
     def __init__(self, failed: str, joint: str, seen: str, tries: Iterable[str] = ()) -> None:
         super().__init__(BAD_SET_POINT, failed, seen=seen, tries=tries)
@@ -223,7 +225,7 @@ class PathRefusedError(SetPointRefusedError):
     """A path was refused as a whole: nothing of it is followed. joint: by its name, "" for all.
 
     time: of the path, in s. kind: "position", "speed", "acceleration" or "jerk". value: the path's; limit: the one it exceeds.
-    None where there is no such number.
+    None where there is no such number. For the other fields see Explained.
     """
 
     def __init__(
@@ -248,7 +250,8 @@ class PathRefusedError(SetPointRefusedError):
 class PlanRefusedError(MasterError, ValueError):
     """A motion cannot be planned, or a target cannot be taken. joint: its number, counted from 0; None for all joints.
 
-    value: the value that was asked for. limit: the limit that refuses it. None where there is no such number.
+    value: the value that was asked for. limit: the limit that refuses it. None where there is no such number. For the other
+    fields see Explained.
     """
 
     def __init__(
@@ -273,7 +276,8 @@ class PlanRefusedError(MasterError, ValueError):
 
 
 def with_names(text: str, joints: Sequence[str]) -> str:
-    """Return what the core says of paths and their joints ("joint 0", "Joint 1") with the names of the joints."""
+    """Return what the core says of paths and their joints ("joint 0", "Joint 1") with the names of the joints. text: what it
+    says. joints: their names, in order."""
     return _JOINT.sub(lambda found: joints[int(found[1])] if int(found[1]) < len(joints) else found[0], text)
 
 
@@ -296,7 +300,8 @@ class PackageMissingError(MasterError, ImportError):
 
 
 class ChainError(MasterError):
-    """A chain could not carry out a command. chain: its name. joint: the joint that failed, "" for all."""
+    """A chain could not carry out a command. chain: its name. joint: the joint that failed, "" for all. For the other fields see
+    Explained."""
 
     def __init__(
         self,

@@ -185,7 +185,9 @@ class Master(Participant):
         axes: AxisSettings | Mapping[str, AxisSettings] | None = None,
         dictionary: ObjectDictionary | None = None,
     ) -> dict[str, Chain]:
-        """Make the chains of a file (see chain_file.py), or of a text in that form, by their names. Sends nothing.
+        """Make the chains of a file (see chain_file.py), or of a text in that form, by their names. Sends nothing. path: of the
+        file, or the name of one of the data files. axes: the settings of all joints, or by their names. settings, dictionary: as
+        of `chain`.
 
         A bus that the file names must be one of this master. If both have only one bus, its name does not matter. Raises
         ChainFileError with every problem found, DataError if the file cannot be read.

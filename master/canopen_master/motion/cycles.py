@@ -65,7 +65,8 @@ class SetPointSource(Protocol):
         """
 
     def stand_at(self, positions: Sequence[float]) -> SourcePoint | None:
-        """Go on from where the joints are, behind a gap, and return that; None: they have to come back to its set-points."""
+        """Go on from where the joints are, behind a gap, and return that; None: they have to come back to its set-points.
+        positions: one for each joint, in its unit."""
 
 
 class SetPoints:

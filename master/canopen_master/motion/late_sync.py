@@ -51,7 +51,7 @@ class WithinReach:
         return not any(self._off)
 
     def stand_at(self, positions: Sequence[float], wanted: Sequence[float]) -> None:
-        """Go on from where the joints are. wanted: where they should be."""
+        """Go on from where the joints are. wanted: where they should be. positions: one for each joint, in its unit."""
         self._before = self._acted_on = self.sent = self._next = positions
         self._off = self._next_off = [at - each for at, each in zip(positions, wanted, strict=True)]
 
@@ -60,11 +60,13 @@ class WithinReach:
         return _must_look(self._before, self._acted_on, self.sent, self.ways, periods)
 
     def must_look_ahead(self, periods: float) -> bool:
-        """As `must_look`, if the next set-points are taken at the present SYNC, since they are sent right before it."""
+        """As `must_look`, if the next set-points are taken at the present SYNC, since they are sent right before it. periods: how
+        late it is."""
         return _must_look(self._acted_on, self.sent, self._next, self.ways, periods)
 
     def next(self, wanted: Sequence[float], share: float = 1.0) -> Sequence[float]:
         """Return what to send in place of these set-points. share: of a period, until the SYNC behind which they are taken.
+        wanted: one for each joint, in its unit.
 
         It may be called again, with other set-points, until `on_sent`.
         """

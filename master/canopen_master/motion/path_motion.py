@@ -94,7 +94,7 @@ class FollowingChain(Protocol):
         """The source gives no more set-points. problem: why the joints may still move; "" if they stand at the last ones."""
 
     def stopping(self, why: str) -> None:
-        """The motion brakes along its path, and the chain is to be halted behind that."""
+        """The motion brakes along its path, and the chain is to be halted behind that. why: for the text of ChainHaltedError."""
 
 
 class Lane:

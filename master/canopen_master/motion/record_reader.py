@@ -47,7 +47,7 @@ class MotionRecord:
 
 
 def is_record(path: str | Path) -> bool:
-    """Return whether a file begins as a recording does. Raises OSError."""
+    """Return whether a file begins as a recording does. Raises OSError. path: of the file."""
     with open(path, "rb") as file:
         return _kind(file) is not None
 

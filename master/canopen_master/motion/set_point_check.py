@@ -44,7 +44,7 @@ def check_limits(device: Device, start: float, target: float, time: Time) -> Non
 
 
 def refused(device: Device, target: float, seen: str, tries: tuple[str, ...] = ()) -> SetPointRefusedError:
-    """The exception for a set-point of a joint. seen: why; tries: what to try."""
+    """The exception for a set-point of a joint. seen: why; tries: what to try. target: that set-point, in the user's unit."""
     return SetPointRefusedError(f"set-point {target} of {device.name} was refused", device.name, seen, tries)
 
 

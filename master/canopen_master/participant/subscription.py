@@ -27,6 +27,8 @@ class Subscription(Generic[E]):
     """An async iterator over events: `async for event in subscription`. Made by `Master.events`; `with` or `async with` ends it.
 
     dropped: the number of events that were lost because the reader was too slow.
+
+    close: ends the watch. size: how many events wait at most.
     """
 
     def __init__(self, close: Callable[[Subscription[E]], None], size: int = QUEUE_SIZE) -> None:

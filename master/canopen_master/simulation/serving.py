@@ -145,6 +145,8 @@ async def simulated_drives(
     """Serve drives, each given as (locator, node-ID), while the block runs. Raises BusError, TransportError.
 
     keeper: as of `Host`. make: returns the maker of the drive for a place and a node-ID; by default drives of that shape.
+
+    on_event: called with each event of the drives.
     """
     make = partial(drive_maker, shape=shape) if make is None else make
     makers: dict[str, list[DeviceMaker]] = {}
@@ -165,7 +167,8 @@ async def simulated_devices(
     keeper: ParameterKeeper | None = None,
     say: Callable[[str], object] = lambda text: None,
 ) -> AsyncIterator[SimulatedDevices]:
-    """Serve devices, by locator, while the block runs. keeper, say: as of `Host`.
+    """Serve devices, by locator, while the block runs. keeper, say: as of `Host`. on_event: called with each event of the
+    devices.
 
     Raises BusError, TransportError, ScriptError.
     """

@@ -151,7 +151,8 @@ class TargetStream:
         self._wanted = [0.0] * len(self._joints)
 
     def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
-        """Go on after cycles without a step. They count for the dead man's switch: nobody held it meanwhile.
+        """Go on after cycles without a step. They count for the dead man's switch: nobody held it meanwhile. lost_cycles: how
+        many.
 
         from_rest: at the present point, since the joints have come to rest there by themselves.
         """
@@ -162,7 +163,8 @@ class TargetStream:
         self._go_on_from(PathPoint(self._point.positions, rest, rest))
 
     def stand_at(self, first: int, positions: Sequence[float]) -> None:
-        """Go on from where joints are that came to rest by themselves, from joint `first` on; the others stay as they are."""
+        """Go on from where joints are that came to rest by themselves, from joint `first` on; the others stay as they are.
+        positions: of these joints, each in its unit."""
         point, last = self._point, first + len(positions)
         rest = [0.0] * len(positions)
         each = zip(point, (positions, rest, rest), strict=True)
