@@ -230,7 +230,8 @@ class Samples:
 
 @asynccontextmanager
 async def open_bridge(parameters: NodeParameters, *, wall: Callable[[], int] = time.time_ns) -> AsyncIterator[Bridge]:
-    """Open the master of a machine, and the simulated devices if `simulate` is set; see this module's text.
+    """Open the master of a machine, and the simulated devices if `simulate` is set; see this module's text. wall: gives ns since
+    1970, for stamps.
 
     Raises BusError if a bus cannot be opened; on leaving the block HaltNotConfirmedError if a drive did not show that it stands.
     """

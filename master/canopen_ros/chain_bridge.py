@@ -448,7 +448,8 @@ class ChainBridge:
                 motion.cancel("it was cancelled")
 
     async def stop(self, why: str) -> None:
-        """Let the present motion brake, along its path if it has one, and wait until the joints stand. They stay enabled."""
+        """Let the present motion brake, along its path if it has one, and wait until the joints stand. They stay enabled. why:
+        the command that stops it, for texts."""
         goals = tuple(self._goals)
         for goal in goals:
             goal.cancel(f"{why} came")

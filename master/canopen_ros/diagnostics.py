@@ -46,7 +46,7 @@ class Diagnostic(NamedTuple):
 
 
 def named(found: Iterable[Diagnostic], node: str) -> list[Diagnostic]:
-    """Put the name of the node, with its namespace, before each name: "left/ros_canopen: arm: joint1".
+    """Put the name of the node, with its namespace, before each name: "left/ros_canopen: arm: joint1". found: of the bridge.
 
     diagnostic_updater does so in ROS 1, and in ROS 2 with `use_fqn`: aggregators sort by it. node: its name from the root.
     """
@@ -90,7 +90,7 @@ def of_bus(bus: Bus, load: str, failure: Exception | None) -> Diagnostic:
 
 
 def of_chain(chain: Chain, state: str, failure: Exception | None) -> Diagnostic:
-    """Return what is known of a chain. state: as `ChainBridge.state`."""
+    """Return what is known of a chain. state: as `ChainBridge.state`. failure: why it cannot work; None while it does."""
     values = {
         "state": state,
         "homed": "yes" if chain.is_homed else "no",
@@ -109,7 +109,7 @@ def of_chain(chain: Chain, state: str, failure: Exception | None) -> Diagnostic:
 
 
 def of_joint(device: Device, chain: str, failure: Exception | None) -> Diagnostic:
-    """Return what is known of a joint."""
+    """Return what is known of a joint. chain: the name of its chain. failure: why it cannot work; None while it does."""
     statusword = device.statusword
     values = {
         "state": str(device.state),

@@ -118,7 +118,7 @@ class Feedback(NamedTuple):
 
 
 class GoalRefusedError(Exception):
-    """A goal cannot be followed. code: why."""
+    """A goal cannot be followed. code: why. text: for people."""
 
     def __init__(self, code: GoalCode, text: str) -> None:
         super().__init__(text)
@@ -166,7 +166,8 @@ def checked(goal: TrajectoryGoal, names: Sequence[str], now: int) -> list[JointP
 def path_of(
     points: Sequence[JointPoint], start: PathPoint, names: Sequence[str], scales: Sequence[float], tolerance: float = START
 ) -> Path:
-    """Return the path of a goal, in the joints' own units. start: where the joints are and how they move, in these units.
+    """Return the path of a goal, in the joints' own units. start: where the joints are and how they move, in these units. names:
+    of the joints.
 
     scales: radians, or metres, in one unit of each joint. tolerance: how far, in these, a joint may be off a first point at time
     0. Raises GoalRefusedError; PathError for values that make no path.

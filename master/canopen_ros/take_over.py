@@ -123,7 +123,8 @@ class TakeOver:
         return error
 
     def of_trajectory(self, first: Mapping[int, float], scales: Sequence[float], age: float) -> ChainError | None:
-        """Return why this trajectory moves nothing, or None. first: its first point, as the aims of `of_positions`.
+        """Return why this trajectory moves nothing, or None. first: its first point, as the aims of `of_positions`. scales:
+        radians, or metres, in one unit of each joint.
 
         age: seconds since its stamp; negative for a start to come; 0 without a stamp.
         """

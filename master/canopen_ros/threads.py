@@ -142,6 +142,8 @@ class OutgoingMessages:
     """A thread that publishes, so that trio's thread never waits for a publisher; see this module's text.
 
     dropped: messages lost because the thread could not keep pace. failures: calls that raised; `last_failure` is the last error.
+
+    size: how many messages wait at most.
     """
 
     def __init__(self, size: int = LONGEST_QUEUE) -> None:

@@ -70,7 +70,8 @@ class _TopicMotion:
 
 
 class Jogging(_TopicMotion):
-    """Moves at the velocities that were given last, in the joints' units, until `watchdog` seconds pass without new ones."""
+    """Moves at the velocities that were given last, in the joints' units, until `watchdog` seconds pass without new ones. report:
+    called with each error. check: raises if the chain may not begin to move."""
 
     def __init__(
         self,
@@ -107,7 +108,8 @@ class Jogging(_TopicMotion):
 
 
 class Streaming(_TopicMotion):
-    """Goes to the positions that were given last, in the joints' units; see QUIET."""
+    """Goes to the positions that were given last, in the joints' units; see QUIET. report: called with each error. check: raises
+    if the chain may not begin to move."""
 
     def __init__(
         self,
@@ -125,7 +127,8 @@ class Streaming(_TopicMotion):
         self._targets: Targets | None = None
 
     def give(self, targets: Mapping[int, float], velocities: Mapping[int, float]) -> None:
-        """Go to these positions from now on. velocities: with which the controller goes through them, as far as it says so."""
+        """Go to these positions from now on. velocities: with which the controller goes through them, as far as it says so.
+        targets: by the joint's number, in its unit."""
         self._given.update(targets)
         self._velocities = dict(velocities)
         self._given_at = trio.current_time()

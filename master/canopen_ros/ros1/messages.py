@@ -31,9 +31,10 @@ class GeneratedModule(NamedTuple):
 
 
 def messages_of_action(name: str, text: str) -> dict[str, str]:
-    """Return the definitions of the seven messages of an action, each after those that it uses.
+    """Return the definitions of the seven messages of an action, each after those that it uses. name: of the action, without its
+    package. text: of its file.
 
-    GeneratedModule: http://wiki.ros.org/actionlib, and genaction.py of package actionlib_msgs.
+    Source: http://wiki.ros.org/actionlib, and genaction.py of package actionlib_msgs.
     """
     goal, result, feedback = text.split("---\n")
     status = "Header header\nactionlib_msgs/GoalStatus status\n"
@@ -71,7 +72,8 @@ def generate(package: str) -> Iterator[GeneratedModule]:
 
 
 def register_used(context: Any, types: list[str]) -> None:
-    """Take the definitions of messages of other packages from their installed classes: Debian has no .msg files."""
+    """Take the definitions of messages of other packages from their installed classes: Debian has no .msg files. context: of
+    genmsg. types: of the fields, as the definitions have them."""
     genmsg = importlib.import_module("genmsg")
     for each in types:
         full_name = genmsg.msgs.bare_msg_type(each)

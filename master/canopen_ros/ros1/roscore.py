@@ -35,6 +35,8 @@ class RosCore:
     """The ROS master, watched by a thread while the block runs.
 
     It is lost if it does not answer for LOST, or if another one has taken its place: that one does not know this node.
+
+    uri: of the ROS master; None: as `master_uri`.
     """
 
     def __init__(self, uri: str | None = None) -> None:

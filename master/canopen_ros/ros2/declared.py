@@ -41,7 +41,8 @@ def declare(node: DeclaringNode) -> None:
 
 
 def problem_of(name: str, value: object) -> str:
-    """Return why configure would refuse this value, as far as one parameter alone can tell; "" if it would not."""
+    """Return why configure would refuse this value, as far as one parameter alone can tell; "" if it would not. name: of the
+    parameter, such as "joints.joint1.unit"."""
     table, _, key = name.partition(".")
     parameter = PARAMETERS.get(table)
     if parameter is None:
