@@ -181,8 +181,7 @@ class ParameterStorage(Owner):
             store.update({key: 0 for key in _DATE if key in store})
 
     def put_back(self, indices: Collection[int]) -> None:
-        """Put the power-on values into these objects, over the initial values that were put back before. indices: of these
-        objects."""
+        """Put the power-on values into these objects, over the initial values that were put back before."""
         for variable in self._configured:
             if variable.index in indices and variable.mux not in self.saved:
                 self._values.put_default(variable)

@@ -52,7 +52,7 @@ def does_not_apply(reason: str) -> NoReturn:
 
 
 def expect(condition: bool, otherwise: str) -> None:
-    """Go on if the condition holds, else raise ViolationError with this text. otherwise: that text."""
+    """Go on if the condition holds, else raise ViolationError with this text."""
     if not condition:
         raise ViolationError(otherwise)
 

@@ -275,8 +275,7 @@ class ObjectDictionary:
         return value
 
     def matches(self, key: Key, constant_name: str, value: Value) -> bool:
-        """Return whether a value bears a constant: `(value & mask) == constant`. Raises ConstantNotFoundError. constant_name: of
-        that constant."""
+        """Return whether a value bears a constant: `(value & mask) == constant`. Raises ConstantNotFoundError."""
         constant = self.constant(key, constant_name)
         return isinstance(value, int) and constant.is_in(value)
 

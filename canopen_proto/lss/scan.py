@@ -149,7 +149,7 @@ class Pace:
     until: Time = NEVER
 
     def learn(self, reply: LssReply) -> None:
-        """Take the time of the answers to a question that waited its whole window. reply: those answers."""
+        """Take the time of the answers to a question that waited its whole window."""
         self.slowest = max(self.slowest, reply.slowest)
         self.window = min(max(self.window, 2 * self.slowest), max(MAX_WINDOW, self.window))
 

@@ -139,7 +139,7 @@ def value_text(dictionary: ObjectDictionary, index: int, subindex: int, value: V
 
 
 def bytes_text(data: bytes) -> str:
-    """Return bytes as text if they are text, else in hexadecimal; at most MAX_SHOWN of them. data: those bytes."""
+    """Return bytes as text if they are text, else in hexadecimal; at most MAX_SHOWN of them."""
     if data and all(0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")) and data.rstrip(b"\0"):
         text = repr(data[:MAX_SHOWN].rstrip(b"\0").decode("ascii"))
     else:

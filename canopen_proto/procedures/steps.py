@@ -50,8 +50,6 @@ class SdoTransferError(ProcedureError):
     """An SDO transfer of the procedure ended with an abort, ours or the node's. Fields: those of SdoAborted.
 
     not_confirmed: a write that may have been executed; it is never sent again automatically. attempt: "reading" or "writing".
-
-    aborted: that outcome.
     """
 
     def __init__(self, aborted: SdoAborted, attempt: str) -> None:

@@ -71,8 +71,7 @@ class Door:
         end.out.events.append(ObjectAccessPending(end.node_id, self.access_id, index, subindex, content, more, offset))
 
     def write(self, transfer: Transfer, content: bytes, offset: int, answer: Frame, now: Time) -> None:
-        """Write what was downloaded, whole or as its last piece from `offset` on; send `answer` when it is done. content: those
-        bytes."""
+        """Write what was downloaded, whole or as its last piece from `offset` on; send `answer` when it is done."""
         result = PENDING if self.takes_pieces else self.store.write(transfer.index, transfer.subindex, content, now)
         if result is None:
             confirm(transfer, answer)

@@ -108,7 +108,7 @@ class ChannelEnd(Machine):
         self._use((to_server, to_client))
 
     def send(self, payload: bytes) -> None:
-        """Send eight bytes to the other end. payload: those bytes."""
+        """Send eight bytes to the other end."""
         self.out.frames.append(Frame(self.can_id, payload, self.flags, 8))
 
     def ignore(self, frame: Frame, reason: str) -> None:

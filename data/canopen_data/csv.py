@@ -51,8 +51,7 @@ def load_csv(
     *,
     sources: tuple[str, str, str] = ("indices.csv", "constants.csv", "PDOs.csv"),
 ) -> tuple[ObjectDictionary, list[Finding]]:
-    """Return the dictionary of three texts, and the linter's warnings. sources: the names of the texts in errors. indices,
-    constants, pdos: the texts.
+    """Return the dictionary of three texts, and the linter's warnings. sources: the names of the texts in errors.
 
     Raises DictionaryError, which holds every error of all three.
     """

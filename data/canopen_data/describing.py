@@ -62,8 +62,7 @@ def describe(
 
 
 def lists_of(places: Iterable[int]) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
-    """Split these indices into the three lists of a file: mandatory, optional, manufacturer's. The order stays. places: those
-    indices."""
+    """Split these indices into the three lists of a file: mandatory, optional, manufacturer's. The order stays."""
     lists: tuple[list[int], list[int], list[int]] = ([], [], [])
     for index in places:
         lists[0 if index in MANDATORY else 2 if index in indices.MANUFACTURER_AREA else 1].append(index)

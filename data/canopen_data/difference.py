@@ -93,13 +93,12 @@ _OF_HEAD: Final = ("dummies", "modules", "connected_modules", "dynamic_channels"
 
 
 def compare(before: DeviceDescription, after: DeviceDescription) -> list[Difference]:
-    """Return all differences: first of the device as a whole, then by index and subindex. Empty if both say the same. before,
-    after: the two descriptions."""
+    """Return all differences: first of the device as a whole, then by index and subindex. Empty if both say the same."""
     return [*_of_device(before, after), *compare_dictionaries(before.dictionary, after.dictionary)]
 
 
 def compare_dictionaries(before: ObjectDictionary, after: ObjectDictionary) -> list[Difference]:
-    """Compare the objects alone; see `compare`. before, after: the two dictionaries."""
+    """Compare the objects alone; see `compare`."""
     found: list[Difference] = []
     for index in sorted(before.objects.keys() | after.objects.keys()):
         old, new = before.objects.get(index), after.objects.get(index)

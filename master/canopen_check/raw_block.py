@@ -91,7 +91,7 @@ def block_upload(bench: Bench, index: int, subindex: int, *, crc: bool) -> Proce
 
 
 def block_download(bench: Bench, index: int, subindex: int, content: bytes, *, crc: bool) -> Procedure[bool]:
-    """Do a whole block download of one segment (1 to 7 bytes); return whether a CRC protected it. content: those bytes. crc:
+    """Do a whole block download of one segment (1 to 7 bytes); return whether a CRC protected it. crc:
     whether one is offered."""
     command = BLOCK_DOWNLOAD | BLOCK_SIZE_BIT | (CRC_BIT if crc else 0)
     response = yield from ask(bench, initiate(command, index, subindex, len(content).to_bytes(4, "little")))

@@ -39,7 +39,7 @@ def multiplexer(index: int, subindex: int) -> bytes:
 
 
 def initiate(command: int, index: int, subindex: int, content: bytes = b"") -> bytes:
-    """Return a request that names an object, with up to four bytes after it. command: the command byte. content: those bytes."""
+    """Return a request that names an object, with up to four bytes after it. command: the command byte."""
     return (bytes((command,)) + multiplexer(index, subindex) + content).ljust(8, b"\x00")
 
 

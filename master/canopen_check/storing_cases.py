@@ -121,7 +121,7 @@ def restore(subindex: int, bench: Bench) -> Procedure[str]:
 
 
 def keep(bench: Bench, changes: Sequence[tuple[int, int, int]]) -> Procedure[None]:
-    """Write values (index, subindex, value), save them, reset the node, and check that they are there. changes: those values."""
+    """Write values (index, subindex, value), save them, reset the node, and check that they are there."""
     for change in changes:
         yield from bench.write(*change)
     yield from save(bench)

@@ -371,7 +371,7 @@ class ChainFaultError(ChainError):
 def sdo_error(
     network: Network, node: RemoteNode, bus: str, aborted: SdoAborted, attempt: str, now: Time, *, size_unknown: bool = False
 ) -> SdoError:
-    """Return the exception for a transfer that ended with an abort. bus: its name. aborted: that outcome.
+    """Return the exception for a transfer that ended with an abort. bus: its name.
 
     network: of the node. attempt: "reading", or "writing 5 to".
     size_unknown: it was a download whose size the server was not told.

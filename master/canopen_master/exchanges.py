@@ -55,7 +55,7 @@ def exchange_of_plans(name: str, plans: Sequence[MotionPlan]) -> Counted:
 
 
 def exchange_of_named(name: str, node_id: int, rpdo: PdoDescription, tpdo: PdoDescription) -> Counted:
-    """Return what a device exchanges by two PDOs of PDOs.csv. name: of the device, for people. rpdo, tpdo: those two."""
+    """Return what a device exchanges by two PDOs of PDOs.csv. name: of the device, for people."""
     received, sent = (((each.can_id(node_id), (each.bit_length + 7) // 8),) for each in (rpdo, tpdo))
     return Counted(Exchange(name, node_id, received, sent))
 

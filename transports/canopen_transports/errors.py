@@ -121,7 +121,7 @@ class FrameNotSentError(TransportError):
 
     @classmethod
     def because(cls, reason: TransportError) -> FrameNotSentError:
-        """Return the same error as a FrameNotSentError. reason: that error."""
+        """Return the same error as a FrameNotSentError."""
         return cls(reason.code, reason.locator, reason.failed, seen=reason.seen, cause=reason.cause, tries=reason.tries)
 
 

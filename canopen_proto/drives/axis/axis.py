@@ -229,8 +229,7 @@ class Axis:
             self.settings, self.is_identified = self._given.of_vendor(vendor_id), True
 
     def check_settings(self, wanted: AxisSettings) -> None:
-        """Raise LocalProtocolError, naming the differences, unless these settings are those in force or those first given.
-        wanted: these."""
+        """Raise LocalProtocolError, naming the differences, unless these settings are those in force or those first given."""
         if wanted not in (self.settings, self._given):
             difference = self.settings.difference(wanted)
             raise LocalProtocolError(f"{self.title} is in use with other settings: {difference}")

@@ -64,7 +64,7 @@ class DriveTimeoutError(DriveError, StepTimeoutError):
 
 class DriveAccessError(DriveError, SdoTransferError):
     """The drive refused an object that a procedure reads or writes (6040h, 6060h, 607Ah ...), or did not answer. It has the
-    fields of SdoTransferError, too. failed: that transfer."""
+    fields of SdoTransferError, too."""
 
     def __init__(self, axis: Axis, failed: SdoTransferError) -> None:
         SdoTransferError.__init__(self, failed.aborted, failed.attempt)

@@ -55,8 +55,7 @@ class Scale:
         return counts / self._scale
 
     def way_to_counts(self, way: float) -> float:
-        """Convert the difference of two positions, or a velocity, from the user's unit to counts; not rounded. way: that
-        difference, or that velocity."""
+        """Convert the difference of two positions, or a velocity, from the user's unit to counts; not rounded."""
         return self.direction * way * self._scale
 
     def counts_of_amount(self, amount: float) -> float:
@@ -94,7 +93,7 @@ class Scale:
 
     def rate_to_wire(self, rate: float) -> int:
         """Convert an acceleration (0 or more) in the user's unit per second² to the drive's unit, rounded down. Raises
-        LocalProtocolError as `velocity_to_wire`, unless the settings name the acceleration unit. rate: that acceleration."""
+        LocalProtocolError as `velocity_to_wire`, unless the settings name the acceleration unit."""
         unit = self.acceleration_unit
         if unit is None:
             origin = self.units.origins.get("per_acceleration")

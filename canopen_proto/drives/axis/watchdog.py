@@ -145,7 +145,7 @@ def take_hold(hold: Hold, watchdog: Watchdog) -> Procedure[None]:
 
 
 def not_held(hold: Hold) -> NotHeldError:
-    """Return the error to raise for a drive with a gap. hold: the look at it."""
+    """Return the error to raise for a drive with a gap."""
     return NotHeldError(f"drive {hold.node.node_id} would not stop by itself if this master fell silent: {hold.gap}")
 
 

@@ -148,7 +148,7 @@ class PathClock:
         self._resumes = self._is_stopping
 
     def after_gap(self, lost_cycles: int = 0, *, from_rest: bool = True) -> None:
-        """Go on after cycles without a SYNC. However many they are, the path is where it was. lost_cycles: how many.
+        """Go on after cycles without a SYNC. However many they are, the path is where it was.
 
         from_rest: at the rate 0, and gather speed again: the joints have come to rest by themselves, as drives do if a SYNC stays
         away. They would have to jump to the speed of the path otherwise.

@@ -35,8 +35,7 @@ change changes; the bounds of r³, the highest one first; the least and the grea
 
 
 def stretches_of(pieces: Sequence[Piece], first: int, count: int) -> list[Stretch]:
-    """Return so many segments of a joint, from this one on, as a stop needs them. first: the number of that segment, from 0.
-    count: how many."""
+    """Return so many segments of a joint, from this one on, as a stop needs them. first: the number of that segment, from 0."""
     found: list[Stretch] = []
     velocity = acceleration = 0.0
     for number in range(max(0, first - 1), min(first + count, len(pieces))):

@@ -259,7 +259,7 @@ def report(node: RemoteNode, reading: Reading, done: int, total: int) -> Procedu
 def same_value(variable: Variable, one: Value | None, other: Value | None) -> bool:
     """Return whether two values of an object have the same bytes. So 0.1 equals the REAL32 nearest to it.
 
-    None, an unknown value, equals only None. one, other: the two.
+    None, an unknown value, equals only None.
     """
     if one is None or other is None:
         return one is other

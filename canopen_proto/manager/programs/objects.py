@@ -43,8 +43,7 @@ class NotReachedError(ProcedureError):
 
 
 def is_lost(failed: SdoTransferError) -> bool:
-    """Return whether nobody said no: a frame was lost, late or in the wrong place, or the device has booted meanwhile. failed:
-    the transfer."""
+    """Return whether nobody said no: a frame was lost, late or in the wrong place, or the device has booted meanwhile."""
     if failed.origin is AbortOrigin.PEER:
         return failed.abort_code in _OF_A_LOSS
     return failed.origin is not AbortOrigin.CANCELLED and failed.abort_code != AbortCode.CANNOT_TRANSFER

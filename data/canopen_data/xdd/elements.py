@@ -115,8 +115,7 @@ class XddFindings(Findings):
 
 
 def place_in(text: bytes, element: Element, attribute: str = "") -> tuple[int, int]:
-    """Return line and column of an attribute's value in the file as UTF-8; of the element if it has no such attribute. text: that
-    file."""
+    """Return line and column of an attribute's value in the file as UTF-8; of the element if it has no such attribute."""
     tag = _TAG.match(text, element.offset, element.offset + MAX_TAG) if attribute in element.attributes else None
     if tag is not None:
         for match in _ATTRIBUTE.finditer(text, element.offset, tag.end()):

@@ -82,6 +82,6 @@ class Peer:
         self._participant.nmt_master(self._bus).send(command, self.node_id, now)
 
     def error_of(self, aborted: SdoAborted, attempt: str, *, size_unknown: bool = False) -> SdoError:
-        """Return the exception for a transfer that ended with an abort; see `sdo_error`. aborted: that outcome. attempt:
+        """Return the exception for a transfer that ended with an abort; see `sdo_error`. attempt:
         "reading", "writing 5 to". size_unknown: the size of a stream was not announced."""
         return sdo_error(self.network, self.remote, self.bus, aborted, attempt, self.now(), size_unknown=size_unknown)

@@ -151,8 +151,7 @@ class TargetStream:
         self._wanted = [0.0] * len(self._joints)
 
     def after_gap(self, lost_cycles: int, *, from_rest: bool) -> None:
-        """Go on after cycles without a step. They count for the dead man's switch: nobody held it meanwhile. lost_cycles: how
-        many.
+        """Go on after cycles without a step. They count for the dead man's switch: nobody held it meanwhile.
 
         from_rest: at the present point, since the joints have come to rest there by themselves.
         """

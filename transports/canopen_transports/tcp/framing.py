@@ -87,7 +87,7 @@ def encode(frame: Frame) -> bytes:
 
 
 def lost_line(count: int) -> bytes:
-    """Return the line for lost frames. count: how many."""
+    """Return the line for lost frames."""
     return b"lost %d\n" % min(count, MAX_LOST - 1)
 
 
