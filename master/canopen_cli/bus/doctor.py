@@ -103,7 +103,7 @@ def status_of(heard: Heard) -> ExitCode:
 
 
 async def hear(bus: str, seconds: float, each: Each = lambda frame, stamp: None) -> Heard:
-    """Listen on a bus, or on that of the simulated drives. See `listen` of canopen_transports.receive_test."""
+    """Listen on a bus, or on that of the simulated drives. See `listen` of canopen_transports.receive_test. seconds: how long."""
     if bus != DEMO:
         return await listen(bus, seconds, each)
     async with simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES):
@@ -111,7 +111,7 @@ async def hear(bus: str, seconds: float, each: Each = lambda frame, stamp: None)
 
 
 def show_heard(screen: Screen, heard: Heard, seconds: float) -> None:
-    """Show the counts of what was heard, and what to do next."""
+    """Show the counts of what was heard, and what to do next. seconds: how long it was listened for."""
     how = "opened to listen only" if heard.listen_only else "opened"
     screen.fact("bus", f"{heard.locator}, {how}")
     screen.fact("heard", f"{heard.frames} frames in {seconds:g} s" + (f", {heard.lost} more lost" if heard.lost else ""))
@@ -165,7 +165,8 @@ def heard_as_json(heard: Heard) -> dict[str, Any]:
 
 
 async def try_bitrates(screen: Screen, bus: str, seconds: float) -> Heard | None:
-    """Listen at one bit rate after the other, and tell it; return the first result with frames and without errors, or None."""
+    """Listen at one bit rate after the other, and tell it; return the first result with frames and without errors, or None.
+    seconds: for each."""
 
     def tell(heard: Heard) -> None:
         screen.say(escape(f"{heard.locator}: {heard.frames} frames, {heard.faults} errors"))

@@ -89,7 +89,8 @@ def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
 
 
 async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
-    """Scan the bus of the options, with a bar on a terminal; return the nodes, and what else was heard. node_ids: whom to ask."""
+    """Scan the bus of the options, with a bar on a terminal; return the nodes, and what else was heard. node_ids: whom to ask.
+    listen: ns, before the first question."""
     async with open_session(settings, screen) as session:
         master = session.master
         scanner = Scanner(session.network.out)

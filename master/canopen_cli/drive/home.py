@@ -132,7 +132,8 @@ def _by_bus(settings: Settings, names: Sequence[str]) -> list[DrivesOnBus]:
 
 
 def home_nodes(groups: Sequence[DrivesOnBus], homing: HomingChoice) -> None:
-    """Home drives side by side, and show how they stand then. A failure is raised with a note of what was done."""
+    """Home drives side by side, and show how they stand then. A failure is raised with a note of what was done. groups: the
+    drives, by their bus."""
     if homing.style == "schunk" and homing.method is not None:
         raise usage("CO125", "a method is for drives that home as CiA 402 says", tries=("the same without the method",))
     settings = groups[0].settings
@@ -220,7 +221,7 @@ def _as_json(axis: Axis) -> dict[str, Any]:
 
 
 def list_methods(settings: Settings, node_ids: Sequence[int], axis: int = 0) -> None:
-    """Show the homing methods of the standard, or those that drives list."""
+    """Show the homing methods of the standard, or those that drives list. node_ids: of these drives; empty: the standard's."""
     screen = settings.screen()
     lists: dict[int, tuple[int, ...] | None] = {}
 

@@ -131,7 +131,7 @@ class FrameChoice:
         self, files: NodeFiles, nodes: tuple[int, ...] | None, services: Iterable[str], objects: Iterable[str], changes: bool
     ) -> None:
         """nodes: None for all of them; no services and no objects: all. Raises CommandError, ObjectNotFoundError for a word that
-        fits nothing."""
+        fits nothing. changes: only frames that differ from the last one of their kind."""
         self.files = files
         self._has_parts = files.settings.verbosity > 0 or files.settings.json
         self._nodes = frozenset(nodes or ())
@@ -283,7 +283,7 @@ class FrameLines:
         return self._line("! ", clean(f"{seconds:.4f} s: {report.failed}: {report.seen}"), _FINDING)
 
     def gap(self, number: int) -> str:
-        """Return the line in place of frames that the reader was too slow for."""
+        """Return the line in place of frames that the reader was too slow for. number: how many."""
         if self._json:
             return json_text({"left_out": number}) + "\n"
         return self._line("! ", f"{number} frames are left out here: the reader of this output is too slow", _FINDING)

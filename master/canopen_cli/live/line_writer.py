@@ -138,7 +138,7 @@ class LineWriter:
 
 @asynccontextmanager
 async def open_line_writer(screen: Screen, missing: Callable[[int], str], *, waits: bool) -> AsyncIterator[LineWriter]:
-    """Give an writer while the block runs, and write at its end what is left. Raises what the block raises, and OSError if the
+    """Give a writer while the block runs, and write at its end what is left. Raises what the block raises, and OSError if the
     reader has gone; both in a group."""
     writer = LineWriter(missing, waits=waits)
     async with trio.open_nursery() as nursery:

@@ -143,7 +143,7 @@ def tell_skipped(screen: Screen, source: LogReader | LiveSource) -> None:
 
 def require_frames(source: LogReader | LiveSource, name: str, frames: int) -> None:
     """Raise a CommandError if a recording has entries, and none of them is a frame: silence would look like a bus without
-    faults."""
+    faults. name: of the recording, for the text."""
     if source.skipped and not frames:
         raise CommandError(ExitCode.BAD_FILE, "CO342", f"there is no frame in {name}", seen=source.last_skip)
 

@@ -82,7 +82,7 @@ def plain(view: View, around: Around, width: int) -> RenderableType:
 
 
 def age_text(age: Time) -> str:
-    """Return a time that has passed, for people: "0.2 s", "12 s", "3 min", "2 h"."""
+    """Return a time that has passed, for people: "0.2 s", "12 s", "3 min", "2 h". age: ns."""
     seconds = age / SECOND
     if seconds < 9.95:
         return f"{seconds:.1f} s"

@@ -63,7 +63,8 @@ class Lss:
 
 @asynccontextmanager
 async def open_lss(settings: Settings, screen: Screen, window: Time, limit: Time = DEVICE_LIMIT) -> AsyncIterator[Lss]:
-    """Open the bus of the options, with a tool for LSS on it."""
+    """Open the bus of the options, with a tool for LSS on it. window: ns, how long silence has to last. limit: ns for one
+    device."""
     async with open_session(settings, screen) as session:
         tool = LssTool(session.network.out)
         session.network.attach(tool)

@@ -52,7 +52,7 @@ class ChosenChains:
         return self.buses.get(bus, self.machine.buses[bus].locator)
 
     def maker(self, number: int, node_id: int) -> DeviceMaker:
-        """Return the maker of the simulated drive of a joint, by its place among them."""
+        """Return the maker of the simulated drive of a joint, by its place among them. number: that place, from 0."""
         return joint_maker(number, node_id, self.files.get(self.joints[number]))
 
 

@@ -31,7 +31,8 @@ _CLOSE = 1e-9
 
 
 def targets_of(text: str, joints: Sequence[str]) -> dict[str, float]:
-    """Return the targets that --to names, by joint. Raises a CommandError."""
+    """Return the targets that --to names, by joint. Raises a CommandError. text: "10,-5", a position for each joint, or
+    "joint1=10,joint2=-5"."""
     parts = [part.strip() for part in text.split(",")]
     if not any("=" in part for part in parts):
         if len(parts) != len(joints):
@@ -133,7 +134,7 @@ async def legs_of(arm: ChainGroup, targets: dict[str, float] | None, path: PathF
 
 
 def planned(arm: ChainGroup, here: Sequence[float], there: Sequence[float]) -> Path:
-    """Return the fastest way from rest to rest."""
+    """Return the fastest way from rest to rest. here, there: a position for each joint, in its unit."""
     from canopen_master.trajectories.point_to_point import point_to_point
 
     rest = [0.0] * len(here)

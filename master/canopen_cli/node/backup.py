@@ -92,7 +92,8 @@ def bit_rate_of(settings: Settings) -> int | None:
 
 
 def write_dcf(output: str, found: Backup, description: DeviceDescription | None, bit_rate: int | None) -> tuple[Reading, ...]:
-    """Write what was read as a DCF. Return what the file could not hold as it was read.
+    """Write what was read as a DCF. Return what the file could not hold as it was read. output: the path. bit_rate: kbit/s, None:
+    not known.
 
     description: the one used for reading; None: the data files, or a walk. Raises CommandError, also if the file is the one that
     describes the device.

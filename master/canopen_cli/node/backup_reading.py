@@ -71,7 +71,7 @@ def reading_options(command: F) -> F:
 
 async def read_all(session: BusSession, screen: Screen, node_id: int, indices: tuple[range, ...] | None, domains: bool) -> Backup:
     """Read what a node holds: by its own file; without one by a walk and the data files; or by a walk over `indices`. Raises
-    SdoTransferError if the node is gone."""
+    SdoTransferError if the node is gone. domains: also objects of type DOMAIN."""
     node = session.node(node_id).remote
     label = f"reading {node_text(node_id)}"
     if indices is not None:
@@ -91,7 +91,7 @@ async def shown(
     columns: Sequence[type[ProgressColumn]] = (MofNCompleteColumn,),
 ) -> T:
     """Run a procedure, with a bar on a terminal. kinds: its progress events, which have `done` and `total`, and perhaps a `step`.
-    columns: behind the bar."""
+    columns: behind the bar. label: before the bar."""
     if not screen.draws:
         return await session.master.run(procedure)
     results: list[T] = []

@@ -132,7 +132,8 @@ def _opened(path: str) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def progress(screen: Screen, node: Node, variable: Variable, size: int | None) -> Iterator[Callable[[int], None]]:
-    """Show a bar on a terminal once the transfer lasts longer than PATIENCE. Gives a function to call with the bytes so far."""
+    """Show a bar on a terminal once the transfer lasts longer than PATIENCE. Gives a function to call with the bytes so far.
+    size: bytes in all; None: not known."""
     bar = Progress(
         TextColumn(f"{node_text(node.node_id)} {escape(variable.label)}"),
         BarColumn(),

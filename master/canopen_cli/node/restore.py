@@ -112,7 +112,8 @@ def restore(
 
 
 def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, disturbed: bool = True) -> ObjectDictionary:
-    """Return the dictionary of a file. Raises a CommandError if the file is of another node, or sets nothing.
+    """Return the dictionary of a file. Raises a CommandError if the file is of another node, or sets nothing. any_node: also of
+    another node. encoding: "" for a guess.
 
     disturbed: also of a backup that another SDO client has disturbed; else that is a CommandError too.
     """

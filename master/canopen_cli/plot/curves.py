@@ -89,7 +89,8 @@ def curves_of_path(file: PathFile, source: str, units: Mapping[str, str | None])
 
 
 def velocities(times: Sequence[float], positions: Sequence[float]) -> list[float]:
-    """Return the slope at each position, from the one before to the one after; NaN at both ends and beside what is not known."""
+    """Return the slope at each position, from the one before to the one after; NaN at both ends and beside what is not known.
+    times: s, one for each position."""
     inner = [
         (positions[place + 1] - positions[place - 1]) / (times[place + 1] - times[place - 1])
         for place in range(1, len(positions) - 1)
@@ -98,7 +99,8 @@ def velocities(times: Sequence[float], positions: Sequence[float]) -> list[float
 
 
 def accelerations(times: Sequence[float], positions: Sequence[float]) -> list[float]:
-    """Return the change of the slope at each position: of the step behind it, against the one before it; NaN as `velocities`."""
+    """Return the change of the slope at each position: of the step behind it, against the one before it; NaN as `velocities`.
+    times: s, one for each position."""
     inner = []
     for place in range(1, len(positions) - 1):
         before, after = times[place] - times[place - 1], times[place + 1] - times[place]

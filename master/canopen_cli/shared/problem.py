@@ -99,7 +99,7 @@ class CommandError(Explained, Exception):
 
 
 def usage(code: str, failed: str, **more: Any) -> CommandError:
-    """Make a CommandError about what the user typed."""
+    """Make a CommandError about what the user typed. code: such as "CO123". failed: what failed, for the text."""
     return CommandError(ExitCode.USAGE, code, failed, **more)
 
 

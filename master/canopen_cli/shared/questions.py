@@ -48,7 +48,7 @@ class Questions:
 
     async def number(self, question: str, default: float | None, unit: str = "", *, above_zero: bool = False) -> float | None:
         """Return a finite number, or `default` for an empty answer. Asks again for what is none, and for one that is not above 0
-        if it has to be."""
+        if it has to be. unit: shown behind the default."""
         while True:
             shown = "none" if default is None else f"{default:.10g} {unit}".strip()
             answer = await self.ask(question, shown=shown)

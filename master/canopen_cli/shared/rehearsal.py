@@ -142,7 +142,8 @@ def rehearse(
 
 
 def prepare(served: SimulatedDevices, likenesses: Sequence[Likeness]) -> None:
-    """Lead the simulated drives which have just booted, to the states that were read."""
+    """Lead the simulated drives, which have just booted, to the states that were read. likenesses: what was read of each
+    drive."""
     for each in likenesses:
         served.change(each.node_id, each.prepare)
 

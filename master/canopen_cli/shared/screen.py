@@ -49,7 +49,7 @@ def node_text(node_id: int) -> str:
 
 
 def counted(number: int, what: str) -> str:
-    """Return a text such as "1 error", "2 errors"."""
+    """Return a text such as "1 error", "2 errors". what: in the singular."""
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
