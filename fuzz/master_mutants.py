@@ -40,9 +40,9 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "following_after_the_stop",
-            "canopen_master/motion/chain.py",
-            "cycle_time)  # which may stop it at once",
-            "cycle_time)\n        self.state = ChainState.FOLLOWING",
+            "canopen_master/motion/member.py",
+            "period)  # which may stop it at once",
+            "period)\n        self.state = ChainState.FOLLOWING",
             "a chain that is stopped while it begins to follow goes on to take set-points",
             SLOTS,
         ),

@@ -15,11 +15,11 @@ from trio.lowlevel import enable_ki_protection
 
 from canopen_data import load_dictionary
 from canopen_data.descriptions import load_description_with_names
-from canopen_master.motion.chain import Chain, ChainSettings
+from canopen_master.motion.chain import Chain, ChainSettings, ChainState
 from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
-from canopen_master.motion.chain_view import ChainState
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt, halt_node
+from canopen_master.motion.member import Member
 from canopen_master.motion.path_motion import LONGEST_STOP
 from canopen_master.node import Node
 from canopen_master.participant.bus import Bus
@@ -244,7 +244,7 @@ class Master(Participant):
 
     def _brakes_along_paths(self) -> bool:
         """Let all chains brake along their paths; return whether one of them does."""
-        return True in [chain.brake_along_path() for chain in self.chains.values()]
+        return True in [member.brake_along_path() for member in self._members()]
 
     def on_failure(self, bus: Bus | None, error: Exception) -> None:
         """See Participant. Motions end at once: what moves on that bus cannot be told to brake."""
@@ -252,8 +252,12 @@ class Master(Participant):
         self._abandon_motions()
 
     def _abandon_motions(self) -> None:
+        for member in self._members():
+            member.abandon()
+
+    def _members(self) -> Iterator[Member]:
         for chain in self.chains.values():
-            chain.abandon()
+            yield from chain.members
 
     def _halts_needed(self) -> Iterator[Halt]:
         """Return the halts of all drives that move, or that a command under way may enable, even if enabled by hand."""

@@ -9,8 +9,8 @@ from canopen_master.machine_file.boot_entries import BusNetwork, network_of
 from canopen_master.machine_file.dictionaries import Dictionaries
 from canopen_master.machine_file.links import linked_writes
 from canopen_master.master import Master
+from canopen_master.motion.chain import ChainState
 from canopen_master.motion.chain_errors import not_now
-from canopen_master.motion.chain_view import ChainState
 from canopen_proto.manager.boot.entry import BootEntry
 from canopen_proto.manager.boot.network_boot import BootReport, NetworkBoot
 from canopen_proto.manager.programs.download import updating

@@ -25,9 +25,8 @@ from typing import Final
 import trio
 
 from canopen_master.errors import ChainError, SetPointRefusedError
-from canopen_master.motion.chain import Chain
+from canopen_master.motion.chain import Chain, ChainState
 from canopen_master.motion.chain_errors import not_now
-from canopen_master.motion.chain_view import ChainState
 from canopen_master.motion.device import Device
 from canopen_master.node import Node
 from canopen_proto.drives.cia402.modes import short_name

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from canopen_master.motion.chain import Chain
-from canopen_master.motion.chain_view import ChainState
+from canopen_master.motion.chain import Chain, ChainState
 from canopen_master.motion.device import Device
 from canopen_master.participant.bus import Bus
 from canopen_proto.drives.cia402.states import State, StatusBit

@@ -8,7 +8,7 @@ import trio
 from canopen_master import open_master, powerballs, simulate
 from canopen_master.errors import ChainError
 from canopen_master.machine_file import parse_machine
-from canopen_master.motion.chain_view import ChainState
+from canopen_master.motion.chain import ChainState
 from canopen_master.network_booting import boot_network
 from canopen_transports import open_transport
 from tests.master.world import virtual_time

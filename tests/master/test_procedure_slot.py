@@ -103,7 +103,7 @@ async def test_a_chain_that_is_stopped_while_it_begins_to_follow_is_stopped(monk
         await arm.enable_interpolated_position()
         assert arm.state is ChainState.FAULT
         with pytest.raises(ProcedureTakenBackError):  # the reading was taken back
-            arm._supervision._beside.result()
+            arm.members[0].supervision._beside.result()
         await trio.sleep(2)
         assert arm.state is ChainState.FAULT
         assert not master.runner.busy
@@ -117,14 +117,14 @@ async def test_a_command_of_a_chain_that_is_stopped_while_it_begins_ends() -> No
 
         def stop(told: Told) -> None:
             stopped.append(told)
-            arm.begin_halt()
+            arm.members[0].begin_halt()
 
         watcher = master.watch((Told,), stop)
         with pytest.raises(ChainHaltedError):
-            await arm._for_all("wait", lambda device: tell_and_wait(master))
+            await arm.members[0].for_all("wait", lambda device: tell_and_wait(master))
         assert stopped
         master.unwatch(watcher)
-        await arm.halted()
+        await arm.members[0].halted()
         assert arm.state is ChainState.HALTED
 
 

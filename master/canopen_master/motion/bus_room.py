@@ -21,9 +21,9 @@ from canopen_master.bus_timing import Exchange, milliseconds, shortest_cycle
 from canopen_master.errors import CHAIN_NOT_READY, ChainError
 from canopen_master.exchanges import BESIDE, Room, exchange_of_named, exchange_of_plans, room_for
 from canopen_master.motion.chain_settings import ChainSettings
-from canopen_master.motion.chain_view import ChainView
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import named_pdos, plan_joint
+from canopen_master.motion.member import Member
 from canopen_master.participant.bus import Bus
 from canopen_proto.machine import SECOND, Time
 from canopen_transports.locator import bitrate_text
@@ -33,7 +33,7 @@ Joint: TypeAlias = tuple[Device, ChainSettings]
 LOGGER: Final = logging.getLogger("canopen_master")
 
 
-def make_room(chain: ChainView, others: Collection[ChainView], bus_of: Callable[[str], Bus]) -> None:
+def make_room(chain: Member, others: Collection[Member], bus_of: Callable[[str], Bus]) -> None:
     """Give the joints of a chain plans that fit on their buses, or raise ChainError. others: chains that run. bus_of: by its
     name."""
     for bus in dict.fromkeys(bus_of(device.node.bus) for device in chain.devices):
@@ -44,7 +44,7 @@ def make_room(chain: ChainView, others: Collection[ChainView], bus_of: Callable[
         _make_room_on(bus, chain, own, joints)
 
 
-def _make_room_on(bus: Bus, chain: ChainView, devices: Sequence[Device], joints: Collection[Joint]) -> None:
+def _make_room_on(bus: Bus, chain: Member, devices: Sequence[Device], joints: Collection[Joint]) -> None:
     """joints: all on this bus, with `devices`."""
     cycle = round(chain.settings.cycle_time * SECOND)
     full = _room(bus, joints, cycle)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -33,10 +33,10 @@ from canopen_master.errors import (
     PlanRefusedError,
     with_names,
 )
-from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.device import Device
+from canopen_master.motion.member import Member
 from canopen_master.motion.path_check import check_now, check_path, check_start, in_steps
-from canopen_master.motion.path_motion import LONGEST_STOP, FollowingChain, Motion, Torques, TrajectoryGenerator
+from canopen_master.motion.path_motion import LONGEST_STOP, Motion, Torques, TrajectoryGenerator
 from canopen_master.motion.target_motion import DEAD_MAN, Jog, StreamGenerator, Targets
 from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathError, PathPoint
 from canopen_proto.drives.trajectory.margin import Margin, margin_in_steps
@@ -50,48 +50,6 @@ PathMaker = Callable[[PathPoint], Path]
 """Makes a path from where the joints are and how they move."""
 
 ROUNDING: Final = 1e-9  # in cycles: 0.2 s are 20 cycles of 0.01 s, though 0.2 / 0.01 may be a little more
-
-
-class MovingChain(FollowingChain, Protocol):
-    """A chain, as one of those that move together."""
-
-    name: str
-    settings: ChainSettings
-    motion: Motion | None
-    begun: trio.lowlevel.ParkingLot
-
-    @property
-    def desired(self) -> list[float]:
-        """The set-points that the next SYNC takes along; empty while it follows none."""
-
-    @property
-    def positions(self) -> list[float]:
-        """The actual positions."""
-
-    @property
-    def without_torque(self) -> list[Device]:
-        """The joints that take no torque beside their set-points."""
-
-    def check_open(self) -> None:
-        """Raise if the master takes no commands."""
-
-    def require_following(self, what: str) -> None:
-        """Raise unless it follows set-points."""
-
-    def require_free(self, what: str) -> None:
-        """Raise unless it follows set-points that no motion gives."""
-
-    async def follow_set_points(self, what: str) -> None:
-        """Begin to follow set-points."""
-
-    async def why_stopped(self) -> ChainError | None:
-        """Why it follows no set-points."""
-
-    def begin_halt(self) -> None:
-        """Tell all joints to stop."""
-
-    async def halted(self) -> None:
-        """Wait until the joints stand. Raises ChainError for a joint that did not confirm it."""
 
 
 class Progress(NamedTuple):
@@ -112,8 +70,8 @@ class Progress(NamedTuple):
 class Moving:
     """See this module's text. Positions and velocities are in the user's units of the joints."""
 
-    def __init__(self, members: tuple[MovingChain, ...]) -> None:
-        """members: the chains, in the order of the joints."""
+    def __init__(self, members: tuple[Member, ...]) -> None:
+        """members: of its chains, in the order of the joints."""
         self._members = members
         self._override = 1.0
 
@@ -259,6 +217,27 @@ class Moving:
         """Go on along the path, at the rate of `override`."""
         self._set_rate(self._override)
 
+    async def halt(self) -> None:
+        """Stop all joints and wait until they stand. A running command ends with ChainHaltedError.
+
+        Joints that move along a path brake along it first, for LONGEST_STOP at most, and all that move with them do so, too. The
+        joints stay enabled. Raises ChainError, which names a joint that did not confirm that it stands.
+
+        Of several chains all are told at once, also if one of them fails. Raises the first error; the others are its notes.
+        """
+        for member in self._members:
+            member.begin_halt()
+        errors = []
+        for member in self._members:
+            try:
+                await member.halted()
+            except ChainError as error:
+                errors.append(error)
+        for other in errors[1:]:
+            errors[0].add_note(str(other))
+        if errors:
+            raise errors[0]
+
     def progress(self) -> Progresses:
         """How far the motion is, cycle by cycle, as an async iterator: the present motion, else the next one, until its end.
 
@@ -269,8 +248,8 @@ class Moving:
     # ---- for this folder ----
 
     @property
-    def members(self) -> tuple[MovingChain, ...]:
-        """The chains."""
+    def members(self) -> tuple[Member, ...]:
+        """The chains, in the order of the joints."""
         return self._members
 
     @property
@@ -390,7 +369,8 @@ class Moving:
 
     @enable_ki_protection
     def _begin(self, generator: TrajectoryGenerator, start: PathPoint, torques: Torques | None) -> Motion:
-        if torques is not None and (without := [device for member in self._members for device in member.without_torque]):
+        without = [device for member in self._members for device in member.set_points.without_torque]
+        if torques is not None and without:
             name, tries = without[0].name, ("an RPDO with 0x60B2 in its mapping, in the joint's dictionary", "no torques")
             raise PathRefusedError(
                 f"{name} takes no torque beside its set-points", name, seen="no RPDO of it has 0x60B2", tries=tries
@@ -467,34 +447,15 @@ class Progresses:
 class Together(Moving):
     """Several chains that move as one; made by `together`. Their joints stand one after another."""
 
-    def __init__(self, chains: tuple[MovingChain, ...]) -> None:
-        super().__init__(chains)
-        periods = {chain.settings.cycle_time for chain in chains}
-        joints = [device for chain in chains for device in chain.devices]
-        if not chains or len(periods) > 1 or len(set(joints)) < len(joints):
-            seen = "no chain" if not chains else f"cycles of {periods}" if len(periods) > 1 else "a joint that is in two of them"
+    def __init__(self, members: tuple[Member, ...]) -> None:
+        super().__init__(members)
+        periods, joints = {member.settings.cycle_time for member in members}, self._devices
+        if not members or len(periods) > 1 or len(set(joints)) < len(joints):
+            seen = "no chain" if not members else f"cycles of {periods}" if len(periods) > 1 else "a joint that is in two of them"
             raise LocalProtocolError(f"chains move together if they have one cycle_time and joints of their own; there is {seen}")
 
     def __repr__(self) -> str:
         return f"<{' and '.join(member.name for member in self._members)}, together>"
-
-    async def halt(self) -> None:
-        """Stop all joints, along their path if they move along one, and wait until they stand. See `Chain.halt`.
-
-        All are told at once, also if one of them fails. Raises the first error; the others are its notes.
-        """
-        for member in self._members:
-            member.begin_halt()
-        errors = []
-        for member in self._members:
-            try:
-                await member.halted()
-            except ChainError as error:
-                errors.append(error)
-        for other in errors[1:]:
-            errors[0].add_note(str(other))
-        if errors:
-            raise errors[0]
 
 
 def _less(limits: JointLimits, margin: float) -> JointLimits:
@@ -504,9 +465,9 @@ def _less(limits: JointLimits, margin: float) -> JointLimits:
     return JointLimits(limits.lowest, limits.highest, limits.speed, acceleration, jerk)
 
 
-def together(*chains: MovingChain) -> Together:
+def together(*chains: Moving) -> Together:
     """Return several chains of one master as one, for motions: one path, one clock, one stop. They may be on several buses.
 
     Raises LocalProtocolError for chains that have another cycle_time or a joint in common.
     """
-    return Together(chains)
+    return Together(tuple(member for chain in chains for member in chain.members))
