@@ -12,7 +12,7 @@ import pytest
 import trio
 
 from canopen_master import Chain, ChainError, ChainFaultError, ChainSettings, ChainState, Host, Master, open_master
-from canopen_master.motion.joint_procedures import meet
+from canopen_master.motion.joint_procedures import contact
 from canopen_proto import indices
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.drives.axis.axis import AxisSettings
@@ -129,7 +129,7 @@ async def test_a_joint_that_cannot_follow_is_named_with_each_obstacle() -> None:
             await arm.initialise()
         device = arm.devices[0]
         with pytest.raises(NoMotionPlanError):
-            await master.run(meet(device, arm.settings))
+            await master.run(contact(device, arm.settings))
 
 
 @virtual_time

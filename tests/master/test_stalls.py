@@ -218,8 +218,8 @@ def test_a_shorter_period_has_a_shorter_step_and_what_is_missing_comes_later() -
 async def test_the_step_behind_a_late_sync_is_as_long_as_the_time_that_is_left_for_it() -> None:
     async with arms(1) as (_, [arm], _):
         await arm.follow()
-        points = arm._set_points
-        (start,), (way,) = arm.desired_positions, points.limited_ways
+        points = arm.members[0].set_points
+        (start,), (way,) = arm.desired_positions, points.limited.values()
         arm.set_positions([start + way])
         assert arm.desired_positions == pytest.approx([start + way], abs=way / 100)
         for late, share in ((0.75, 0.25), (1.5, 0.5), (3.9, 0.1)):

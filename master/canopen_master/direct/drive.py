@@ -31,9 +31,8 @@ from canopen_master.errors import NOT_HEARD, NodeSilentError
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import ensure_answers, failure_of, follow, stop
-from canopen_master.motion.late_sync import WithinReach
+from canopen_master.motion.late_sync import WithinReach, late_sync_reason
 from canopen_master.motion.set_point_check import check_limits
-from canopen_master.motion.supervision import late_sync_reason
 from canopen_master.participant.participant import ProcedureSlot
 from canopen_master.silence import missing_frame
 from canopen_proto.dictionary import Direction, PdoDescription

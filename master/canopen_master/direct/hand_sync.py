@@ -9,7 +9,7 @@ SYNC, they are sent at once, and so are those that follow.
 
 **A script that was stalled** sends its SYNC late. Then no drive may jump, nor go faster than it may:
 
-- a drive that may be out of reach of its set-point is asked where it is, and stays there at this SYNC (gap_guard.py); it comes
+- a drive that may be out of reach of its set-point is asked where it is, and stays there at this SYNC (late_sync.py); it comes
   back to the script's path from there. If that cannot be known, the drives are halted;
 - the next SYNC comes an interval after the late one, whatever the phase was, or at most a part of ON_TIME earlier;
 - while a drive comes back, SYNC is not early at all: its steps use its whole speed limit, in the interval that it was told.
@@ -23,7 +23,7 @@ import trio
 
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
-from canopen_master.motion.gap_guard import GapGuard
+from canopen_master.motion.late_sync import GapGuard
 from canopen_master.participant.participant import ON_TIME
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.sync import SyncReceived, SyncSent
@@ -145,14 +145,9 @@ class HandSync:
         return any(drive.must_look(late) for drive in self._drives)
 
     @property
-    def limited(self) -> list[Device]:
-        """The drives whose speed their set-points limit."""
-        return [drive.device for drive in self._drives if drive.is_limited]
-
-    @property
-    def limited_ways(self) -> list[float]:
-        """The ways that these make in an interval at their speed limits."""
-        return [drive.way for drive in self._drives if drive.is_limited]
+    def limited(self) -> dict[Device, float]:
+        """The drives whose speed their set-points limit, with the ways that they make in an interval at these limits."""
+        return {drive.device: drive.way for drive in self._drives if drive.is_limited}
 
     def rest(self) -> None:
         """Do nothing: no velocities are fed forward."""

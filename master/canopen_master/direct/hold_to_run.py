@@ -10,7 +10,7 @@ import trio
 
 from canopen_master.direct.drive import DirectDrive
 from canopen_master.errors import MasterError
-from canopen_master.motion.gap_guard import MOST_LOOKS
+from canopen_master.motion.late_sync import MOST_LOOKS
 from canopen_master.motion.target_motion import DEAD_MAN
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.drives.trajectory import PathPoint

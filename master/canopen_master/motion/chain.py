@@ -45,7 +45,7 @@ from canopen_master.motion.chain_errors import other_cycle, raise_first
 from canopen_master.motion.chain_settings import ChainSettings as ChainSettings
 from canopen_master.motion.cycles import Cycles
 from canopen_master.motion.device import Device
-from canopen_master.motion.joint_procedures import failure_of, find, meet, mode_of, power_down, prepare, reset_and_enable
+from canopen_master.motion.joint_procedures import contact, failure_of, locate, mode_of, power_down, prepare, reset_and_enable
 from canopen_master.motion.member import CAN_MOVE, Member
 from canopen_master.motion.member import ChainState as ChainState
 from canopen_master.motion.moving import Moving
@@ -187,7 +187,7 @@ class Chain(Moving):
             raise other_cycle(self.name, cycle, participant.sync_period, [other.name for other in others])
         member.forget_stop()
         stops = member.command.stops
-        await member.for_all("initialise", lambda device: meet(device, settings))
+        await member.for_all("initialise", lambda device: contact(device, settings))
         make_room(member, self._others(), participant.bus)
         await member.for_all("initialise", lambda device: prepare(device, settings, self._heartbeat_timeout))
         for node in self._nodes:
@@ -207,7 +207,7 @@ class Chain(Moving):
 
         `device.position` has it. A joint that does not answer, or refuses, keeps what was heard last.
         """
-        await self._participant.run(failure_of(device, find(device)))
+        await self._participant.run(failure_of(device, locate(device)))
 
     async def home(self, *, if_needed: bool = False) -> None:
         """Home all joints, side by side, from where they stand. If one fails, or the task is cancelled, all are halted.

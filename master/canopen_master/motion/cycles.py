@@ -224,15 +224,13 @@ class SetPoints:
             self._write(1.0 - late % self._period / self._period)
 
     @property
-    def limited(self) -> list[Device]:
-        """The joints whose speed their set-points limit: all but those without a limit, and those that keep one by themselves."""
-        ways = () if self._within is None else self._within.ways
-        return [device for device, way in zip(self.devices, ways, strict=False) if math.isfinite(way)]
+    def limited(self) -> dict[Device, float]:
+        """The joints whose speed their set-points limit, with the ways that they make in one period at these limits.
 
-    @property
-    def limited_ways(self) -> list[float]:
-        """The ways that these joints make in one period at their speed limits."""
-        return [] if self._within is None else [way for way in self._within.ways if math.isfinite(way)]
+        That is all but those without a limit, and those that keep one by themselves.
+        """
+        ways = () if self._within is None else self._within.ways
+        return {device: way for device, way in zip(self.devices, ways, strict=False) if math.isfinite(way)}
 
     @property
     def period(self) -> Time:

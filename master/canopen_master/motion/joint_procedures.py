@@ -155,7 +155,7 @@ def mode_of(device: Device, settings: ChainSettings) -> Mode:
     return Mode.INTERPOLATED_POSITION if settings.mode is None else settings.mode
 
 
-def meet(device: Device, settings: ChainSettings) -> Procedure[None]:
+def contact(device: Device, settings: ChainSettings) -> Procedure[None]:
     """See that the joint answers, identify it, and plan its PDOs (`device.plan`; None: those that the settings name).
 
     Raises at once, before it sends anything, if its dictionary lacks a PDO that the settings name.
@@ -164,19 +164,19 @@ def meet(device: Device, settings: ChainSettings) -> Procedure[None]:
     is_planned = has_plan(device, settings)
     if not is_planned:
         named_pdos(device, settings)
-    return _meet(device, settings, is_planned)
+    return _contact(device, settings, is_planned)
 
 
-def _meet(device: Device, settings: ChainSettings, is_planned: bool) -> Procedure[None]:
+def _contact(device: Device, settings: ChainSettings, is_planned: bool) -> Procedure[None]:
     device.last_look = None
     yield from ensure_answers(device.node)
-    yield from find(device)  # PDOs keep the position up to date from the first one on
+    yield from locate(device)  # PDOs keep the position up to date from the first one on
     if is_planned:
         device.modes = yield from read_modes(device.axis.node)
         plan_joint(device, settings)
 
 
-def find(device: Device) -> Procedure[None]:
+def locate(device: Device) -> Procedure[None]:
     """Identify the joint, and read where it is."""
     yield from identify(device.axis)
     yield from read_if_present(device.axis.node, objects.POSITION_ACTUAL_VALUE)

@@ -1,4 +1,4 @@
-"""`WithinReach`: behind a late SYNC, it keeps each joint within the way that its speed allows.
+"""What is done about a late SYNC, so that no joint jumps, nor goes faster than it may.
 
 Each set-point is one step of the path from the last one, and a drive has one period of SYNC for it. A process that stalls breaks
 that in two ways:
@@ -9,19 +9,37 @@ that in two ways:
                                        on beyond it, and brake. The next set-point, which waits in the drive, may lie far behind
                                        such a drive then: at five steps' distance it asks for five times the speed
 
-A drive that was told to go at the speed v is somewhere on the way that it makes at v in the time of the gap. If the set-point
-that waits is within one period's way at the joint's speed limit from all of it, SYNC may be sent. Else the master has to ask the
-drive where it is, and make that its set-point, before (`must_look`, `stand_at`).
+**`WithinReach`** keeps the set-points of each joint within the way that its speed allows. A drive that was told to go at the
+speed v is somewhere on the way that it makes at v in the time of the gap. If the set-point that waits is within one period's way
+at the joint's speed limit from all of it, SYNC may be sent. Else the master has to ask the drive where it is, and make that its
+set-point, before (`must_look`, `stand_at`).
 
 A joint that is off its set-points then comes back to them by RETURN of its speed, while they go on. On its way it is not sent
 beyond its position limits; a joint that has left them is not sent any further.
+
+**`GapGuard`** asks such joints before the SYNC is sent: each by SDO, all at once. Its position becomes the set-point that waits
+in it: so it stays there at the SYNC, and comes back to its path from there. Meanwhile SYNC waits, on all buses, so nothing may
+take long. A joint that does not tell its position within LONGEST halts its chain.
+
+A joint that brakes has gone on since it was asked. So if the answers of all joints of all chains took more than a period, those
+that told it are asked again, until the answers were quick, or no joint moved from one to the next. One that still moves at the
+last of MOST_LOOKS halts its chain, too.
+
+**`late_sync_reason`** is the reason to name for a drive that does not follow because its SYNC was late.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Final, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol, TypeAlias
+
+from canopen_master.motion.device import Device
+from canopen_master.motion.joint_procedures import failure_of
+from canopen_proto.drives.axis.reasons import Reason
+from canopen_proto.drives.axis.synchronous import align_position
+from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of, sleep
 
 RETURN: Final = 0.2
 """The share of a joint's speed limit at which it comes back to its path: slow enough to begin and end it at once."""
@@ -31,6 +49,12 @@ Range: TypeAlias = tuple[float | None, float | None]
 
 _EXACT: Final = 1 + 1e-6
 """No drive is asked because of a rounding error."""
+
+LONGEST: Final = 200 * MILLISECOND
+"""A drive answers within some ms. Another transfer with it may be under way, but joints must not wait long for it."""
+
+MOST_LOOKS: Final = 10
+"""Drives that brake have come to rest by then."""
 
 
 class WithinReach:
@@ -101,3 +125,116 @@ def _must_look(
 def _within(limits: Range) -> tuple[float, float]:
     lowest, highest = limits
     return -math.inf if lowest is None else lowest, math.inf if highest is None else highest
+
+
+class Guarded(Protocol):
+    """The set-points that a GapGuard guards: `SetPoints`, and `HandSync` of the direct half. See there."""
+
+    @property
+    def is_followed(self) -> bool: ...
+
+    @property
+    def period(self) -> Time: ...
+
+    @property
+    def limited(self) -> dict[Device, float]: ...
+
+    def must_look(self, late: Time) -> bool: ...
+
+    def rest(self) -> None: ...
+
+    def stand_at_images(self) -> None: ...
+
+    def before_late_sync(self, late: Time) -> None: ...
+
+
+class GapGuard:
+    """The `SyncGuard` of one chain; see this module's text."""
+
+    def __init__(self, set_points: Guarded, stop: Callable[[str], None]) -> None:
+        """stop: halts the chain; it is told why."""
+        self._set_points = set_points
+        self._stop = stop
+        self._looks = 0  # how often the joints were asked
+        self._problem = ""  # why one of them is not known to be where its set-point is
+        self._seen: list[float] = []
+        self._moves: Device | None = None  # a joint that was elsewhere when it was asked before
+
+    def look_before_sync(self, late: Time) -> Procedure[object] | None:
+        """See `SyncGuard`."""
+        if not self._set_points.must_look(late):
+            return None
+        self._looks, self._seen = 0, []
+        return self._look()
+
+    def look_again(self, took: Time) -> Procedure[object] | None:
+        """See `SyncGuard`."""
+        if not self._looks or self._problem or not self._set_points.is_followed or took <= self._set_points.period:
+            return None
+        if self._looks > 1 and self._moves is None:
+            return None
+        if self._looks == MOST_LOOKS:
+            assert self._moves is not None
+            self._problem = f"{self._moves.name} still moved"
+            return None
+        return self._look()
+
+    def before_late_sync(self, late: Time) -> None:
+        """See `SyncGuard`."""
+        looks, problem = self._looks, self._problem
+        self._looks, self._problem = 0, ""
+        if not self._set_points.is_followed:
+            return
+        if problem:
+            self._stop(f"because SYNC was {late / MILLISECOND:.0f} ms late, and {problem}")
+            return
+        if looks:
+            self._set_points.stand_at_images()
+        self._set_points.before_late_sync(late)
+
+    def before_ordered_sync(self, late: Time) -> None:
+        """See `SyncGuard`."""
+        if self._set_points.must_look(late):
+            self._stop(f"because no SYNC was sent for {late / MILLISECOND:.0f} ms while it moved")
+
+    def _look(self) -> Procedure[None]:
+        self._looks += 1
+        self._problem = "its joints could not be asked where they are"  # until they were
+        set_points = self._set_points
+        set_points.rest()
+        joints = set_points.limited  # with the ways that they make in one period
+        asked = yield from all_of(*(failure_of(device, _in_time(align_position(device.axis))) for device in joints))
+        failed = next((each for each in asked if each is not None), None)
+        self._problem = "" if failed is None else f"{failed.device.name} did not tell where it is: {failed}"
+        before, self._seen = self._seen, [device.desired_position for device in joints]
+        self._moves = None
+        for (device, way), at, was in zip(joints.items(), self._seen, before, strict=False):
+            if abs(at - was) > way:
+                self._moves = device
+
+
+class _Done(Exception):
+    """The procedure is at its end: what waits beside it has to end, too."""
+
+
+def _in_time(procedure: Procedure[object]) -> Procedure[None]:
+    """Run a procedure for LONGEST at most. Raises ProcedureError."""
+
+    def run() -> Procedure[None]:
+        yield from procedure
+        raise _Done
+
+    def limit() -> Procedure[None]:
+        yield from sleep(LONGEST)
+        raise ProcedureError(f"no answer within {LONGEST / MILLISECOND:g} ms")
+
+    try:
+        yield from all_of(run(), limit())
+    except _Done:
+        return
+
+
+def late_sync_reason(late: Time, beside: str = "") -> Reason:
+    """Return the reason for a drive that does not follow, where SYNC was late. late: ns. beside: another likely one."""
+    what = f"our own SYNC was {late / MILLISECOND:.0f} ms late: this program, or its computer, was busy"
+    return Reason(f"{what}; or {beside}" if beside else what, "see canopen doctor; a longer cycle, fewer programs beside it")

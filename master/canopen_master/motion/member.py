@@ -27,8 +27,8 @@ from canopen_master.motion.chain_errors import (
 from canopen_master.motion.chain_settings import ChainSettings
 from canopen_master.motion.cycles import SetPoints, SetPointSource
 from canopen_master.motion.device import Device
-from canopen_master.motion.gap_guard import GapGuard
 from canopen_master.motion.joint_procedures import JointError, failure_of, follow, mode_of, of_joint, stop
+from canopen_master.motion.late_sync import GapGuard
 from canopen_master.motion.path_motion import Motion
 from canopen_master.motion.supervision import Supervision
 from canopen_master.participant.dispatch import ProcedureTakenBackError

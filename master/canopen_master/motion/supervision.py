@@ -20,6 +20,7 @@ from typing import Final
 from canopen_master.motion.chain_errors import FIND
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import Followed
+from canopen_master.motion.late_sync import late_sync_reason
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis.axis import AxisStateChanged
@@ -124,12 +125,6 @@ class Supervision:
         """Report what happened to a node, and with it to all joints that are axes of it."""
         others = [each.name for each in self._devices if each.node is device.node and each is not device]
         self._failed(device, f"{reason}; and with it {', '.join(others)}, on the same node" if others else reason, cause, False)
-
-
-def late_sync_reason(late: Time, beside: str = "") -> Reason:
-    """Return the reason for a drive that does not follow, where SYNC was late. late: ns. beside: another likely one."""
-    what = f"our own SYNC was {late / MILLISECOND:.0f} ms late: this program, or its computer, was busy"
-    return Reason(f"{what}; or {beside}" if beside else what, "see canopen doctor; a longer cycle, fewer programs beside it")
 
 
 def foreign_commands(device: Device, bus: Bus) -> str:
