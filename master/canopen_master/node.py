@@ -350,10 +350,14 @@ class Node(Peer):
         if not enables:
             self._enabled_by_hand.discard(axis)
 
+    def is_held(self, axis: int = 0) -> bool:
+        """Return whether the drive on an axis of this node watches the heartbeat of this master; see watchdog.py."""
+        return self._watchdogs.holds(self, axis)
+
     def _may_enable(self, axis: int) -> None:
         """Take hold of the drive beside the next frame, which may enable it and cannot wait."""
         settings = self._watchdogs.settings
-        if settings is not None and settings.required and not self._watchdogs.holds(self, axis):
+        if settings is not None and settings.required and not self.is_held(axis):
             failed = f"{self.where} is not held, and Watchdog.required says that it must"
             raise NotHeldError(f"{failed}; try `await node.hold()` before")
         self._watchdogs.hold_beside(self, axis)

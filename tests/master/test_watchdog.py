@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from itertools import pairwise
@@ -12,6 +13,7 @@ import trio
 
 from canopen_master import (
     ChainError,
+    ChainFaultError,
     HaltNotConfirmedError,
     Host,
     MasterError,
@@ -23,6 +25,7 @@ from canopen_master import (
     simulate,
     standard_drives,
 )
+from canopen_master.direct.drive import DirectDrive
 from canopen_master.watchdog import LOGGER
 from canopen_proto.drives import axis as drive
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, NotHeldError
@@ -30,7 +33,7 @@ from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import ForeignHeartbeat
-from canopen_proto.machine import SECOND
+from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import mux
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulation.drive.node import DriveNode
@@ -107,6 +110,68 @@ async def test_a_second_master_that_reads_keeps_no_drive_alive() -> None:
             assert value(node, objects.VELOCITY_DEMAND_VALUE) == 0
             assert node.drive.state is State.SWITCH_ON_DISABLED
             nursery.cancel_scope.cancel()
+
+
+# ---- a heartbeat that comes late ----
+
+
+async def beat_until(scope: trio.CancelScope) -> None:
+    with scope:
+        async with await open_transport(BUS) as other:
+            while True:
+                await other.send(Frame(0x700 + 99, b"\x05"))
+                await trio.sleep(0.02)
+
+
+@pytest.mark.parametrize("missing", [0.103, 0.2])
+@pytest.mark.parametrize("watchdog", [None, Watchdog(period=20 * MILLISECOND, timeout=100 * MILLISECOND)])
+@virtual_time
+async def test_a_joint_that_missed_our_heartbeat_is_not_just_called_silent(missing: float, watchdog: Watchdog | None) -> None:
+    """A drive leaves Operational when a heartbeat is late. It clears its emergency with the next one, perhaps before we judge."""
+    beating = trio.CancelScope()
+    async with simulated(3, 4):
+        cable = Link()
+        async with open_master(cable, watchdog=watchdog) as master, trio.open_nursery() as nursery:
+            arm = arm_of(master, 3, 4)
+            await arm.initialise()
+            if watchdog is None:  # it watches another node's
+                await arm.devices[0].node.write(CONSUMERS, 99 << 16 | 100)
+                nursery.start_soon(beat_until, beating)
+            await arm.follow()
+            lost_at = trio.current_time()
+
+            def copies(frame: Frame, is_sent: bool) -> int:
+                return 0 if frame.can_id == 0x77F and trio.current_time() - lost_at < missing else 1
+
+            cable.copies = copies
+            beating.cancel()
+            with pytest.raises(ChainFaultError, match="is silent: no PDO") as caught:
+                async for _ in arm.cycles():
+                    arm.hold()
+        whose = "our heartbeat" if watchdog else "a heartbeat, or a guarding request, that it watches,"
+        said = rf"{whose} came late: it sent EMCY 0x8130 \(life guard error or heartbeat error\) \d+ ms ago: this program, .*"
+        assert re.fullmatch(said, caught.value.cause)
+        judged_at = lost_at + 0.13
+        codes = [frame.data[:2] for at, _, frame in cable.log if frame.can_id == 0x080 + 3 and at < judged_at]
+        assert codes == [b"\x30\x81"] + [b"\0\0"] * (missing < 0.12 and watchdog is not None)
+
+
+@virtual_time
+async def test_so_does_the_blocking_api_name_a_heartbeat_that_came_late() -> None:
+    async with simulated(3):
+        cable = Link()
+        async with open_master(cable) as master:
+            device = master.device(master.node(3), "joint")
+            joint = DirectDrive(master, device, "schunk_default_rPDO", "schunk_default_tPDO", in_counts=False)
+            await master.nmt_start(3)
+            await joint.change_state(State.OPERATION_ENABLED)
+            await joint.follow()
+            cable.copies = lambda frame, is_sent: 0 if frame.can_id == 0x77F else 1
+            with pytest.raises(MasterError, match=r"CO210.*is silent(.|\n)*cause: +our heartbeat came late: it sent EMCY 0x8130"):
+                for _ in range(200):
+                    await joint.send_position(joint.axis.set_points.position)
+                    await master.send_sync()
+                    await trio.sleep(0.01)
 
 
 # ---- a master that lives, and leaves ----

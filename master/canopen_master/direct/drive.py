@@ -31,7 +31,7 @@ from canopen_master.errors import NOT_HEARD, NodeSilentError
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import ensure_answers, failure_of, follow, stop
-from canopen_master.motion.late_sync import WithinReach, late_sync_reason
+from canopen_master.motion.late_sync import WithinReach, our_lateness
 from canopen_master.motion.set_point_check import check_limits
 from canopen_master.participant.participant import ProcedureSlot
 from canopen_master.silence import missing_frame
@@ -381,8 +381,7 @@ class DirectDrive:
 
     async def _why(self, lost: FollowingLost) -> Exception:
         """Return the error to raise."""
-        late = self._device.following.late_sync
-        likely = late_sync_reason(late) if late else None
+        likely = our_lateness(self._device)
         if self._device.has_fault:
             beside = f", and {likely.what}" if likely else ""
             return await self.master.run(drive.fault_of(self.axis, f"while it followed set-points{beside}"))

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from canopen_master.node import Node
 from canopen_master.participant.subscription import Subscription
+from canopen_proto.communication_errors import EMCY_CONNECTION_LOST
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.limits import limits_of
@@ -36,6 +37,8 @@ class Device:
     `Chain.initialise` has made a plan; None with the PDOs of PDOs.csv. modes: 0x6502, as read for it. following: whether it
     follows its set-points. limits: for its set-points; the drive's own are read by `Chain.initialise`, and each time
     that it begins to follow set-points. last_look: what the drive showed when its chain was stopped, if it had no power then.
+    heartbeat_missed_at: when it last told (EMCY 0x8130) that a heartbeat, or a guarding request, did not come in time; it takes
+    that back once one comes, so `emcy` may not show it.
 
     Positions are in the user's unit, as its AxisSettings say; without a scale, in counts.
     """
@@ -57,6 +60,7 @@ class Device:
         self._occupant: Occupant | None = None  # while it follows set-points
         self.emcy: EmcyReceived | None = None
         self.emcy_time: Time | None = None
+        self.heartbeat_missed_at: Time | None = None
         self._position: tuple[Time, int] | None = None  # when the last one came, in counts
         self._before: tuple[Time, int] | None = None  # the one before it, of an earlier instant
         node.watch((SdoUploaded, SdoDownloaded), self._on_round_trip)
@@ -204,6 +208,8 @@ class Device:
     def _on_emcy(self, report: EmcyReceived) -> None:
         self.emcy = report
         self.emcy_time = self.node.now()
+        if report.code == EMCY_CONNECTION_LOST:
+            self.heartbeat_missed_at = self.emcy_time
 
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
         if POSITION_ACTUAL_VALUE not in muxes:

@@ -25,7 +25,7 @@ A joint that brakes has gone on since it was asked. So if the answers of all joi
 that told it are asked again, until the answers were quick, or no joint moved from one to the next. One that still moves at the
 last of MOST_LOOKS halts its chain, too.
 
-**`late_sync_reason`** is the reason to name for a drive that does not follow because its SYNC was late.
+**`our_lateness`** is the reason to name for a drive that does not follow because its SYNC, or our heartbeat, came late.
 """
 
 from __future__ import annotations
@@ -36,9 +36,11 @@ from typing import Final, Protocol, TypeAlias
 
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import failure_of
+from canopen_proto.communication_errors import EMCY_CONNECTION_LOST
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.drives.axis.synchronous import align_position
-from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.error_codes import error_text
+from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, all_of, sleep
 
 RETURN: Final = 0.2
@@ -46,6 +48,9 @@ RETURN: Final = 0.2
 
 Range: TypeAlias = tuple[float | None, float | None]
 """The lowest and the highest position of a joint; None: no limit."""
+
+RECENT: Final = 1 * SECOND
+"""What happened within this time may be the reason why a joint does not follow."""
 
 _EXACT: Final = 1 + 1e-6
 """No drive is asked because of a rounding error."""
@@ -234,7 +239,21 @@ def _in_time(procedure: Procedure[object]) -> Procedure[None]:
         return
 
 
-def late_sync_reason(late: Time, beside: str = "") -> Reason:
-    """Return the reason for a drive that does not follow, where SYNC was late. late: ns. beside: another likely one."""
-    what = f"our own SYNC was {late / MILLISECOND:.0f} ms late: this program, or its computer, was busy"
-    return Reason(f"{what}; or {beside}" if beside else what, "see canopen doctor; a longer cycle, fewer programs beside it")
+def our_lateness(device: Device, beside: str = "") -> Reason | None:
+    """Return the reason for a drive that does not follow because we were late, with its SYNC or our heartbeat; None: in time.
+
+    beside: another likely reason.
+    """
+    late, missed_at, now = device.following.late_sync, device.heartbeat_missed_at, device.node.now()
+    busy, longer = "this program, or its computer, was busy", "a longer cycle"
+    said = [f"our own SYNC was {late / MILLISECOND:.0f} ms late"] if late else []
+    if missed_at is not None and now - missed_at <= RECENT:
+        is_ours = device.node.is_held(device.axis.number)
+        whose = "our heartbeat" if is_ours else "a heartbeat, or a guarding request, that it watches,"
+        age, text = f"{(now - missed_at) / MILLISECOND:.0f} ms ago", error_text(EMCY_CONNECTION_LOST)
+        said.insert(0, f"{whose} came late: it sent EMCY 0x{EMCY_CONNECTION_LOST:04X} ({text}) {age}")
+        busy, longer = f"{busy}, or frames were lost", "a longer timeout of its Watchdog"
+    if not said:
+        return None
+    what = f"{' and '.join(said)}: {busy}"
+    return Reason(f"{what}; or {beside}" if beside else what, f"see canopen doctor; {longer}, fewer programs beside it")

@@ -20,7 +20,7 @@ from typing import Final
 from canopen_master.motion.chain_errors import FIND
 from canopen_master.motion.device import Device
 from canopen_master.motion.joint_procedures import Followed
-from canopen_master.motion.late_sync import late_sync_reason
+from canopen_master.motion.late_sync import RECENT, our_lateness
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis.axis import AxisStateChanged
@@ -34,9 +34,6 @@ from canopen_proto.guarding import NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatLost, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.procedures.steps import all_of
-
-RECENT: Final = 1 * SECOND
-"""A command of another master within this time may be the reason why a joint does not follow."""
 
 _SLOW: Final = Mode.PROFILE_POSITION
 
@@ -99,8 +96,7 @@ class Supervision:
         if not self.is_on or (isinstance(report, AxisStateChanged | FollowingLost) and report.axis != device.axis.number):
             return
         foreign = foreign_commands(device, self._participant.bus(device.node.bus))
-        late = device.following.late_sync
-        cause = late_sync_reason(late, foreign) if late else Reason(foreign, FIND) if foreign else None
+        cause = our_lateness(device, foreign) or (Reason(foreign, FIND) if foreign else None)
         match report:
             case FollowingLost(cause=reason, is_silent=is_silent, still_follows=still_follows, late=cycles):
                 likely = self._lateness(cycles) if cycles else Reason(SILENT, FIND) if is_silent else None
