@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping
+import math
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from typing import Final
 
 import trio
 
-from canopen_master.simulation.host import Host
+from canopen_master.simulation.host import DeviceMaker, Host, standard_drives
+from canopen_master.simulation.serving import simulated_devices
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.chain_bridge import ChainBridge
 from canopen_ros.parameters import NodeParameters
-from canopen_ros.simulated import on_virtual_buses, simulated_machine
+from canopen_ros.simulated import on_virtual_buses
 from tests.master.world import value
 
 START = 1_000_000_000_000_000_000
 """The wall clock when trio's clock shows 0, in ns since 1970."""
+
+AT_HOME: Final = DriveSettings(shape=Shape.SCHUNK_POWERBALL, track=Track(home_switch=(0.0, math.inf)))
+"""Joints of Schunk's arm that stand at 0 at power-on, where their home switches begin."""
 
 
 def wall() -> int:
@@ -55,9 +62,9 @@ class Cell:
     arm: ChainBridge
     nursery: trio.Nursery
 
-    def __init__(self, hosts: Mapping[str, Host], outer: trio.Nursery) -> None:
+    def __init__(self, hosts: Sequence[Host], outer: trio.Nursery) -> None:
         self.outer = outer
-        self.hosts = tuple(hosts.values())
+        self.hosts = tuple(hosts)
         self._is_fed = True
         self._left = trio.Event()
         self.over = trio.Event()
@@ -138,8 +145,11 @@ async def cell(count: int = 2, /, **parameters: object) -> AsyncIterator[Cell]:
     given = NodeParameters.from_mapping({"chains": chain_text(count), "sync_interval": 20, **parameters})
     given = replace(given, machine=on_virtual_buses(given.machine))
     failure: BaseException | None = None
-    async with simulated_machine(given.machine) as hosts, trio.open_nursery() as nursery:
-        world = Cell(hosts, nursery)
+    made: dict[str, list[DeviceMaker]] = {}
+    for node in given.machine.nodes.values():
+        made.setdefault(given.machine.buses[node.bus].locator, []).extend(standard_drives(node.node_id, settings=AT_HOME))
+    async with simulated_devices(made) as simulation, trio.open_nursery() as nursery:
+        world = Cell(simulation.hosts, nursery)
         await nursery.start(world.live, given)
         try:
             yield world

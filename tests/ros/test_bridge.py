@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import trio
 
+from canopen_data.named_files import open_description
+from canopen_master.machine_file import read_machine
 from canopen_ros.bridge import open_bridge
 from canopen_ros.diagnostics import Level, named
 from canopen_ros.goals import Feedback, GoalOutcome, TrajectoryGoal, TrajectoryPoint
@@ -91,6 +95,50 @@ async def test_a_joint_that_is_not_there_holds_up_no_other_one() -> None:
     async with simulated_machine(replace(machine, nodes=nodes)), open_bridge(replace(given, machine=machine)) as bridge:
         await trio.sleep(3.0)
         assert bridge.sample().names == ("joint1",)
+
+
+CELL = """
+[buses.can0]
+[nodes.own]
+id = 5
+file = "own.dcf"
+values = { 1017 = 350 }
+script = "own.py"
+[nodes.default]
+id = 6
+file = "own.dcf"
+defaults = true
+profile = "none"
+[nodes.joint1]
+id = 3
+[joints.joint1]
+[chains.arm]
+joints = ["joint1"]
+"""
+SCRIPT = """
+def setup(device):
+    device[0x6081] = 4711
+    raise ValueError("so is an error told")
+"""
+
+
+@virtual_time
+async def test_simulated_devices_are_what_the_machine_file_says(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As with `canopen sim`: values at power-on, a script, the defaults of a DCF, memory in the place of a drive."""
+    eds = open_description("sample_drive.eds").data.decode()
+    dcf = re.sub(r"(?s)(\[1018sub4\].*?)(\[|$)", r"\1ParameterValue=99\n\2", eds, count=1)
+    (tmp_path / "own.dcf").write_text(dcf)
+    (tmp_path / "own.py").write_text(SCRIPT)
+    (tmp_path / "cell.toml").write_text(CELL)
+    machine = on_virtual_buses(read_machine(tmp_path / "cell.toml"))
+    async with simulated_machine(machine) as simulation:
+        (own, default) = (node for host in simulation.hosts for node in host.nodes if node.node_id != 3)
+        assert own.values.read(0x1017) == 350
+        assert own.values.read(0x6081) == 4711
+        assert own.values.read((0x1018, 4)) == 99
+        assert default.values.read((0x1018, 4)) != 99
+        assert sorted(simulation.drives) == [3, 5]
+    assert "own.py:4: in setup: ValueError: so is an error told" in caplog.text
 
 
 @virtual_time

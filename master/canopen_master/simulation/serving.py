@@ -95,17 +95,17 @@ class SimulatedDevices:
     """A set of simulated drives. hosts: one for each bus."""
 
     def __init__(self, hosts: Sequence[Host]) -> None:
-        self._hosts = tuple(hosts)
+        self.hosts = tuple(hosts)
 
     @property
     def drives(self) -> dict[int, DriveNode]:
         """The drives by node-ID; the first one if two buses have the same node-ID."""
-        return {node.node_id: node for host in reversed(self._hosts) for node in host.nodes if isinstance(node, DriveNode)}
+        return {node.node_id: node for host in reversed(self.hosts) for node in host.nodes if isinstance(node, DriveNode)}
 
     @property
     def node_ids(self) -> list[int]:
         """The node-IDs of all devices."""
-        return sorted({node.node_id for host in self._hosts for node in host.nodes})
+        return sorted({node.node_id for host in self.hosts for node in host.nodes})
 
     def raise_fault(self, node_id: int, error_code: int) -> None:
         """Let a drive break down. Raises KeyError if no drive has that node-ID. error_code: 0x603F and EMCY then have it."""
@@ -115,7 +115,7 @@ class SimulatedDevices:
         """Let something happen to a drive. Raises KeyError if no drive has that node-ID. change: called with the drive and the
         time, ns."""
         drive = self.drives[node_id]
-        for host in self._hosts:
+        for host in self.hosts:
             if drive in host.nodes:
                 change(drive, host.now())
                 host.pump()
@@ -124,7 +124,7 @@ class SimulatedDevices:
     def moving(self) -> list[int]:
         """The node-IDs of the drives that really move, whatever they report on the bus."""
         moving = []
-        for host in self._hosts:
+        for host in self.hosts:
             for node in host.nodes:
                 if isinstance(node, DriveNode):
                     node.drive.refresh(host.now())
