@@ -164,7 +164,7 @@ DATA_MUTANTS: Final = tuple(
         (
             "described_on_any_can_id",
             "pdo/slots.py",
-            "pdo.is_valid and check_can_id(pdo.cob_id) is None and _is_possible",
+            "_is_in_use(pdo) and _is_possible",
             "pdo.is_valid and _is_possible",
             "an RPDO of a file is sent as an NMT command",
             COB_IDS,

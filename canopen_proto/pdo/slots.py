@@ -2,7 +2,8 @@
 
 A file says it all before anything is sent: which PDO records there are, which of their objects can be written, which objects a
 PDO may carry, and which CAN-IDs are in use. An EDS says it by its defaults, a DCF by its configured values. `pdos_of` reads the
-settings, `slots_of` and `described_pdos` what can be used of them; `PdoSlots` gives the settings of a PDO for use.
+settings, `slots_of` and `described_pdos` what can be used of them, `pdos_on_bus` what loads the bus; `PdoSlots` gives the
+settings of a PDO for use.
 
 `choose_pdos` takes the useful ones: every TPDO that carries something we want to hear, and as few RPDOs as are needed to carry
 our commands. An RPDO also carries all else that is mapped into it; two RPDOs with the same object could contradict each other.
@@ -28,6 +29,7 @@ from canopen_proto.cob_id import check_can_id
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, TPDO1
+from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mapped, mapping_entry, mux, mux_text, split_mux
 from canopen_proto.pdo.mapping import MAX_BITS, MAX_ENTRIES, Mapping, MappingError
 from canopen_proto.pdo.multiplexed import MAPPABLE
@@ -36,6 +38,9 @@ from canopen_proto.pdo.settings import (
     CYCLIC_TYPES,
     EACH_SYNC,
     EVENT_DRIVEN,
+    EVENT_TIMER,
+    INHIBIT_TIME,
+    INHIBIT_UNIT,
     PREDEFINED,
     TRANSMISSION_TYPE,
     PdoSettings,
@@ -87,12 +92,27 @@ def pdos_of(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
     return found
 
 
+def pdos_on_bus(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
+    """Return the PDOs of `pdos_of` whose frames are on the bus: valid, with a CAN-ID that a PDO may have, and not empty.
+
+    Their entries may name objects that the dictionary lacks: a device may have more than its file.
+    """
+    return [pdo for pdo in pdos_of(dictionary, node_id) if _is_in_use(pdo) and 0 < pdo.bits <= MAX_BITS]
+
+
+def interval_of(pdo: PdoSettings, dictionary: ObjectDictionary, node_id: int) -> Time:
+    """Return the shortest time between two frames of an event-driven TPDO, ns: its own, else the file's; 0: nobody tells."""
+    index = communication_index(*pdo.place)
+    inhibit, timer = (number_in(dictionary, index, subindex, node_id) or 0 for subindex in (INHIBIT_TIME, EVENT_TIMER))
+    return pdo.inhibit_time or pdo.event_time or inhibit * INHIBIT_UNIT or timer * MILLISECOND
+
+
 def slots_of(dictionary: ObjectDictionary, node_id: int) -> list[PdoSlot]:
     """Return the PDOs for which a device with this dictionary has both records, RPDOs first. node_id: 1..127."""
     found = []
     for pdo in pdos_of(dictionary, node_id):
         communication, mapping = communication_index(*pdo.place), mapping_index(*pdo.place)
-        is_described = pdo.is_valid and check_can_id(pdo.cob_id) is None and _is_possible(pdo.entries, dictionary)
+        is_described = _is_in_use(pdo) and _is_possible(pdo.entries, dictionary)
         found.append(
             PdoSlot(
                 pdo if is_described else replace(pdo, entries=()),
@@ -263,6 +283,11 @@ def is_ours(cob_id: int, node_id: int) -> bool:
         return True
     can_id = cob_id & _CAN_ID
     return check_can_id(cob_id) is None and (can_id not in _PDO_CAN_IDS or can_id & 0x7F == node_id)
+
+
+def _is_in_use(pdo: PdoSettings) -> bool:
+    """Return whether a PDO exists, and has a CAN-ID that a PDO may have."""
+    return pdo.is_valid and check_can_id(pdo.cob_id) is None
 
 
 def _is_possible(entries: Sequence[int], dictionary: ObjectDictionary) -> bool:

@@ -14,15 +14,13 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from canopen_master.bus_timing import Exchange, OtherTraffic, fits, streams_of
-from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, ObjectDictionary, PdoDescription
 from canopen_proto.drives.axis.motion_plan import MotionPlan
 from canopen_proto.frame import COB_ID_EXTENDED
-from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.machine import Time
 from canopen_proto.manager.linking import LinkPlan
-from canopen_proto.pdo.mapping import MAX_BITS
-from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, INHIBIT_UNIT, PdoSettings, communication_index
-from canopen_proto.pdo.slots import number_in, pdos_of
+from canopen_proto.pdo.settings import PdoSettings
+from canopen_proto.pdo.slots import interval_of, pdos_on_bus
 from canopen_transports.wire import Wire, WireSettings, worst_bits
 
 SYNCHRONOUS: Final = 240
@@ -40,7 +38,7 @@ class Counted(NamedTuple):
 
 def exchange_of_file(name: str, node_id: int, dictionary: ObjectDictionary) -> Counted:
     """Return what a device with this file exchanges: all PDOs that are valid and not empty. name: of the device, for people."""
-    return _exchange(name, node_id, dictionary, _valid_pdos(dictionary, node_id))
+    return _exchange(name, node_id, dictionary, pdos_on_bus(dictionary, node_id))
 
 
 def exchange_of_plans(name: str, plans: Sequence[MotionPlan]) -> Counted:
@@ -49,7 +47,7 @@ def exchange_of_plans(name: str, plans: Sequence[MotionPlan]) -> Counted:
     dictionary, node_id = plans[0].dictionary, plans[0].node_id
     planned = {pdo.place: pdo for plan in plans for pdo in plan.pdos}
     off = {pdo.place for plan in plans for pdo in (*plan.destroyed, *plan.spare)}
-    alone = [pdo for pdo in _valid_pdos(dictionary, node_id) if pdo.direction is Direction.TPDO]
+    alone = [pdo for pdo in pdos_on_bus(dictionary, node_id) if pdo.direction is Direction.TPDO]
     others = [pdo for pdo in alone if pdo.place not in planned.keys() | off]
     return _exchange(name, node_id, dictionary, [*planned.values(), *others])
 
@@ -78,7 +76,7 @@ def exchange_with_links(counted: Counted, node: str, plan: LinkPlan) -> Counted:
             continue
         elif timing.every:
             sent.append((transfer.can_id, size))
-        elif distance := _distance(pdo.member.dictionary, pdo.settings, pdo.member.node_id):
+        elif distance := interval_of(pdo.settings, pdo.member.dictionary, pdo.member.node_id):
             events.append((transfer.can_id, size, distance))
         else:
             left_out.append(_without_distance(transfer.can_id))
@@ -100,24 +98,11 @@ def _exchange(name: str, node_id: int, dictionary: ObjectDictionary, pdos: Itera
             received.append((can_id, size))
         elif pdo.transmission_type <= SYNCHRONOUS:
             sent.append((can_id, size))
-        elif distance := _distance(dictionary, pdo, node_id):
+        elif distance := interval_of(pdo, dictionary, node_id):
             events.append((can_id, size, distance))
         else:
             left_out.append(_without_distance(can_id))
     return Counted(Exchange(name, node_id, tuple(received), tuple(sent), tuple(events)), tuple(left_out))
-
-
-def _valid_pdos(dictionary: ObjectDictionary, node_id: int) -> list[PdoSettings]:
-    """Return the PDOs of a file that are valid and not empty, also those whose objects the file does not have."""
-    pdos = pdos_of(dictionary, node_id)
-    return [pdo for pdo in pdos if pdo.is_valid and check_can_id(pdo.cob_id) is None and 0 < pdo.bits <= MAX_BITS]
-
-
-def _distance(dictionary: ObjectDictionary, pdo: PdoSettings, node_id: int) -> Time:
-    """Return the shortest time between two frames of an event-driven TPDO, ns: its own, else the file's; 0: nobody tells."""
-    index = communication_index(*pdo.place)
-    inhibit, timer = (number_in(dictionary, index, subindex, node_id) or 0 for subindex in (INHIBIT_TIME, EVENT_TIMER))
-    return pdo.inhibit_time or pdo.event_time or inhibit * INHIBIT_UNIT or timer * MILLISECOND
 
 
 class Room(NamedTuple):
