@@ -1,16 +1,20 @@
 """Configurations of ros_canopen and ros2_canopen become machine files: `import_configuration`. docs/ros-migration.md has it all.
 
 Every key of a configuration has a line in the report: taken over as what, not needed and why, or left out and why.
+
+Values that cannot be used end nothing: each is told, and the rest is imported as if it were not there. A value is left out with
+what would be wrong without it: a PDO as a whole, and a list in which places count.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from canopen_data import DataError, content_of
 from canopen_data.findings import DictionaryError
@@ -20,12 +24,14 @@ from canopen_master.ros_configurations.draft import BUS, Choices, Draft
 from canopen_master.ros_configurations.report import ImportReport, KeyOutcome, Told, YamlSection, section_of
 from canopen_master.ros_configurations.ros2_canopen import is_ros2_canopen, take_ros2_canopen
 from canopen_master.ros_configurations.ros_canopen import is_ros_canopen, take_ros_canopen
-from canopen_master.ros_configurations.unusable import MAX_UNUSABLE, Unusable, unusable_part, without
 from canopen_master.ros_configurations.yaml_text import UnusableValueError, Value, read_yaml
 
 __all__ = ["Choices", "Imported", "KeyOutcome", "Told", "import_configuration"]
 
 _NO_FILE: Final = "without the device's file no DCF can hold it; by hand: `canopen write NODE OBJECT VALUE`"
+_MAX_UNUSABLE: Final = 100
+"""In one configuration. With more of them it is another kind of file."""
+_WHOLES: Final = re.compile(r"(?P<pdo>.*\.[tr]pdo\.\d+)\..*|(?P<list>.*\.(?:channels|channel_names))\[.*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +69,17 @@ def import_configuration(paths: Sequence[str | Path], folder: Path, choices: Cho
             if key in whole:
                 raise value.failure(f"it is in {whole[key].source}, line {whole[key].line}, too")
             whole[key] = value
-    unusable: list[Unusable] = []
+    unusable: list[_Unusable] = []
     while True:
         try:
-            return _imported(without(whole, unusable), unusable, folder, choices or Choices())
+            return _imported(_without(whole, unusable), unusable, folder, choices or Choices())
         except UnusableValueError as error:
-            if len(unusable) == MAX_UNUSABLE:
+            if len(unusable) == _MAX_UNUSABLE:
                 raise
-            unusable.append(unusable_part(whole, error))
+            unusable.append(_unusable_part(whole, error))
 
 
-def _imported(top: Mapping[str, Value], unusable: Sequence[Unusable], folder: Path, choices: Choices) -> Imported:
+def _imported(top: Mapping[str, Value], unusable: Sequence[_Unusable], folder: Path, choices: Choices) -> Imported:
     """Return the machine of the values that can be used. Raises UnusableValueError for the next one that cannot."""
     report = ImportReport()
     for each in unusable:
@@ -151,3 +157,46 @@ def _text(draft: Draft) -> str:
         "chains": {draft.choices.chain or draft.chain: chain} if draft.joints else {},
     }
     return tomli_w.dumps({name: table for name, table in tables.items() if table})
+
+
+# ---- values that cannot be used ----
+
+
+class _Unusable(NamedTuple):
+    """What is left out: part, which holds the value that the error is about, or is it."""
+
+    error: UnusableValueError
+    part: Value
+
+    def tell(self, report: ImportReport) -> None:
+        """Tell of the value, and of the part that goes with it."""
+        value = self.error.value
+        report.left_out(value, self.error.message)
+        if self.part.place != value.place:
+            what = "the PDO" if self.part.kind == "map" else "the list"
+            report.left_out(self.part, f"{value.place} cannot be used, and without it {what} would be another one")
+
+
+def _unusable_part(top: Mapping[str, Value], error: UnusableValueError) -> _Unusable:
+    """Return what has to be left out with a value."""
+    match = _WHOLES.fullmatch(error.value.place)
+    place = error.value.place if match is None else match["pdo"] or match["list"]
+    parts = (each for value in top.values() for each in _all(value) if each.place == place)
+    return _Unusable(error, next(parts, error.value))
+
+
+def _without(top: Mapping[str, Value], unusable: Iterable[_Unusable]) -> dict[str, Value]:
+    """Return the values of files without these parts."""
+    places = {each.part.place for each in unusable}
+    return {key: _rest(value, places) for key, value in top.items() if value.place not in places}
+
+
+def _all(value: Value) -> Iterator[Value]:
+    yield value
+    for each in (*value.entries.values(), *value.items):
+        yield from _all(each)
+
+
+def _rest(value: Value, places: set[str]) -> Value:
+    entries = {key: _rest(each, places) for key, each in value.entries.items() if each.place not in places}
+    return replace(value, entries=entries, items=tuple(_rest(each, places) for each in value.items if each.place not in places))

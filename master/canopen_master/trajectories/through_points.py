@@ -1,13 +1,24 @@
 """`through_points`: a path through waypoints without times, as fast as the limits allow on the smooth curve through them.
 
-The curve is a cubic spline, whose parameter is the time that the joint with the longest way needs at full speed. path_speed.py
-finds how fast to go along it. The result is laid through quintic polynomials, with the curve's positions, and the speeds and
+The curve is a cubic spline, whose parameter is the time that the joint with the longest way needs at full speed. A rate is found
+at which to go along it. The result is laid through quintic polynomials, with the curve's positions, and the speeds and
 accelerations of the motion, at many knots; all waypoints are knots. Where such a path asks for more than the limits, the pace is
 lowered there, some times over; in the end the whole path is stretched by what is left, and checked.
 
 It is no optimum, but near: in a comparison along the same curves it took 3 to 7 % longer than the optimum that knows no limit of
 the jerk (toppra 0.6.10, six joints, 3 to 30 points). A path of two points is a straight line; `point_to_point` is faster, as it
 lets each joint take its own way.
+
+**How fast to go along the curve.** The curve has a parameter s of its own, and each joint its derivatives q', q'', q''' by s. At
+the rate r = ds/dt a joint has
+
+    speed         q' r
+    acceleration  q'' r² + q' dr/dt
+    jerk          q''' r³ + 3 q'' r dr/dt + q' d²r/dt²
+
+`_fastest_profile` finds the rate with which no joint exceeds speed and acceleration: a limit from the curve at each place, then
+accelerations forward from the start and braking backward from the end. Its dr/dt jumps. `_SmoothedMotion` averages it over a
+window of time, so that dr/dt has finite slopes: the curve itself stays as it is.
 """
 
 from __future__ import annotations
@@ -16,16 +27,15 @@ import itertools
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 from canopen_master.errors import PlanRefusedError
-from canopen_master.trajectories.path_speed import Bend, SmoothedMotion, fastest_profile
 from canopen_master.trajectories.point_to_point import MARGIN
 from canopen_master.trajectories.scaled_joints import ScaledJoint, beyond_limit, check_values, position_excess, scaled_joints
 from canopen_proto.drives.trajectory import JointLimits, Path, PathPoint
 from canopen_proto.drives.trajectory.interpolation import cubic, quintic
 from canopen_proto.drives.trajectory.limit_check import demands_of
-from canopen_proto.drives.trajectory.polynomial import derivative_of, value_at
+from canopen_proto.drives.trajectory.polynomial import derivative_of, turning_point, value_at, with_constant_jerk
 
 NEAREST: Final = 1e-6
 """How far apart two points have to be: the way of this time, in seconds, at full speed."""
@@ -38,6 +48,7 @@ WINDOWS: Final = (2.0, 1.0, 0.5, 0.25, 0.125)
 """Windows that are tried, in parts of the time that the slowest joint needs for its full acceleration."""
 ROUNDS: Final = 8
 """How often the pace is lowered where a limit is exceeded, with the window that was best at first."""
+_HALVINGS: Final = 60
 
 
 def through_points(
@@ -105,7 +116,7 @@ class _Search:
 
     def __init__(
         self, curve: Path, points: Sequence[Sequence[float]], marks: Sequence[float], joints: Sequence[ScaledJoint],
-        places: Sequence[float], bends: Sequence[Sequence[Bend]], window: float,
+        places: Sequence[float], bends: Sequence[Sequence[_Bend]], window: float,
     ) -> None:  # fmt: skip
         self._curve, self._points, self._marks, self._joints = curve, points, marks, joints
         self._places, self._bends, self._window = places, bends, window
@@ -117,7 +128,7 @@ class _Search:
     def go_on(self, rounds: int) -> None:
         """Try so many times, and keep the best path of all."""
         for _ in range(rounds):
-            motion = SmoothedMotion(self._places, fastest_profile(self._places, self._bends, self._pace), self._window)
+            motion = _SmoothedMotion(self._places, _fastest_profile(self._places, self._bends, self._pace), self._window)
             knots = _knots(motion, self._marks, self._window)
             path = _path(self._curve, motion, knots, self._points)
             stretches = _stretches(path, self._joints)
@@ -141,7 +152,7 @@ def _refined(marks: Sequence[float]) -> list[float]:
     ]  # fmt: skip
 
 
-def _bends(curve: Path, marks: Sequence[float], place: float, joints: Sequence[ScaledJoint]) -> list[Bend]:
+def _bends(curve: Path, marks: Sequence[float], place: float, joints: Sequence[ScaledJoint]) -> list[_Bend]:
     """Return what the curve asks of each joint at a place; at a point the larger one of both sides."""
     after = min(bisect_right(marks, place), len(marks) - 1) - 1
     sides = (after - 1, after) if after and place == marks[after] else (after,)
@@ -154,11 +165,11 @@ def _bends(curve: Path, marks: Sequence[float], place: float, joints: Sequence[S
                 coefficients = derivative_of(coefficients)
                 amounts[order] = max(amounts[order], abs(value_at(coefficients, place - marks[side])) / joint.unit)
         slope, curvature, twist = amounts
-        found.append(Bend(slope, curvature, twist, 1.0, joint.acceleration, joint.jerk))
+        found.append(_Bend(slope, curvature, twist, 1.0, joint.acceleration, joint.jerk))
     return found
 
 
-def _knots(motion: SmoothedMotion, marks: Sequence[float], window: float) -> list[list[float]]:
+def _knots(motion: _SmoothedMotion, marks: Sequence[float], window: float) -> list[list[float]]:
     """Return the times of the knots from each point to the next, without that of the latter."""
     times = [0.0, *[motion.time_at(mark) for mark in marks[1:-1]], motion.duration]
     gap = max(window / KNOTS, motion.duration / MAX_KNOTS)
@@ -169,7 +180,7 @@ def _knots(motion: SmoothedMotion, marks: Sequence[float], window: float) -> lis
     return knots
 
 
-def _path(curve: Path, motion: SmoothedMotion, knots: Sequence[Sequence[float]], points: Sequence[Sequence[float]]) -> Path:
+def _path(curve: Path, motion: _SmoothedMotion, knots: Sequence[Sequence[float]], points: Sequence[Sequence[float]]) -> Path:
     times, positions, velocities, accelerations = [], [], [], []
     for row, point in zip([*knots, [motion.duration]], points, strict=True):
         for number, time in enumerate(row):
@@ -210,7 +221,7 @@ def _factor(speed: float, acceleration: float, jerk: float, joint: ScaledJoint) 
 
 
 def _slow_down(
-    pace: list[float], places: Sequence[float], motion: SmoothedMotion, times: Sequence[float], stretches: Sequence[float]
+    pace: list[float], places: Sequence[float], motion: _SmoothedMotion, times: Sequence[float], stretches: Sequence[float]
 ) -> None:
     """Lower the pace at all places that have a share in a segment that is too fast."""
     before = tuple(pace)
@@ -219,3 +230,102 @@ def _slow_down(
             first, last = motion.places_of(begin, end)
             for number in range(max(bisect_right(places, first) - 1, 0), min(bisect_right(places, last) + 1, len(places))):
                 pace[number] = min(pace[number], before[number] / stretch)
+
+
+# ---- how fast to go along the curve ----
+
+
+class _Bend(NamedTuple):
+    """The largest q', q'', q''' (amounts) of one joint at a place of the curve, and its limits in the same unit."""
+
+    slope: float
+    curvature: float
+    twist: float
+    speed: float
+    acceleration: float
+    jerk: float
+
+
+def _fastest_profile(places: Sequence[float], bends: Sequence[Sequence[_Bend]], pace: Sequence[float]) -> list[float]:
+    """Return the rate at each place. It is 0 at both ends. pace: at most 1 for each place; 0.5 makes it take twice as long there.
+
+    places: the parameters s, rising. bends: for each place those of all joints.
+    """
+    caps = [min(_cap(each) for each in row) * part for row, part in zip(bends, pace, strict=True)]
+    squares = [cap * cap for cap in caps]
+    squares[0] = squares[-1] = 0.0
+    last = len(places) - 1
+    for order in (range(last), range(last, 0, -1)):
+        step = order.step
+        for number in order:
+            distance = abs(places[number + step] - places[number])
+            change = min(
+                _change(row, squares[number]) * pace[at] ** 2
+                for at, row in ((number, bends[number]), (number + step, bends[number + step]))
+            )
+            squares[number + step] = min(squares[number + step], squares[number] + 2.0 * distance * change)
+    return [math.sqrt(square) for square in squares]
+
+
+def _cap(bend: _Bend) -> float:
+    cap = bend.speed / bend.slope if bend.slope else math.inf
+    if bend.curvature:
+        cap = min(cap, math.sqrt(bend.acceleration / bend.curvature))
+    if bend.twist:
+        cap = min(cap, (bend.jerk / bend.twist) ** (1.0 / 3.0))
+    return cap
+
+
+def _change(bends: Sequence[_Bend], square: float) -> float:
+    """Return by how much the rate may change there: the accelerations that the curve itself leaves free."""
+    free = math.inf
+    for bend in bends:
+        if bend.slope:
+            free = min(free, (bend.acceleration - bend.curvature * square) / bend.slope)
+    return max(free, 0.0)
+
+
+class _SmoothedMotion:
+    """The motion along a curve at a rate that is averaged over `window` seconds.
+
+    places, rates: as of `_fastest_profile`, with a rate of 0 at the ends only.
+    """
+
+    def __init__(self, places: Sequence[float], rates: Sequence[float], window: float) -> None:
+        self._window = window
+        self._end = places[-1]
+        self._times, self._pieces = [0.0], []
+        time = area = 0.0
+        for s, r, s_after, r_after in zip(places, rates, places[1:], rates[1:], strict=False):
+            lasts = 2.0 * (s_after - s) / (r + r_after)
+            change = (r_after - r) / lasts
+            self._pieces.append((area, s, r, change))
+            area, _, _ = with_constant_jerk(lasts, area, s, r, change)
+            time += lasts
+            self._times.append(time)
+        self._pieces.append((area, self._end, 0.0, 0.0))
+        self.duration = time + window
+        """In seconds, from rest to rest."""
+
+    def at(self, time: float) -> tuple[float, float, float]:
+        """Return the place s on the curve, the rate r = ds/dt, and dr/dt. time: seconds from the begin, 0 to `duration`."""
+        area, s, r = self._sharp(time)
+        area_before, s_before, r_before = self._sharp(time - self._window)
+        window = self._window
+        return (area - area_before) / window, (s - s_before) / window, (r - r_before) / window
+
+    def time_at(self, place: float) -> float:
+        """Return the time at which s is `place`."""
+        return turning_point(lambda time: not self.at(time)[0] < place, 0.0, self.duration, _HALVINGS)[1]
+
+    def places_of(self, begin: float, end: float) -> tuple[float, float]:
+        """Return the first and the last s that have a share in the motion between two times."""
+        return self._sharp(begin - self._window)[1], self._sharp(end)[1]
+
+    def _sharp(self, time: float) -> tuple[float, float, float]:
+        """Return the integral of s, s and r, without the average."""
+        if time <= 0.0:
+            return 0.0, 0.0, 0.0
+        number = min(bisect_right(self._times, time), len(self._pieces)) - 1
+        area, s, r, change = self._pieces[number]
+        return with_constant_jerk(time - self._times[number], area, s, r, change)
