@@ -216,14 +216,14 @@ async def _run(picture: Picture, main: Callable[[Master, Device], Awaitable[None
     dictionary = configure(drive_dictionary().with_objects([encoder]), picture.values, NODE_ID)
     maker = partial(DriveNode, node_id=NODE_ID, settings=picture.settings, dictionary=dictionary)
     samples: list[Sample] = []
-    async with simulated_devices({BUS: [maker]}) as fleet, open_master(BUS) as master:
+    async with simulated_devices({BUS: [maker]}) as simulation, open_master(BUS) as master:
         joint = master.device(master.node(NODE_ID, dictionary, pdos=False), "joint", AXIS)
         async with trio.open_nursery() as nursery:
-            nursery.start_soon(_watch, fleet.drives[NODE_ID], samples, sample)
+            nursery.start_soon(_watch, simulation.drives[NODE_ID], samples, sample)
             await main(master, joint)
             await trio.sleep(0.1)
             nursery.cancel_scope.cancel()
-    return Run(samples, fleet.drives[NODE_ID])
+    return Run(samples, simulation.drives[NODE_ID])
 
 
 async def _watch(drive: DriveNode, samples: list[Sample], pause: float) -> None:
@@ -268,11 +268,11 @@ def run_on_arms(example: ArmExample, recording: Path) -> None:
 async def _run_on_arms(example: ArmExample, recording: Path) -> None:
     dictionary = drive_dictionary()
     chains = {"arm": (BUS, (1, 2)), "leg": ("virtual:leg", (1,))}
-    fleet = {
+    makers = {
         bus: [partial(DriveNode, node_id=each, settings=ARM_JOINT, dictionary=dictionary) for each in nodes]
         for bus, nodes in chains.values()
     }
-    async with simulated_devices(fleet), open_master(buses={bus: bus for bus in fleet}, dictionary=dictionary) as master:
+    async with simulated_devices(makers), open_master(buses={bus: bus for bus in makers}, dictionary=dictionary) as master:
         given: dict[str, Chain] = {}
         for name in inspect.signature(example).parameters:
             bus, nodes = chains[name]

@@ -54,7 +54,7 @@ class Lasting:
         return key >> 8 not in (0x1001, 0x1003, 0x1010, 0x1011)
 
     @asynccontextmanager
-    async def fleet(self, *arguments: object) -> AsyncIterator[None]:
+    async def simulation(self, *arguments: object) -> AsyncIterator[None]:
         error: Exception | None = None
         async with trio.open_nursery() as nursery:
             if self.is_there:
@@ -79,7 +79,7 @@ class Lasting:
 def lasting(monkeypatch: pytest.MonkeyPatch, dictionary: ObjectDictionary) -> Lasting:
     """A device that the next commands find on `-b demo`, Operational."""
     world = Lasting(dictionary)
-    monkeypatch.setattr(session, "simulated_drives", world.fleet)
+    monkeypatch.setattr(session, "simulated_drives", world.simulation)
     return world
 
 

@@ -68,10 +68,10 @@ class Alarm:
         """Send each signal so many seconds after the one before. For the next command only."""
         self.signals = list(signals)
 
-    async def ring(self, fleet: SimulatedDevices) -> None:
+    async def ring(self, simulation: SimulatedDevices) -> None:
         """What goes on beside the command."""
         if self.task is not None:
-            await self.task(fleet)
+            await self.task(simulation)
         signals, self.signals = self.signals, []
         for seconds, number in signals:
             await trio.sleep(seconds)
@@ -101,23 +101,23 @@ def runner_in_folder(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
     return runner(capsys, monkeypatch, tmp_path)
 
 
-def watched_fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[SimulatedDevices]:
-    """The fleets of simulated drives that commands make from now on, to look into when they have ended. alarm: rings in them."""
-    fleets: list[SimulatedDevices] = []
+def watched_simulations(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[SimulatedDevices]:
+    """The simulated drives that commands make from now on, to look into when they have ended. alarm: rings in them."""
+    simulations: list[SimulatedDevices] = []
 
     @asynccontextmanager
     async def watched(*arguments: Any, **options: Any) -> AsyncIterator[SimulatedDevices]:
-        async with simulated_drives(*arguments, **options) as fleet:
-            fleets.append(fleet)
-            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
-            yield fleet
+        async with simulated_drives(*arguments, **options) as simulation:
+            simulations.append(simulation)
+            trio.lowlevel.spawn_system_task(alarm.ring, simulation)
+            yield simulation
 
     monkeypatch.setattr(demonstration, "simulated_drives", watched)
     monkeypatch.setattr(session, "simulated_drives", watched)
     monkeypatch.setattr(live_source, "simulated_drives", watched)
     monkeypatch.setattr(sim, "simulated_drives", watched)
     monkeypatch.setattr(chain_session, "simulated_drives", watched)
-    return fleets
+    return simulations
 
 
 def only_drive(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, make: Callable[[Outbox, int], DriveNode]) -> list[DriveNode]:
@@ -126,10 +126,10 @@ def only_drive(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, make: Callable[[Ou
 
     @asynccontextmanager
     async def simulated(*arguments: object) -> AsyncIterator[SimulatedDevices]:
-        async with simulated_devices({DEMO_LOCATOR: [lambda out: make(out, 5)]}) as fleet:
-            made.append(fleet.drives[5])
-            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
-            yield fleet
+        async with simulated_devices({DEMO_LOCATOR: [lambda out: make(out, 5)]}) as simulation:
+            made.append(simulation.drives[5])
+            trio.lowlevel.spawn_system_task(alarm.ring, simulation)
+            yield simulation
 
     monkeypatch.setattr(session, "simulated_drives", simulated)
     return made

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from canopen_master.simulation.serving import SimulatedDevices
-from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
+from tests.cli.cli_support import Alarm, Run, runner, watched_simulations
 
 
 @pytest.fixture
@@ -19,5 +19,5 @@ def alarm() -> Alarm:
 
 
 @pytest.fixture
-def fleets(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[SimulatedDevices]:
-    return watched_fleets(monkeypatch, alarm)
+def simulations(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[SimulatedDevices]:
+    return watched_simulations(monkeypatch, alarm)

@@ -63,7 +63,7 @@ class World:
             self.states.append(event.state)
 
     @asynccontextmanager
-    async def fleet(self, *arguments: object) -> AsyncIterator[None]:
+    async def simulation(self, *arguments: object) -> AsyncIterator[None]:
         async with simulated_devices({DEMO_LOCATOR: [self.make]}, self.on_event):
             if self.task is not None:
                 trio.lowlevel.spawn_system_task(self.task)
@@ -78,7 +78,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     made = World()
-    monkeypatch.setattr(session, "simulated_drives", made.fleet)
+    monkeypatch.setattr(session, "simulated_drives", made.simulation)
     return made
 
 

@@ -185,7 +185,7 @@ def test_a_refusal_of_the_drive(run: Run) -> None:
     assert outcome.error["abort"] == 0x06090030
 
 
-def test_a_value_that_reads_back_differently(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
+def test_a_value_that_reads_back_differently(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
     alarm.task = _stubborn_drive
     outcome = run("write", "3", "profile_velocity", "5", "--verify", *DEMO)
     assert outcome.status == ExitCode.VERIFY_MISMATCH
@@ -200,8 +200,8 @@ class Stubborn(dict[int, Value]):
             super().__setitem__(key, value)
 
 
-async def _stubborn_drive(fleet: SimulatedDevices) -> None:
-    values = fleet.drives[3].values
+async def _stubborn_drive(simulation: SimulatedDevices) -> None:
+    values = simulation.drives[3].values
     values.store = Stubborn(values.store)
 
 
@@ -360,9 +360,9 @@ def test_info_asks_for_each_value_of_up_to_4_bytes_in_one_frame(run: Run, tmp_pa
     assert len({data[1:4] for data in frames if data[0] in (0x43, 0x47, 0x4B, 0x4F)}) > 40
 
 
-def test_info_of_a_drive_in_fault(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
-    async def fault(fleet: SimulatedDevices) -> None:
-        fleet.raise_fault(3, 0x2310)
+def test_info_of_a_drive_in_fault(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
+    async def fault(simulation: SimulatedDevices) -> None:
+        simulation.raise_fault(3, 0x2310)
 
     alarm.task = fault
     outcome = run("info", "3", *DEMO)
@@ -442,7 +442,7 @@ def test_waiting_for_a_node_that_is_not_there(run: Run) -> None:
 # ---- home ----
 
 
-def test_home(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_home(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("home", "3", "4", "3", *DEMO)
     assert outcome.status == 0
     assert [line.split()[:3] for line in outcome.out.splitlines()[2:]] == [["3", "(0x03)", "yes"], ["4", "(0x04)", "yes"]]
@@ -458,13 +458,13 @@ def test_a_mode_that_the_drive_lacks(run: Run) -> None:
     assert "interpolated position" in outcome.err
 
 
-def test_homing_takes_too_long(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_homing_takes_too_long(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("home", "3", "--limit", "100ms", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "CO407" in outcome.err
     assert "the drives were halted" in outcome.err
     assert "a longer --limit (now 0.1 s)" in outcome.err
-    assert all(stands(drive) for drive in fleets[0].drives.values())
+    assert all(stands(drive) for drive in simulations[0].drives.values())
 
 
 def test_a_method_for_a_drive_that_knows_none(run: Run) -> None:
@@ -476,12 +476,12 @@ def test_a_method_for_a_drive_that_knows_none(run: Run) -> None:
 
 
 @pytest.mark.parametrize("at", [0.02, 0.3, 0.8])
-def test_ctrl_c_while_homing_halts_the_drives(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
+def test_ctrl_c_while_homing_halts_the_drives(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
     outcome = run("home", "3", "5", *DEMO)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "the drives were halted" in outcome.err
-    assert all(stands(drive) for drive in fleets[0].drives.values())
+    assert all(stands(drive) for drive in simulations[0].drives.values())
 
 
 # ---- sim ----
@@ -495,10 +495,10 @@ def test_sim_serves_for_a_while(run: Run) -> None:
     assert "node 13 (0x0D)  switch on disabled" in outcome.err
 
 
-def test_sim_ends_well_by_ctrl_c(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
-    async def fault(fleet: SimulatedDevices) -> None:
+def test_sim_ends_well_by_ctrl_c(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
+    async def fault(simulation: SimulatedDevices) -> None:
         await trio.sleep(0.1)
-        fleet.raise_fault(3, 0x2310)
+        simulation.raise_fault(3, 0x2310)
 
     alarm.task = fault
     alarm.set((1.0, signal.SIGINT))

@@ -29,20 +29,20 @@ from tests.cli.cli_support import SHORT, TWO, TWO_JOINTS, Alarm, Run, stands
 from tests.cli.test_demo_eds import written
 
 
-def assert_all_stand(fleets: list[SimulatedDevices]) -> None:
-    (fleet,) = fleets
-    assert all(stands(drive) for drive in fleet.drives.values())
+def assert_all_stand(simulations: list[SimulatedDevices]) -> None:
+    (simulation,) = simulations
+    assert all(stands(drive) for drive in simulation.drives.values())
 
 
-def test_six_joints_home_and_move(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_six_joints_home_and_move(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("demo", *SHORT)
     assert outcome.status == 0
     lines = [line.split() for line in outcome.out.splitlines() if line.startswith("joint")]
     assert [line[:3] for line in lines[1:]] == [[f"joint{n}", f"{n + 2}", f"(0x0{n + 2})"] for n in range(1, 7)]
     assert all("yes" in line for line in lines[1:])
     assert [word in outcome.err for word in ("✔ boot", "✔ home", "✔ move", "none missed", "canopen scan -b demo")] == [True] * 5
-    assert [drive.drive.state for drive in fleets[0].drives.values()] == [State.SWITCH_ON_DISABLED] * 6
-    assert_all_stand(fleets)
+    assert [drive.drive.state for drive in simulations[0].drives.values()] == [State.SWITCH_ON_DISABLED] * 6
+    assert_all_stand(simulations)
 
 
 def test_the_result_as_json(run: Run) -> None:
@@ -58,10 +58,10 @@ def test_the_result_as_json(run: Run) -> None:
 
 
 @pytest.mark.parametrize("times", [1, 6])
-def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, times: int) -> None:
+def test_a_computer_that_is_too_slow_is_told(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, times: int) -> None:
     """All was done all the same."""
 
-    async def stall(fleet: SimulatedDevices) -> None:
+    async def stall(simulation: SimulatedDevices) -> None:
         """Stop the whole process, again and again, while the arm moves."""
         await trio.sleep(3.2)
         for _ in range(times):
@@ -74,8 +74,8 @@ def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[SimulatedDev
     for arguments in ((), ("--json",)):
         outcome = run("demo", "--seconds", "2", "--cycle", "20ms", *TWO_JOINTS, *arguments)
         assert outcome.status == ExitCode.OK
-        assert_all_stand(fleets)
-        fleets.clear()
+        assert_all_stand(simulations)
+        simulations.clear()
         assert ("this computer could not keep a cycle of 20 ms" in outcome.err) is (times > 1)
         if arguments:
             sent, skipped = outcome.json["sync_cycles"], outcome.json["skipped_cycles"]
@@ -89,7 +89,7 @@ def test_a_computer_that_is_too_slow_is_told(run: Run, fleets: list[SimulatedDev
 
 @pytest.mark.parametrize("has_ruckig", [True, False])
 def test_a_planned_motion_where_ruckig_is(
-    run: Run, fleets: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, has_ruckig: bool
+    run: Run, simulations: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, has_ruckig: bool
 ) -> None:
     """Its picture has both motions, and says where the planned one begins."""
     drawn = recordings_drawn(monkeypatch)
@@ -102,18 +102,18 @@ def test_a_planned_motion_where_ruckig_is(
     begins = drawn[0].planned_from
     assert (begins is not None and 1.0 <= begins < drawn[0].times[-1] - 1.0) is has_ruckig
     assert ("all joints arrived together" in outcome.err) is has_ruckig
-    assert_all_stand(fleets)
+    assert_all_stand(simulations)
 
 
 def test_a_planned_motion_that_takes_too_long_stops_on_its_path(
-    run: Run, fleets: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
+    run: Run, simulations: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("ruckig", reason="a planned motion needs the extra `motion`")
     monkeypatch.setattr(demonstration, "PLANNED_TIME", 0.5)
     outcome = run("demo", "--seconds", "1", "--cycle", "20ms", *TWO_JOINTS)
     assert outcome.status == 0
     assert "stopped on the path" in outcome.err
-    assert_all_stand(fleets)
+    assert_all_stand(simulations)
 
 
 def test_quiet_says_nothing_but_the_result(run: Run) -> None:
@@ -136,13 +136,13 @@ def test_the_bus_variable_does_not_make_it_move_real_drives(run: Run, monkeypatc
 
 
 @pytest.mark.parametrize("at", [0.0, 0.01, 0.02, 0.5, 1.3, 1.52, 1.57, 1.59, 1.67, 1.97, 2.12, 2.17])
-def test_ctrl_c_leaves_every_drive_halted(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
+def test_ctrl_c_leaves_every_drive_halted(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
     outcome = run("demo", *TWO)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "interrupted by Ctrl-C" in outcome.err
     assert "STILL MOVING" not in outcome.err
-    assert_all_stand(fleets)
+    assert_all_stand(simulations)
     if 0.5 <= at <= 1.97:
         assert "halted: joint1, joint2\n" in outcome.err
 
@@ -163,20 +163,20 @@ def test_a_cancel_while_the_simulated_drives_begin_ends_them(steps: int) -> None
     trio.run(test)
 
 
-def test_a_second_ctrl_c_changes_nothing(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
+def test_a_second_ctrl_c_changes_nothing(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
     alarm.set((1.0, signal.SIGINT), (0.001, signal.SIGINT))
     outcome = run("demo", *TWO)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "already ending" in outcome.err
-    assert_all_stand(fleets)
+    assert_all_stand(simulations)
 
 
-def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
+def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
     """Two joints hardly brake."""
 
-    async def wear_out_the_brakes(fleet: SimulatedDevices) -> None:
+    async def wear_out_the_brakes(simulation: SimulatedDevices) -> None:
         for node_id in (4, 7):
-            fleet.drives[node_id].values.store[objects.PROFILE_DECELERATION] = 1
+            simulation.drives[node_id].values.store[objects.PROFILE_DECELERATION] = 1
 
     alarm.task = wear_out_the_brakes
     alarm.set((1.3, signal.SIGINT), (0.005, signal.SIGINT))
@@ -184,7 +184,7 @@ def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: lis
     assert outcome.status == ExitCode.INTERRUPTED
     told = [line.removeprefix("  also:  ").partition(": ") for line in outcome.err.splitlines()]
     fates = {what: set(joints.split(", ")) for what, _, joints in told if what in ("halted", "told to halt", "STILL MOVING")}
-    moving = {f"joint{node_id - 2}" for node_id, drive in fleets[0].drives.items() if not stands(drive)}
+    moving = {f"joint{node_id - 2}" for node_id, drive in simulations[0].drives.items() if not stands(drive)}
     assert moving
     assert moving <= fates["STILL MOVING"]
     assert sum(map(len, fates.values())) == len(set().union(*fates.values())) == 6
@@ -194,25 +194,25 @@ def test_a_joint_that_still_moves_is_not_said_to_be_halted(run: Run, fleets: lis
 
 @pytest.mark.parametrize(("at", "joints", "names"), [(2.0, (), range(1, 7)), (3.1, TWO_JOINTS, range(1, 3))])
 def test_ctrl_c_halts_drives_made_of_a_file(
-    run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float, joints: tuple[str, ...], names: range
+    run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float, joints: tuple[str, ...], names: range
 ) -> None:
     alarm.set((at, signal.SIGINT), (0.009, signal.SIGINT))
     outcome = run("demo", "--eds", "sample_drive.eds", "--seconds", "20", *joints)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "STILL MOVING" not in outcome.err
     assert f"halted: {', '.join(f'joint{number}' for number in names)}\n" in outcome.err
-    assert_all_stand(fleets)
+    assert_all_stand(simulations)
 
 
-def test_sigterm_is_as_good(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
+def test_sigterm_is_as_good(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
     alarm.set((1.8, signal.SIGTERM))
     outcome = run("demo", *TWO)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "interrupted by SIGTERM" in outcome.err
-    assert_all_stand(fleets)
+    assert_all_stand(simulations)
 
 
-def test_a_fault_in_the_middle_of_a_move(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_a_fault_in_the_middle_of_a_move(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("demo", *SHORT, "--fault", "5@0.2")
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert len(outcome.err.splitlines()) <= 16
@@ -220,7 +220,7 @@ def test_a_fault_in_the_middle_of_a_move(run: Run, fleets: list[SimulatedDevices
         assert word in outcome.err
     assert "halted: joint1, joint2, joint4, joint5, joint6" in outcome.err
     assert "await" not in outcome.err  # the library's advice would be of no use here
-    assert_all_stand(fleets)
+    assert_all_stand(simulations)
 
 
 def test_the_fault_as_json(run: Run) -> None:
@@ -245,18 +245,18 @@ def test_a_fault_wants_a_simulated_drive_of_the_chain(run: Run) -> None:
 @pytest.fixture
 def bus(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> list[SimulatedDevices]:
     """The bus virtual:real has two drives, which the command takes for real ones."""
-    fleets: list[SimulatedDevices] = []
+    simulations: list[SimulatedDevices] = []
 
     @asynccontextmanager
     async def with_drives(*locators: str, **options: Any) -> AsyncIterator[Master]:
-        async with simulated_drives(("virtual:real", node_id) for node_id in (3, 4)) as fleet:
-            fleets.append(fleet)
-            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
+        async with simulated_drives(("virtual:real", node_id) for node_id in (3, 4)) as simulation:
+            simulations.append(simulation)
+            trio.lowlevel.spawn_system_task(alarm.ring, simulation)
             async with open_master(*locators, **options) as master:
                 yield master
 
     monkeypatch.setattr(demonstration, "open_master", with_drives)
-    return fleets
+    return simulations
 
 
 def test_the_same_on_a_bus(run: Run, bus: list[SimulatedDevices]) -> None:
@@ -276,9 +276,9 @@ def test_a_file_of_schunks_brings_its_scale(run: Run, bus: list[SimulatedDevices
 
 
 def test_a_drive_on_a_bus_breaks_down(run: Run, bus: list[SimulatedDevices], alarm: Alarm) -> None:
-    async def break_down(fleet: SimulatedDevices) -> None:
+    async def break_down(simulation: SimulatedDevices) -> None:
         await trio.sleep(4.9)
-        fleet.raise_fault(4, 0x3210)
+        simulation.raise_fault(4, 0x3210)
 
     alarm.task = break_down
     outcome = run("demo", *TWO, "-b", "virtual:real")

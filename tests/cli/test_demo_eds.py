@@ -17,7 +17,7 @@ from canopen_proto.pdo.slots import described_pdos
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import Shape
 from tests import vendor_files
-from tests.cli.cli_support import SHORT, TWO, Alarm, Run, runner, watched_fleets
+from tests.cli.cli_support import SHORT, TWO, Alarm, Run, runner, watched_simulations
 
 
 @pytest.fixture
@@ -26,8 +26,8 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 
 
 @pytest.fixture
-def fleets(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedDevices]:
-    return watched_fleets(monkeypatch, Alarm())
+def simulations(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedDevices]:
+    return watched_simulations(monkeypatch, Alarm())
 
 
 def written(path: Path, shape: Shape = Shape.SCHUNK_POWERBALL, values: dict[int, int] | None = None) -> str:
@@ -39,9 +39,9 @@ def written(path: Path, shape: Shape = Shape.SCHUNK_POWERBALL, values: dict[int,
     return str(path)
 
 
-def tpdos(fleet: SimulatedDevices, node_id: int = 3) -> dict[int, list[int]]:
+def tpdos(simulation: SimulatedDevices, node_id: int = 3) -> dict[int, list[int]]:
     """What the valid TPDOs of a drive carry: indices, by number."""
-    pdos = described_pdos(fleet.drives[node_id].values.dictionary, node_id)
+    pdos = described_pdos(simulation.drives[node_id].values.dictionary, node_id)
     return {each.number: [entry >> 16 for entry in each.entries] for each in pdos if each.direction is Direction.TPDO}
 
 
@@ -58,11 +58,11 @@ def test_drives_made_of_a_file_home_and_move(run: Run, tmp_path: Path, shape: Sh
     assert "6 simulated drives made of" in outcome.err
 
 
-def test_a_dcf_says_which_pdos_and_defaults_leave_that_out(run: Run, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
+def test_a_dcf_says_which_pdos_and_defaults_leave_that_out(run: Run, simulations: list[SimulatedDevices], tmp_path: Path) -> None:
     path = written(tmp_path / "drive.dcf", values={0x1A0000: 2, 0x1A0002: 0x60640020})
     assert run("demo", *TWO, "--eds", path).status == 0
     assert run("demo", *TWO, "--eds", path, "--defaults").status == 0
-    assert [tpdos(fleet) for fleet in fleets] == [{1: [0x6041, 0x6064]}, {1: [0x6041, 0x6077, 0x6064]}]
+    assert [tpdos(simulation) for simulation in simulations] == [{1: [0x6041, 0x6064]}, {1: [0x6041, 0x6077, 0x6064]}]
 
 
 def test_only_one_joint_of_a_file(run: Run, tmp_path: Path) -> None:
@@ -70,10 +70,10 @@ def test_only_one_joint_of_a_file(run: Run, tmp_path: Path) -> None:
     assert outcome.status == 0, outcome.err
 
 
-def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
+def test_a_file_whose_pdos_do_not_carry_the_set_points(run: Run, simulations: list[SimulatedDevices], tmp_path: Path) -> None:
     outcome = run("demo", *TWO, "--eds", written(tmp_path / "drive.dcf", values={0x160000: 1}))
     assert outcome.status == 0, outcome.err
-    store = fleets[0].drives[3].values.store
+    store = simulations[0].drives[3].values.store
     assert [store[0x160000], store[0x160001], store[0x160002]] == [2, 0x60400010, 0x60C10120]  # it has got another mapping
 
 
@@ -105,13 +105,13 @@ def test_defaults_of_nothing(run: Run) -> None:
     ],
 )
 def test_the_schunk_arm(
-    run: Run, fleets: list[SimulatedDevices], options: tuple[str, ...], carried: dict[int, list[int]]
+    run: Run, simulations: list[SimulatedDevices], options: tuple[str, ...], carried: dict[int, list[int]]
 ) -> None:
     path = vendor_files.path_of("schunk-powerball-lwa4p.dcf")
     outcome = run("demo", *TWO, "--eds", str(path), *options)
     assert outcome.status == 0, outcome.err
     assert all("yes" in line for line in joints(outcome.out))
-    seen = tpdos(fleets[0])
+    seen = tpdos(simulations[0])
     assert {number: seen[number] for number in carried} == carried
 
 
@@ -127,7 +127,7 @@ DRIVE_FILES = {
 
 
 @pytest.mark.parametrize("name", DRIVE_FILES)
-def test_any_drives_file_moves(run: Run, fleets: list[SimulatedDevices], name: str) -> None:
+def test_any_drives_file_moves(run: Run, simulations: list[SimulatedDevices], name: str) -> None:
     outcome = run("demo", *TWO, "--eds", str(vendor_files.path_of(name)))
     assert outcome.status == 0, outcome.err
     assert all("yes" in line for line in joints(outcome.out))

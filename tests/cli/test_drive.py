@@ -41,11 +41,11 @@ def prepare(monkeypatch: pytest.MonkeyPatch, change: Callable[[DriveNode], None]
 
     @asynccontextmanager
     async def prepared(*arguments: Any) -> AsyncIterator[SimulatedDevices]:
-        async with simulated_drives(*arguments) as fleet:
+        async with simulated_drives(*arguments) as simulation:
             await trio.sleep(0.1)
-            made.append(fleet.drives[3])
+            made.append(simulation.drives[3])
             change(made[-1])
-            yield fleet
+            yield simulation
 
     monkeypatch.setattr(session, "simulated_drives", prepared)
     return made
@@ -99,7 +99,7 @@ def test_a_fault_that_stays(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "a fault reset did not clear" in outcome.err
 
 
-def test_disable(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_disable(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "disable", *DEMO)
     assert outcome.status == 0
     assert "state             switch on disabled" in outcome.out
@@ -162,11 +162,11 @@ def test_units_that_differ_and_a_drive_that_tells_nothing(run: Run, monkeypatch:
     assert "these differ: 0x608F = 2000 / 1: 2000 counts for a turn; 0x60A8 = 0xFD410000" in outcome.out
 
 
-def test_modes_and_one_is_selected(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_modes_and_one_is_selected(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "mode", *DEMO)
     assert "it has            profile position (pp), velocity (vl), interpolated position (ip)" in outcome.out.splitlines()
     assert run("drive", "3", "mode", "pp", *DEMO, "--json").json == {"mode": 1, "wanted_mode": 1, "supported_modes": [1, 2, 7]}
-    assert fleets[-1].drives[3].drive.mode == Mode.PROFILE_POSITION
+    assert simulations[-1].drives[3].drive.mode == Mode.PROFILE_POSITION
     assert "mode              interpolated position (ip)" in run("drive", "3", "mode", "7", *DEMO).out
     refused = run("drive", "3", "mode", "csp", *DEMO)
     assert refused.status == ExitCode.DRIVE_FAULT
@@ -183,11 +183,11 @@ def test_the_mode_of_a_drive_with_power_stays(run: Run, monkeypatch: pytest.Monk
     assert "canopen drive 3 disable" in outcome.err
 
 
-def test_move(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_move(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "move", "2000", *DEMO)
     assert outcome.status == 0
     assert outcome.out.startswith("moved             from -14000 to ")
-    drive = fleets[-1].drives[3]
+    drive = simulations[-1].drives[3]
     assert drive.drive.state is State.SWITCH_ON_DISABLED
     assert drive.values[objects.POSITION_ACTUAL_VALUE] == pytest.approx(2000, abs=WINDOW)
     document = run("drive", "3", "move", "--relative", "--json", *DEMO, "--", "-500").json
@@ -210,74 +210,74 @@ def test_a_position_in_counts_is_a_whole_number(run: Run, position: str) -> None
 
 
 @pytest.mark.parametrize("position", ["nan", "inf"])
-def test_a_position_is_a_finite_number(run: Run, fleets: list[SimulatedDevices], position: str) -> None:
+def test_a_position_is_a_finite_number(run: Run, simulations: list[SimulatedDevices], position: str) -> None:
     outcome = run("drive", "3", "move", position, "--in", "degree", *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert f"CO120: a position must be a finite number; it is {position}" in outcome.err
-    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert simulations[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
 
 
 @pytest.mark.parametrize("number", ["nan", "inf"])
 @pytest.mark.parametrize("command", ["enable --seconds", "velocity 5 --acceleration", "torque 5 --any-speed --seconds"])
 def test_an_option_that_is_no_finite_number_is_refused_before_a_drive_is_enabled(
-    run: Run, fleets: list[SimulatedDevices], command: str, number: str
+    run: Run, simulations: list[SimulatedDevices], command: str, number: str
 ) -> None:
     outcome = run("drive", "3", *command.split(), number, *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert f"'{number}' is not a finite number" in outcome.err
-    assert not fleets
+    assert not simulations
 
 
-def test_a_mode_of_the_maker_needs_no_dashes_before_it(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_a_mode_of_the_maker_needs_no_dashes_before_it(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "mode", "-3", *DEMO)
     assert outcome.status == ExitCode.SDO_ABORT
     assert "refused writing 0x6060" in outcome.err
 
 
 @pytest.mark.parametrize("at", [0.1, 0.5, 1.0])
-def test_ctrl_c_halts_a_move(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
+def test_ctrl_c_halts_a_move(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
     outcome = run("drive", "3", "move", "90000", *DEMO)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "the drive was halted: it is not at its target" in outcome.err
-    assert stands(fleets[-1].drives[3])
+    assert stands(simulations[-1].drives[3])
 
 
-def test_a_move_that_takes_too_long(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_a_move_that_takes_too_long(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "move", "90000", "--limit", "200ms", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "did not reach its target position within 0.2 s" in outcome.err
-    assert stands(fleets[-1].drives[3])
+    assert stands(simulations[-1].drives[3])
 
 
-def test_enable_holds_the_power_for_a_time(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
+def test_enable_holds_the_power_for_a_time(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
     seen = []
 
-    async def look(fleet: SimulatedDevices) -> None:
+    async def look(simulation: SimulatedDevices) -> None:
         for _ in range(30):
             await trio.sleep(0.1)
-            seen.append(fleet.drives[3].drive.state)
+            seen.append(simulation.drives[3].drive.state)
 
     alarm.task = look
     outcome = run("drive", "3", "enable", "--seconds", "2", *DEMO)
     assert outcome.status == 0
     assert "drive 3 is enabled, in interpolated position (ip); Ctrl-C disables it" in outcome.err
     assert State.OPERATION_ENABLED in seen
-    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert simulations[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
 
 
 @pytest.mark.parametrize("at", [0.02, 0.05, 0.1, 1.0])
-def test_ctrl_c_disables(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
+def test_ctrl_c_disables(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
     outcome = run("drive", "3", "enable", *DEMO)
     assert outcome.status == ExitCode.INTERRUPTED
-    assert fleets[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert simulations[-1].drives[3].drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_fault_ends_the_hold_and_is_told(run: Run, fleets: list[SimulatedDevices], alarm: Alarm) -> None:
-    async def fault(fleet: SimulatedDevices) -> None:
+def test_a_fault_ends_the_hold_and_is_told(run: Run, simulations: list[SimulatedDevices], alarm: Alarm) -> None:
+    async def fault(simulation: SimulatedDevices) -> None:
         await trio.sleep(1)
-        fleet.raise_fault(3, 0x2310)
+        simulation.raise_fault(3, 0x2310)
 
     alarm.task = fault
     outcome = run("drive", "3", "enable", *DEMO)
@@ -285,7 +285,7 @@ def test_a_fault_ends_the_hold_and_is_told(run: Run, fleets: list[SimulatedDevic
     assert "0x2310" in outcome.err
 
 
-def test_stop(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_stop(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "stop", *DEMO)
     assert outcome.status == 0
     assert "controlword       0x0002" in outcome.out

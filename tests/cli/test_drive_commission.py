@@ -60,11 +60,11 @@ def profile_speed(drive: DriveNode) -> object:
     return drive.values[objects.PROFILE_VELOCITY]
 
 
-def test_from_the_box_to_the_first_move(commission: Commission, fleets: list[SimulatedDevices]) -> None:
+def test_from_the_box_to_the_first_move(commission: Commission, simulations: list[SimulatedDevices]) -> None:
     moves = ["5", "y", "r", "4", "y", "y"]  # the other way round; once more
     outcome = commission(*SHAPE_ANSWERS, *LIMIT_ANSWERS, *moves, "y", "10", "2", "yes", options=("--name", "elbow"))
     assert outcome.status == 0, outcome.err
-    (drive,) = (each for each in fleets[0].drives.values() if each.node_id == 3)
+    (drive,) = (each for each in simulations[0].drives.values() if each.node_id == 3)
     assert drive.drive.state is State.SWITCH_ON_DISABLED
     assert drive.values[objects.POSITION_ACTUAL_VALUE] == pytest.approx(-10_000, abs=100)
     assert profile_speed(drive) == 20_000  # its own again
@@ -79,31 +79,31 @@ def test_from_the_box_to_the_first_move(commission: Commission, fleets: list[Sim
     assert re.search("^\\[6081\\][^[]*^ParameterValue=(20000|0x4E20)$", Path("elbow.dcf").read_text(), re.MULTILINE)
 
 
-def test_an_empty_answer_is_safe_at_each_question(commission: Commission, fleets: list[SimulatedDevices]) -> None:
+def test_an_empty_answer_is_safe_at_each_question(commission: Commission, simulations: list[SimulatedDevices]) -> None:
     outcome = commission(*[""] * 20)
     assert outcome.status == ExitCode.PARTIAL
     assert "It was not moved, so nothing else will be." in outcome.err
-    assert fleets[0].drives[3].values[objects.POSITION_ACTUAL_VALUE] == -14_000
+    assert simulations[0].drives[3].values[objects.POSITION_ACTUAL_VALUE] == -14_000
     assert Path("drive3.dcf").exists()
     assert not Path("drive3.toml").exists()
 
 
-def test_a_move_that_is_not_confirmed_ends_it(commission: Commission, fleets: list[SimulatedDevices]) -> None:
+def test_a_move_that_is_not_confirmed_ends_it(commission: Commission, simulations: list[SimulatedDevices]) -> None:
     outcome = commission(*SHAPE_ANSWERS, *LIMIT_ANSWERS, "", "y", "", "y", "y")
     assert outcome.status == ExitCode.PARTIAL
     assert "Its scale is wrong then" in outcome.err
     assert "Homing" not in outcome.err
-    assert fleets[0].drives[3].values[objects.POSITION_ACTUAL_VALUE] == pytest.approx(-9000, abs=100)
+    assert simulations[0].drives[3].values[objects.POSITION_ACTUAL_VALUE] == pytest.approx(-9000, abs=100)
     assert not Path("drive3.toml").exists()
 
 
 @pytest.mark.parametrize("at", [0.001, 0.02, 0.1, 0.5, 1.9])
 def test_ctrl_c_leaves_it_standing_and_says_what_was_done(
-    commission: Commission, fleets: list[SimulatedDevices], at: float
+    commission: Commission, simulations: list[SimulatedDevices], at: float
 ) -> None:
     outcome = commission(*SHAPE_ANSWERS, *LIMIT_ANSWERS, "80", at, "y", "y", "y")
     assert outcome.status == ExitCode.INTERRUPTED
-    drive = fleets[0].drives[3]
+    drive = simulations[0].drives[3]
     assert stands(drive)
     assert drive.drive.state is State.SWITCH_ON_DISABLED
     assert profile_speed(drive) == 20_000
@@ -113,20 +113,20 @@ def test_ctrl_c_leaves_it_standing_and_says_what_was_done(
     assert "the small move was begun" in outcome.err
 
 
-def test_the_end_of_the_input_is_as_a_ctrl_c(commission: Commission, fleets: list[SimulatedDevices]) -> None:
+def test_the_end_of_the_input_is_as_a_ctrl_c(commission: Commission, simulations: list[SimulatedDevices]) -> None:
     outcome = commission(*SHAPE_ANSWERS)
     assert outcome.status == ExitCode.INTERRUPTED
     assert "by the end of the input" in outcome.err
     assert "its positions are in degrees, 1000 counts each" in outcome.err
-    assert fleets[0].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert simulations[0].drives[3].drive.state is State.SWITCH_ON_DISABLED
 
 
-def test_a_failure_says_what_was_done(commission: Commission, fleets: list[SimulatedDevices]) -> None:
+def test_a_failure_says_what_was_done(commission: Commission, simulations: list[SimulatedDevices]) -> None:
     outcome = commission(*SHAPE_ANSWERS, "", "-12", "", "5", "y")  # it would go beyond its limits
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "max_position" in outcome.err
     assert "its values, as they were, are in drive3.dcf" in outcome.err
-    assert profile_speed(fleets[0].drives[3]) == 20_000
+    assert profile_speed(simulations[0].drives[3]) == 20_000
 
 
 def test_answers_that_make_no_sense_are_asked_again(
@@ -145,7 +145,7 @@ def test_answers_that_make_no_sense_are_asked_again(
     assert made[-1].values[objects.POSITION_ACTUAL_VALUE] == 0  # here is its home
 
 
-def test_the_machine_of_m_gets_the_joint(commission: Commission, tmp_path: Path, fleets: list[SimulatedDevices]) -> None:
+def test_the_machine_of_m_gets_the_joint(commission: Commission, tmp_path: Path, simulations: list[SimulatedDevices]) -> None:
     cell = tmp_path / "cell.toml"
     cell.write_text(
         '[buses.left]\nlocator = "virtual:x"\n[nodes]\na = { id = 3 }\nb = { id = 4 }\n[joints]\nelbow = { node = "a" }\nb = {}\n'
@@ -160,7 +160,7 @@ def test_the_machine_of_m_gets_the_joint(commission: Commission, tmp_path: Path,
 
 
 def test_yes_is_for_simulated_drives(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fleets: list[SimulatedDevices]
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, simulations: list[SimulatedDevices]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for bus in ("tcp", "socketcan:can0"):
@@ -168,10 +168,10 @@ def test_yes_is_for_simulated_drives(
         assert outcome.status == ExitCode.USAGE
         assert "CO123" in outcome.err
     assert "CO122" in run("drive", "3", "commission", "-b", "demo").err
-    assert not fleets
+    assert not simulations
     document = run("drive", "3", "commission", "-b", "demo", "--yes", "--json", "-q")
     assert document.status == 0
-    assert fleets[0].drives[3].drive.state is State.SWITCH_ON_DISABLED
+    assert simulations[0].drives[3].drive.state is State.SWITCH_ON_DISABLED
     assert run("drive", "3", "commission", "-b", "demo", "--yes").status == ExitCode.USAGE  # the files are there
 
 

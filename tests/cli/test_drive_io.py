@@ -82,9 +82,9 @@ def test_what_is_no_output(run: Run, drives: list[DriveNode], change: str) -> No
 def test_a_probe_that_latches(run: Run, drives: list[DriveNode], alarm: Alarm) -> None:
     """The index pulse, while somebody else moves the drive."""
 
-    async def turn(fleet: SimulatedDevices) -> None:
+    async def turn(simulation: SimulatedDevices) -> None:
         await trio.sleep(0.5)
-        drive = fleet.drives[5]
+        drive = simulation.drives[5]
         drive.values.store[objects.TARGET_VELOCITY] = 20_000
         drive.values.store[objects.MODES_OF_OPERATION] = 3
         drive.drive.written(0x6060, 0, 0)

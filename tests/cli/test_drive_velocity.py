@@ -82,9 +82,9 @@ def test_ctrl_c_stops_it(run: Run, drives: list[DriveNode], alarm: Alarm, at: fl
 
 
 def test_a_fault_ends_it_and_is_told(run: Run, drives: list[DriveNode], alarm: Alarm) -> None:
-    async def fault(fleet: SimulatedDevices) -> None:
+    async def fault(simulation: SimulatedDevices) -> None:
         await trio.sleep(1)
-        fleet.raise_fault(5, 0x2310)
+        simulation.raise_fault(5, 0x2310)
 
     alarm.task = fault
     outcome = run("drive", "5", "velocity", "5000", *DEMO)
@@ -100,7 +100,7 @@ def test_a_velocity_beyond_the_limit(run: Run, drives: list[DriveNode]) -> None:
     assert drives[-1].drive.mode == Mode.NO_MODE
 
 
-def test_the_joints_of_the_demonstration_count_turns_of_their_motor(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_the_joints_of_the_demonstration_count_turns_of_their_motor(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "velocity", "500", "--seconds", "1", *DEMO)
     assert outcome.status == ExitCode.USAGE
     assert "does not tell how many counts a turn of its motor has" in outcome.err

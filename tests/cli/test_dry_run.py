@@ -80,7 +80,7 @@ def test_the_frames_are_those_of_the_command(
     assert drives[0].drive.state is (before if state is not untouched else State.SWITCH_ON_DISABLED)
 
 
-def test_what_is_told(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_what_is_told(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("drive", "3", "move", "2000", "--dry-run", *DEMO)
     assert outcome.status == 0
     rows = [" ".join(line.split()[1:]) for line in outcome.out.splitlines()[2:]]
@@ -88,7 +88,7 @@ def test_what_is_told(run: Run, fleets: list[SimulatedDevices]) -> None:
     assert rows.index("77F#05 heartbeat operational") == 1
     assert sum(row.startswith("77F") for row in rows) == 1  # repeated, and shown once
     assert "nothing of this was sent" in outcome.err
-    assert fleets[0].drives[3].values[objects.POSITION_ACTUAL_VALUE] == -14000
+    assert simulations[0].drives[3].values[objects.POSITION_ACTUAL_VALUE] == -14000
     reads = run("drive", "3", "move", "2000", "--dry-run", "-v", *DEMO)
     assert "603#4041600000000000 SDO read 6041:00 statusword" in [" ".join(line.split()[1:]) for line in reads.out.splitlines()]
 

@@ -89,11 +89,11 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> Devices:
     found = Devices()
 
     @asynccontextmanager
-    async def fleet(*arguments: object) -> AsyncIterator[None]:
+    async def simulation(*arguments: object) -> AsyncIterator[None]:
         async with simulated(bus="virtual:demo", makers=[found.make]):
             yield
 
-    monkeypatch.setattr(session, "simulated_drives", fleet)
+    monkeypatch.setattr(session, "simulated_drives", simulation)
     return found
 
 

@@ -54,9 +54,9 @@ def world(monkeypatch: pytest.MonkeyPatch, alarm: Alarm, tmp_path: Path) -> Worl
 
     @asynccontextmanager
     async def simulated(*arguments: object) -> AsyncIterator[SimulatedDevices]:
-        async with simulated_devices({DEMO_LOCATOR: [world.make]}) as fleet:
-            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
-            yield fleet
+        async with simulated_devices({DEMO_LOCATOR: [world.make]}) as simulation:
+            trio.lowlevel.spawn_system_task(alarm.ring, simulation)
+            yield simulation
 
     monkeypatch.setattr(session, "simulated_drives", simulated)
     return world

@@ -65,56 +65,56 @@ def jogged(run: Run, monkeypatch: pytest.MonkeyPatch) -> Jog:
     return command
 
 
-def degrees(fleets: list[SimulatedDevices]) -> list[float]:
-    return [float(drive.values[POSITION_ACTUAL_VALUE]) / 1000 for drive in fleets[0].drives.values()]  # type: ignore[arg-type]
+def degrees(simulations: list[SimulatedDevices]) -> list[float]:
+    return [float(drive.values[POSITION_ACTUAL_VALUE]) / 1000 for drive in simulations[0].drives.values()]  # type: ignore[arg-type]
 
 
-def test_a_joint_moves_while_its_key_is_held(jogged: Jog, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
+def test_a_joint_moves_while_its_key_is_held(jogged: Jog, simulations: list[SimulatedDevices], tmp_path: Path) -> None:
     file = tmp_path / "run.csv"
     keys = [*held(RIGHT, 2.5), (1.0, "3"), *held(LEFT, 1.5), (1.0, "q")]
     outcome = jogged(*keys, options=("--record", str(file)))
     assert outcome.status == 0, outcome.err
-    positions = degrees(fleets)
+    positions = degrees(simulations)
     assert positions[0] == pytest.approx(-14 + 2 * 3, abs=1)  # a tenth of 30 degrees per second, for 2 s
     assert positions[2] == pytest.approx(21 - 1 * 3, abs=1)
     assert [positions[number] for number in (1, 3, 4, 5)] == [9, -7, 16, -22]
-    assert all(drive.drive.state is State.SWITCH_ON_DISABLED for drive in fleets[0].drives.values())
+    assert all(drive.drive.state is State.SWITCH_ON_DISABLED for drive in simulations[0].drives.values())
     velocities = [abs(value) for value in read_record(file)["joint1.velocity"] if value == value]
     assert max(velocities) < 3.5
 
 
 @pytest.mark.parametrize("key", [RIGHT, LEFT, "+", "-", "x", "\x1bOA"])
-def test_a_tap_moves_nothing(jogged: Jog, fleets: list[SimulatedDevices], key: str) -> None:
+def test_a_tap_moves_nothing(jogged: Jog, simulations: list[SimulatedDevices], key: str) -> None:
     assert jogged((0.1, key), (1.5, key), (1.5, "q")).status == 0
-    assert degrees(fleets) == [-14, 9, 21, -7, 16, -22]
+    assert degrees(simulations) == [-14, 9, 21, -7, 16, -22]
 
 
 @pytest.mark.parametrize("end", [[(0.04, END)], [(0.04, "q")], [(0.04, "2"), (0.5, "q")], [(5.0, "q")]])
 def test_whatever_comes_in_place_of_the_key_ends_the_motion(
-    jogged: Jog, fleets: list[SimulatedDevices], end: list[tuple[float, str]]
+    jogged: Jog, simulations: list[SimulatedDevices], end: list[tuple[float, str]]
 ) -> None:
     assert jogged(*held(RIGHT, 1.0), *end).status == 0
-    assert degrees(fleets)[0] == pytest.approx(-14 + 3 * 0.55, abs=0.6)
-    assert all(stands(drive) for drive in fleets[0].drives.values())
+    assert degrees(simulations)[0] == pytest.approx(-14 + 3 * 0.55, abs=0.6)
+    assert all(stands(drive) for drive in simulations[0].drives.values())
 
 
-def test_ctrl_c(jogged: Jog, fleets: list[SimulatedDevices]) -> None:
+def test_ctrl_c(jogged: Jog, simulations: list[SimulatedDevices]) -> None:
     outcome = jogged(*held(RIGHT, 1.5), (0.01, CTRL_C))
     assert outcome.status == ExitCode.INTERRUPTED
     assert "the joints braked and were halted" in outcome.err
-    assert all(stands(drive) for drive in fleets[0].drives.values())
-    assert -13 < degrees(fleets)[0] < -9
+    assert all(stands(drive) for drive in simulations[0].drives.values())
+    assert -13 < degrees(simulations)[0] < -9
 
 
-def test_a_terminal_that_goes_away(jogged: Jog, fleets: list[SimulatedDevices]) -> None:
+def test_a_terminal_that_goes_away(jogged: Jog, simulations: list[SimulatedDevices]) -> None:
     outcome = jogged(*held(RIGHT, 1.5), (0.01, HANG_UP))
     assert outcome.status == ExitCode.INTERRUPTED
     assert "by the end of its terminal" in outcome.err
-    assert all(stands(drive) for drive in fleets[0].drives.values())
-    assert -13 < degrees(fleets)[0] < -9
+    assert all(stands(drive) for drive in simulations[0].drives.values())
+    assert -13 < degrees(simulations)[0] < -9
 
 
-def test_a_position_limit_ends_it(jogged: Jog, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
+def test_a_position_limit_ends_it(jogged: Jog, simulations: list[SimulatedDevices], tmp_path: Path) -> None:
     cell = tmp_path / "cell.toml"
     cell.write_text(
         '[buses.left]\nlocator = "virtual:x"\n[nodes]\na = { id = 3 }\n'
@@ -122,14 +122,14 @@ def test_a_position_limit_ends_it(jogged: Jog, fleets: list[SimulatedDevices], t
     )
     outcome = jogged(*held(RIGHT, 4), (1.0, "q"), options=("-m", str(cell), "--speed", "0.5"))
     assert outcome.status == 0, outcome.err
-    assert degrees(fleets)[0] == pytest.approx(-12, abs=0.02)
+    assert degrees(simulations)[0] == pytest.approx(-12, abs=0.02)
 
 
-def test_a_pipe_holds_no_keys(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_a_pipe_holds_no_keys(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run("jog", "-b", "demo")
     assert outcome.status == ExitCode.USAGE
     assert "CO122" in outcome.err
-    assert not fleets
+    assert not simulations
 
 
 def test_keys_that_waited_count_once() -> None:

@@ -16,7 +16,7 @@ import pytest
 from canopen_proto.frame import REMOTE
 from canopen_transports.log_files import LogReader
 from canopen_transports.tracing import Trace
-from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
+from tests.cli.cli_support import Alarm, Run, runner, watched_simulations
 
 LOG = """\
 (1436509100.000000) can0 603#4041600000000000 T
@@ -70,7 +70,7 @@ def test_errors_do_not_cut_the_trace(run: Run) -> None:
 
 def test_ctrl_c_does_not_cut_it_either(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
-    watched_fleets(monkeypatch, alarm)
+    watched_simulations(monkeypatch, alarm)
     alarm.set((3.0, signal.SIGINT))
     outcome = run("demo", "--trace", "t.log")
     assert outcome.status == 130
@@ -129,7 +129,7 @@ def test_a_trace_never_replaces_what_is_being_read(run: Run, log: Path, tmp_path
 @pytest.mark.parametrize("kind", [".asc", ".blf", ".trc", ".pcapng"])
 def test_a_trace_of_another_kind_is_whole_after_ctrl_c(run: Run, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     alarm = Alarm()
-    watched_fleets(monkeypatch, alarm)
+    watched_simulations(monkeypatch, alarm)
     alarm.set((0.5, signal.SIGINT))
     assert run("demo", "--trace", f"t{kind}").status == 130
     assert len(frames(f"t{kind}")) > 20

@@ -64,8 +64,8 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: Shape) -> str:
     @asynccontextmanager
     async def with_drives(bus: str, **options: Any) -> AsyncIterator[Any]:
         drives = (("virtual:left", 3), ("virtual:right", 4))
-        fleet = simulated_drives([each for each in drives if each[0] == bus], shape)
-        async with fleet, open_master(bus, **options) as master:
+        simulation = simulated_drives([each for each in drives if each[0] == bus], shape)
+        async with simulation, open_master(bus, **options) as master:
             yield master
 
     monkeypatch.setattr(session, "open_master", with_drives)

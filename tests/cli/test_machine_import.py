@@ -39,7 +39,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.parametrize(("file", "joint"), [("ros1.yaml", "shoulder"), ("bus.yml", "lift")])
 def test_an_imported_machine_is_checked_and_moves(
-    run: Run, folder: Path, fleets: list[SimulatedDevices], file: str, joint: str
+    run: Run, folder: Path, simulations: list[SimulatedDevices], file: str, joint: str
 ) -> None:
     done = run("machine", "import", file, "-o", "cell.toml", "--chain", "arm")
     assert done.status == ExitCode.PARTIAL, done.err
@@ -49,7 +49,7 @@ def test_an_imported_machine_is_checked_and_moves(
     assert run("machine", "check", "cell.toml").status == ExitCode.OK
     moved = run("move", "cell.toml", "-b", "demo", "--to", f"{joint}=0.25")
     assert moved.status == ExitCode.OK, moved.err
-    drive = next(iter(fleets[-1].drives.values()))
+    drive = next(iter(simulations[-1].drives.values()))
     assert drive.values[POSITION_ACTUAL_VALUE] == pytest.approx(250, abs=3)
 
 

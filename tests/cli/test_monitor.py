@@ -15,7 +15,7 @@ from canopen_cli.live import source as live_source
 from canopen_proto.frame import Frame
 from canopen_transports import BusState, BusStateChanged, open_transport
 from canopen_transports.errors import ReceiveOverrun, TransportError
-from tests.cli.cli_support import Alarm, Run, runner_in_folder, watched_fleets
+from tests.cli.cli_support import Alarm, Run, runner_in_folder, watched_simulations
 from tests.cli.test_log import typed
 
 LOG = """\
@@ -60,7 +60,7 @@ def test_a_bus_is_shown_as_it_goes_on(run: Run) -> None:
 
 def test_ctrl_c_is_its_usual_end(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
-    watched_fleets(monkeypatch, alarm)
+    watched_simulations(monkeypatch, alarm)
     alarm.set((1.2, signal.SIGINT))
     outcome = run("monitor", "-b", "demo", "--node", "5", "--trace", "t.log")
     assert (outcome.status, len(outcome.out.splitlines())) == (0, 3)

@@ -52,16 +52,16 @@ def cell(tmp_path: Path) -> str:
     return str(path)
 
 
-def degrees(fleet: SimulatedDevices) -> list[float]:
-    return [float(drive.values[POSITION_ACTUAL_VALUE]) / 1000 for drive in fleet.drives.values()]  # type: ignore[arg-type]
+def degrees(simulation: SimulatedDevices) -> list[float]:
+    return [float(drive.values[POSITION_ACTUAL_VALUE]) / 1000 for drive in simulation.drives.values()]  # type: ignore[arg-type]
 
 
-def test_to_a_target(run: Run, fleets: list[SimulatedDevices], tmp_path: Path) -> None:
+def test_to_a_target(run: Run, simulations: list[SimulatedDevices], tmp_path: Path) -> None:
     file, picture = tmp_path / "run.csv", tmp_path / "run.png"
     outcome = run(*DEMO, "--to", "10,-20,30,0,0,5", "--record", str(file), "--plot", str(picture))
     assert outcome.status == 0, outcome.err
-    assert degrees(fleets[0]) == pytest.approx([10, -20, 30, 0, 0, 5], abs=0.02)
-    assert all(drive.drive.state is State.SWITCH_ON_DISABLED for drive in fleets[0].drives.values())
+    assert degrees(simulations[0]) == pytest.approx([10, -20, 30, 0, 0, 5], abs=0.02)
+    assert all(drive.drive.state is State.SWITCH_ON_DISABLED for drive in simulations[0].drives.values())
     assert "to the target: 1.69 s, within all limits" in outcome.out
     (off,) = re.findall(r"which no window of a drive decides: joint\d is farthest, (\S+) off", " ".join(outcome.err.split()))
     assert float(off) <= 0.02
@@ -71,14 +71,14 @@ def test_to_a_target(run: Run, fleets: list[SimulatedDevices], tmp_path: Path) -
     assert record["joint2.set_point"][-1] == pytest.approx(-20)
 
 
-def test_some_joints_and_json(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_some_joints_and_json(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run(*DEMO, "--to", "joint3=25, joint1=-10", "--json", "-q")
-    assert degrees(fleets[0]) == pytest.approx([-10, 9, 25, -7, 16, -22], abs=0.02)
+    assert degrees(simulations[0]) == pytest.approx([-10, 9, 25, -7, 16, -22], abs=0.02)
     assert [joint["joint"] for joint in outcome.json] == [f"joint{number}" for number in range(1, 7)]
     assert outcome.json[2]["position"] == pytest.approx(25, abs=0.02)
 
 
-def test_a_path_of_a_file_from_its_start_on(run: Run, fleets: list[SimulatedDevices], cell: str, tmp_path: Path) -> None:
+def test_a_path_of_a_file_from_its_start_on(run: Run, simulations: list[SimulatedDevices], cell: str, tmp_path: Path) -> None:
     path, file = tmp_path / "path.csv", tmp_path / "run.csv"
     path.write_text("time,elbow,shoulder\n0,10,0\n2,0,5\n4,10,-5\n")
     outcome = run("move", cell, str(path), "-b", "demo", "--override", "0.5", "--record", str(file))
@@ -92,21 +92,21 @@ def test_a_path_of_a_file_from_its_start_on(run: Run, fleets: list[SimulatedDevi
     assert record["time"][-1] > 8  # at half its speed
 
 
-def test_a_rehearsal_moves_nothing_and_shows_the_first_cycle(run: Run, fleets: list[SimulatedDevices], cell: str) -> None:
+def test_a_rehearsal_moves_nothing_and_shows_the_first_cycle(run: Run, simulations: list[SimulatedDevices], cell: str) -> None:
     outcome = run("move", cell, "-b", "demo", "--to", "30,20", "--dry-run")
     assert outcome.status == 0, outcome.err
     assert "within all limits" in outcome.out
     frames = [line.split() for line in outcome.out.splitlines() if "ms" not in line and ("080#" in line or "203#" in line)]
     assert len(frames) == 4  # a SYNC and an RPDO on each bus
     assert "nothing of this was sent" in outcome.err
-    assert [float(drive.values[POSITION_ACTUAL_VALUE]) for drive in fleets[0].drives.values()] == [-14_000]  # type: ignore[arg-type]
+    assert [float(drive.values[POSITION_ACTUAL_VALUE]) for drive in simulations[0].drives.values()] == [-14_000]  # type: ignore[arg-type]
     refused = run("move", cell, "-b", "demo", "--to", "50,20", "--dry-run")
     assert refused.status == ExitCode.USAGE
 
 
 @pytest.mark.parametrize("arguments", [("--to", "50,20"), ("PATH",)])
 def test_what_is_beyond_a_limit_is_refused_before_it_moves(
-    run: Run, fleets: list[SimulatedDevices], cell: str, tmp_path: Path, arguments: tuple[str, ...]
+    run: Run, simulations: list[SimulatedDevices], cell: str, tmp_path: Path, arguments: tuple[str, ...]
 ) -> None:
     path = tmp_path / "path.csv"
     path.write_text("time,shoulder,elbow\n0,0,0\n4,50,0\n")
@@ -119,7 +119,7 @@ def test_what_is_beyond_a_limit_is_refused_before_it_moves(
     assert all(request.startswith(("603#4", "60D#4", "603#6", "60D#6", "603#7", "60D#7")) for request in requests), "reads only"
     assert "40" in outcome.err
     assert "shoulder" in outcome.err
-    (drive, *_) = fleets[0].drives.values()
+    (drive, *_) = simulations[0].drives.values()
     assert drive.values[POSITION_ACTUAL_VALUE] == -14_000
     assert drive.drive.state is State.SWITCH_ON_DISABLED
 
@@ -148,14 +148,16 @@ def test_a_path_of_few_decimals_moves_and_a_refusal_tells_what_rounding_has_to_d
 
 
 @pytest.mark.parametrize("at", [0.5, 1.2, 1.9])
-def test_ctrl_c_brakes_on_the_path(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, tmp_path: Path, at: float) -> None:
+def test_ctrl_c_brakes_on_the_path(
+    run: Run, simulations: list[SimulatedDevices], alarm: Alarm, tmp_path: Path, at: float
+) -> None:
     file = tmp_path / "run.csv"
     alarm.set((at, signal.SIGINT))
     outcome = run(*DEMO, "--to", "80,9,21,-7,16,-22", "--record", str(file))
     assert outcome.status == ExitCode.INTERRUPTED
     assert "stands on its path" in outcome.err
     assert "the joints were halted" in outcome.err
-    assert all(stands(drive) for drive in fleets[0].drives.values())
+    assert all(stands(drive) for drive in simulations[0].drives.values())
     wait_for_file()
     record = read_record(file)
     points = [point for point in record["joint1.set_point"] if point == point]
@@ -163,11 +165,13 @@ def test_ctrl_c_brakes_on_the_path(run: Run, fleets: list[SimulatedDevices], ala
     assert -14 < points[-1] < 80
     assert steps[-1] == pytest.approx(0, abs=0.2)  # it came to rest by its set-points, not by a halt
     assert max(abs(b - a) for a, b in itertools.pairwise(steps)) * 100 <= 60 * 1.01
-    assert degrees(fleets[0])[0] == pytest.approx(points[-1], abs=0.1)
+    assert degrees(simulations[0])[0] == pytest.approx(points[-1], abs=0.1)
 
 
 @pytest.mark.parametrize("is_ignored", [False, True])
-def test_a_terminal_that_goes_away_is_a_ctrl_c(run: Run, fleets: list[SimulatedDevices], alarm: Alarm, is_ignored: bool) -> None:
+def test_a_terminal_that_goes_away_is_a_ctrl_c(
+    run: Run, simulations: list[SimulatedDevices], alarm: Alarm, is_ignored: bool
+) -> None:
     """But for `nohup canopen move`, which goes on."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN if is_ignored else signal.SIG_DFL)
     try:
@@ -178,7 +182,7 @@ def test_a_terminal_that_goes_away_is_a_ctrl_c(run: Run, fleets: list[SimulatedD
     assert outcome.status == (ExitCode.OK if is_ignored else ExitCode.INTERRUPTED), outcome.err
     assert ("interrupted by the end of its terminal" in outcome.err) is not is_ignored
     assert ("stands on its path" in outcome.err) is not is_ignored
-    assert all(stands(drive) for drive in fleets[0].drives.values())
+    assert all(stands(drive) for drive in simulations[0].drives.values())
 
 
 def test_a_terminal_that_is_gone_takes_what_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,11 +198,11 @@ def test_a_terminal_that_is_gone_takes_what_is_written(monkeypatch: pytest.Monke
         print("not drawn", file=stream, flush=True)
 
 
-def test_home_first(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_home_first(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run(*DEMO, "--home", "--to", "1,2,3,4,5,6")
     assert outcome.status == 0
     assert "all joints have their reference" in outcome.err
-    assert degrees(fleets[0]) == pytest.approx([1, 2, 3, 4, 5, 6], abs=0.02)
+    assert degrees(simulations[0]) == pytest.approx([1, 2, 3, 4, 5, 6], abs=0.02)
 
 
 def two_chains(cell: str) -> str:
@@ -207,7 +211,7 @@ def two_chains(cell: str) -> str:
     return cell
 
 
-def test_two_chains_on_two_buses_are_one_motion(run: Run, fleets: list[SimulatedDevices], cell: str, tmp_path: Path) -> None:
+def test_two_chains_on_two_buses_are_one_motion(run: Run, simulations: list[SimulatedDevices], cell: str, tmp_path: Path) -> None:
     machine, path = two_chains(cell), tmp_path / "path.csv"
     path.write_text("time,elbow,shoulder\n0,10,0\n2,0,5\n4,10,-5\n")
     outcome = run("move", machine, str(path), "-b", "demo", "--chain", "arm", "--chain", "leg", "--json")
@@ -236,34 +240,34 @@ def test_two_chains_on_two_buses_are_one_motion(run: Run, fleets: list[Simulated
         (("--to", "1,2,3,4,5,6", "--override", "0"), "0"),
     ],
 )
-def test_wrong_words(run: Run, fleets: list[SimulatedDevices], arguments: tuple[str, ...], text: str) -> None:
+def test_wrong_words(run: Run, simulations: list[SimulatedDevices], arguments: tuple[str, ...], text: str) -> None:
     outcome = run(*DEMO, *arguments)
     assert outcome.status == ExitCode.USAGE
     assert text in outcome.err
-    assert not fleets
+    assert not simulations
 
 
 @pytest.mark.parametrize("option", ["--record", "--plot"])
 def test_a_file_that_cannot_be_written_is_told_before_anything_has_power(
-    run: Run, fleets: list[SimulatedDevices], option: str
+    run: Run, simulations: list[SimulatedDevices], option: str
 ) -> None:
     if not Path("/proc/self").is_dir():
         pytest.skip("needs a folder in which nobody, not even root, may write")
     outcome = run(*DEMO, "--to", "joint1=5", option, f"/proc/run.{'csv' if option == '--record' else 'png'}")
     assert (outcome.status, "CO341: cannot write /proc/run." in outcome.err) == (ExitCode.BAD_FILE, True)
-    assert not fleets
+    assert not simulations
 
 
 def test_what_is_not_installed_is_told_before_anything_has_power(
-    run: Run, fleets: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
+    run: Run, simulations: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ruckig", None)
     outcome = run(*DEMO, "--to", "joint1=5")
     assert (outcome.status, "CO141" in outcome.err) == (ExitCode.USAGE, True)
-    assert not fleets
+    assert not simulations
 
 
-def test_the_advice_at_a_limit_switch_is_for_the_command_line(run: Run, fleets: list[SimulatedDevices]) -> None:
+def test_the_advice_at_a_limit_switch_is_for_the_command_line(run: Run, simulations: list[SimulatedDevices]) -> None:
     outcome = run(*DEMO, "--to", "joint1=500")
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "try:   move it the other way" in outcome.err

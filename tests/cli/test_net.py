@@ -110,9 +110,9 @@ def rung(monkeypatch: pytest.MonkeyPatch, alarm: Alarm) -> Alarm:
 
     @asynccontextmanager
     async def watched(*arguments: Any, **options: Any) -> AsyncIterator[SimulatedDevices]:
-        async with simulated_devices(*arguments, **options) as fleet:
-            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
-            yield fleet
+        async with simulated_devices(*arguments, **options) as simulation:
+            trio.lowlevel.spawn_system_task(alarm.ring, simulation)
+            yield simulation
 
     monkeypatch.setattr(net_support, "simulated_devices", watched)
     return alarm
@@ -281,9 +281,9 @@ def test_a_node_with_another_program_gets_the_right_one(run: Run, monkeypatch: p
 
 
 def test_watch_boots_a_node_that_comes_back(run: Run, rung: Alarm) -> None:
-    async def reset(fleet: SimulatedDevices) -> None:
+    async def reset(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        fleet.change(3, lambda drive, now: drive.execute(NmtCommand.RESET_NODE, now))
+        simulation.change(3, lambda drive, now: drive.execute(NmtCommand.RESET_NODE, now))
 
     rung.task = reset
     rung.set((4, signal.SIGINT))
@@ -297,9 +297,9 @@ def test_watch_boots_a_node_that_comes_back(run: Run, rung: Alarm) -> None:
 
 
 def test_watch_tells_in_json_lines_who_is_lost(run: Run, rung: Alarm) -> None:
-    async def silence(fleet: SimulatedDevices) -> None:
+    async def silence(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        fleet.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+        simulation.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 
     rung.task = silence
     rung.set((4, signal.SIGINT))
@@ -313,11 +313,11 @@ def test_watch_watches_the_heartbeats_that_nodes_send_of_their_own_and_names_the
 ) -> None:
     """answers: the node has only ended its heartbeats, and answers SDO. Else it is silent, until it is reset."""
 
-    async def silence(fleet: SimulatedDevices) -> None:
+    async def silence(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        fleet.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+        simulation.change(4, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
         if not answers:
-            fleet.change(4, lambda drive, now: drive.execute(NmtCommand.STOP, now))
+            simulation.change(4, lambda drive, now: drive.execute(NmtCommand.STOP, now))
 
     rung.task = silence
     rung.set((4, signal.SIGINT))
@@ -347,15 +347,15 @@ def test_watch_tells_of_the_bus_and_not_of_its_nodes_while_it_is_away(
         boots.append(network_boot(*arguments))
         return boots[-1]
 
-    async def unplug(fleet: SimulatedDevices) -> None:
+    async def unplug(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
         boots[-1].network.outage = "can0 is down: unplugged"
         for node_id in (3, 4):
-            fleet.change(node_id, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+            simulation.change(node_id, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
         await trio.sleep(2)
         if returns:
             for node_id in (3, 4):
-                fleet.change(node_id, lambda drive, now: drive.set_value(0x1017, 0, 100, now))
+                simulation.change(node_id, lambda drive, now: drive.set_value(0x1017, 0, 100, now))
             boots[-1].network.outage = ""
 
     monkeypatch.setattr(net_boot, "network_boot", kept)
@@ -379,9 +379,9 @@ def test_watch_that_is_interrupted_says_what_is_half_done(run: Run, rung: Alarm)
 def test_a_node_that_is_lost_while_others_boot_does_not_count_as_running(
     run: Run, rung: Alarm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def silence(fleet: SimulatedDevices) -> None:
+    async def silence(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+        simulation.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 
     rung.task = silence
     without(monkeypatch, 4)
@@ -390,9 +390,9 @@ def test_a_node_that_is_lost_while_others_boot_does_not_count_as_running(
 
 
 def test_watch_of_two_buses_tells_at_its_end_that_one_was_stopped(run: Run, rung: Alarm) -> None:
-    async def silence(fleet: SimulatedDevices) -> None:
+    async def silence(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+        simulation.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 
     rung.task = silence
     rung.set((4, signal.SIGINT))
@@ -408,9 +408,9 @@ def test_watch_of_two_buses_tells_at_its_end_that_one_was_stopped(run: Run, rung
 def test_watch_calls_stopped_what_was_stopped(run: Run, rung: Alarm) -> None:
     """Not "not finished: perhaps configured"."""
 
-    async def silence(fleet: SimulatedDevices) -> None:
+    async def silence(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        fleet.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
+        simulation.change(3, lambda drive, now: drive.set_value(0x1017, 0, 0, now))
 
     rung.task = silence
     Path(cell()).write_text(f"{CELL}[network]\nmandatory_lost = 'stop all'\n")

@@ -50,7 +50,7 @@ def test_parquet_is_drawn_too(run: Run, tmp_path: Path) -> None:
 
 
 def test_ctrl_c_leaves_a_recording_that_can_be_read(
-    run: Run, fleets: list[SimulatedDevices], alarm: Alarm, tmp_path: Path
+    run: Run, simulations: list[SimulatedDevices], alarm: Alarm, tmp_path: Path
 ) -> None:
     file = tmp_path / "run.csv"
     alarm.set((1.0, signal.SIGINT))

@@ -240,7 +240,7 @@ async def serve_plant(path: Path) -> None:
     assert plant.state == str(path.parent / "state.json")
     made = models_of(plant.devices, teller(screen))
     keeper = ParameterKeeper(Path(plant.state))
-    async with simulated_devices({BUS: made}, keeper=keeper) as fleet, open_master(BUS) as master:
+    async with simulated_devices({BUS: made}, keeper=keeper) as simulation, open_master(BUS) as master:
         node = master.node(5, made[0].dictionary)
         assert await node.read("temp") == 30001  # the script's answer
         assert await node.read("temp") == 30002
@@ -248,7 +248,7 @@ async def serve_plant(path: Path) -> None:
         assert await other.read("temperature") == 20000  # the default, and not what the DCF has configured
         await other.write("temperature", 21000)
         await other.write((0x1010, 1), 0x65766173)
-        drives = [fleet.drives[node_id] for node_id in (11, 12)]
+        drives = [simulation.drives[node_id] for node_id in (11, 12)]
         assert all(isinstance(each, DriveNode) and each.drive.settings.shape.value == "schunk" for each in drives)
         assert await master.node(11, made[2].dictionary).read(0x6502) == 0x43
     again = ParameterKeeper(Path(plant.state)).kept(9)
@@ -265,14 +265,14 @@ def test_a_plant_is_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 @virtual_time
 async def serve_dcf(path: str) -> None:
     made = models_of(named_devices([path], None, DeviceEntry("")).devices, teller(Settings().screen()))
-    async with simulated_devices({BUS: made}) as fleet, open_master(BUS) as master:
+    async with simulated_devices({BUS: made}) as simulation, open_master(BUS) as master:
         node = master.node(9, made[0].dictionary)
         assert await node.read("temperature") == 25000
         await node.write((0x1011, 1), 0x64616F6C)
         await master.nmt(0x81, 9)
         await trio.sleep(0.1)
         assert await node.read("temperature") == 20000
-        assert fleet.drives == {}
+        assert simulation.drives == {}
 
 
 def test_a_dcf_has_what_it_configures_until_the_defaults_are_restored(run: Run) -> None:

@@ -59,14 +59,14 @@ def lossy(
             yield master
 
     @asynccontextmanager
-    async def fleet(devices: Any) -> AsyncIterator[SimulatedDevices]:
+    async def simulation(devices: Any) -> AsyncIterator[SimulatedDevices]:
         async with simulated_drives(devices, Shape.STANDARD, make=make) as there:
             prepare(there.drives[3])
             made.append(there.drives[3])
             yield there
 
     monkeypatch.setattr(session, "open_master", opened)
-    monkeypatch.setattr(session, "simulated_drives", fleet)
+    monkeypatch.setattr(session, "simulated_drives", simulation)
     return made
 
 

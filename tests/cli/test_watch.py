@@ -23,7 +23,7 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import open_transport
 from canopen_transports.log_files import LogReader
-from tests.cli.cli_support import Alarm, Run, runner, watched_fleets
+from tests.cli.cli_support import Alarm, Run, runner, watched_simulations
 
 DEMO = ("-b", "demo")
 LOG = "".join(
@@ -68,7 +68,7 @@ def test_what_would_load_the_bus_is_asked_slower(run: Run) -> None:
     assert len(times) < 10 * 125_000 * 0.05 / 200, "5 % of the slowest bus in use, if the bit rate is not known"
 
 
-def sends_pdos(fleet: SimulatedDevices) -> None:
+def sends_pdos(simulation: SimulatedDevices) -> None:
     """Have TPDO 1 of drive 3 sent each 50 ms, not at SYNC, and start the drive."""
 
     def set_up(node: DriveNode, now: Time) -> None:
@@ -76,20 +76,20 @@ def sends_pdos(fleet: SimulatedDevices) -> None:
         assert node.write(0x1800, 5, (50).to_bytes(2, "little"), now) is None
         node.execute(NmtCommand.START, now)
 
-    fleet.change(3, set_up)
+    simulation.change(3, set_up)
 
 
 def test_a_pdo_takes_the_place_of_requests(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def events(fleet: SimulatedDevices) -> None:
+    async def events(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        sends_pdos(fleet)
+        sends_pdos(simulation)
         await trio.sleep(4)
-        fleet.change(3, lambda node, now: node.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now))
+        simulation.change(3, lambda node, now: node.execute(NmtCommand.ENTER_PRE_OPERATIONAL, now))
 
     alarm.task = events
-    watched_fleets(monkeypatch, alarm)
+    watched_simulations(monkeypatch, alarm)
     outcome = run("watch", "3", "6064", "--every", "100ms", "--seconds", "8", *DEMO, "--trace", "t.log", "--json")
     assert outcome.status == 0
     samples = [json.loads(line) for line in outcome.out.splitlines()]
@@ -115,12 +115,12 @@ def test_a_pdo_takes_the_place_of_requests(run: Run, monkeypatch: pytest.MonkeyP
 def test_the_mappings_are_read_again_after_a_boot_up(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def events(fleet: SimulatedDevices) -> None:
+    async def events(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
-        fleet.change(3, lambda node, now: node.execute(NmtCommand.RESET_NODE, now))
+        simulation.change(3, lambda node, now: node.execute(NmtCommand.RESET_NODE, now))
 
     alarm.task = events
-    watched_fleets(monkeypatch, alarm)
+    watched_simulations(monkeypatch, alarm)
     outcome = run("watch", "3", "6064", "--seconds", "5", *DEMO, "--trace", "t.log")
     assert outcome.status == 0
     assert asked("t.log")["1A00"] == 2 * 4  # the number of objects, and the objects
@@ -133,7 +133,7 @@ THEIRS = bytes.fromhex("4064600000000001")
 def test_the_node_is_left_to_another_program_that_asks_it(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def ask(fleet: SimulatedDevices) -> None:
+    async def ask(simulation: SimulatedDevices) -> None:
         await trio.sleep(2)
         async with await open_transport(DEMO_LOCATOR) as other:
             for _ in range(8):
@@ -141,7 +141,7 @@ def test_the_node_is_left_to_another_program_that_asks_it(run: Run, monkeypatch:
                 await trio.sleep(0.5)
 
     alarm.task = ask
-    watched_fleets(monkeypatch, alarm)
+    watched_simulations(monkeypatch, alarm)
     outcome = run("watch", "3", "6041", "6064", "--seconds", "10", *DEMO, "--trace", "t.log", "--json")
     assert outcome.status == 0
     assert outcome.err.count("another program asks this node by SDO") == 1
@@ -159,8 +159,8 @@ def test_the_node_is_left_to_another_program_that_asks_it(run: Run, monkeypatch:
 def test_passive_sends_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     alarm = Alarm()
 
-    async def events(fleet: SimulatedDevices) -> None:
-        sends_pdos(fleet)
+    async def events(simulation: SimulatedDevices) -> None:
+        sends_pdos(simulation)
 
     alarm.task = events
     monkeypatch.setattr(live_source, "simulated_drives", watched_by(alarm))
@@ -171,13 +171,13 @@ def test_passive_sends_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def watched_by(alarm: Alarm) -> Callable[..., AbstractAsyncContextManager[SimulatedDevices]]:
-    """Return what makes a fleet with the alarm in it."""
+    """Return what makes simulated devices with the alarm in them."""
 
     @asynccontextmanager
     async def made(*arguments: Any) -> AsyncIterator[SimulatedDevices]:
-        async with simulated_drives(*arguments) as fleet:
-            trio.lowlevel.spawn_system_task(alarm.ring, fleet)
-            yield fleet
+        async with simulated_drives(*arguments) as simulation:
+            trio.lowlevel.spawn_system_task(alarm.ring, simulation)
+            yield simulation
 
     return made
 

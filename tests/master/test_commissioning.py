@@ -19,18 +19,18 @@ from canopen_proto.simulation.drive.settings import Shape
 from tests.master.world import BUS, virtual_time
 
 
-def fleet_of(shape: Shape = Shape.STANDARD) -> dict[str, list[object]]:
+def makers_of(shape: Shape = Shape.STANDARD) -> dict[str, list[object]]:
     return {BUS: [drive_maker(0, 3, shape)]}
 
 
-def has_no_power(fleet: SimulatedDevices) -> bool:
-    return fleet.drives[3].drive.state not in (State.OPERATION_ENABLED, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE)
+def has_no_power(simulation: SimulatedDevices) -> bool:
+    return simulation.drives[3].drive.state not in (State.OPERATION_ENABLED, State.SWITCHED_ON, State.QUICK_STOP_ACTIVE)
 
 
 @virtual_time
 async def test_from_the_box_to_the_first_move() -> None:
-    async with simulated_devices(fleet_of()) as fleet, open_master(BUS) as master:  # type: ignore[arg-type]
-        own = fleet.drives[3].values[objects.PROFILE_VELOCITY]
+    async with simulated_devices(makers_of()) as simulation, open_master(BUS) as master:  # type: ignore[arg-type]
+        own = simulation.drives[3].values[objects.PROFILE_VELOCITY]
         work = DriveCommissioning(master, master.node(3))
         await work.look()
         await work.read_units()
@@ -41,12 +41,12 @@ async def test_from_the_box_to_the_first_move() -> None:
         work.set_limits(-90, 90, 20)
         before, after = await work.small_move(5)
         assert after - before == pytest.approx(5, abs=0.1)
-        assert has_no_power(fleet)
+        assert has_no_power(simulation)
         work.set_homing_method(35)
         assert await work.home() == pytest.approx(0, abs=0.1)
         assert await work.move_to(3, 100) == pytest.approx(3, abs=0.1)
-        assert has_no_power(fleet)
-        assert fleet.drives[3].values[objects.PROFILE_VELOCITY] == own, "its own is written back"
+        assert has_no_power(simulation)
+        assert simulation.drives[3].values[objects.PROFILE_VELOCITY] == own, "its own is written back"
     assert (work.has_moved, work.is_homed) == (True, True)
     assert [each.partition(":")[0] for each in work.done[2:]] == ["the small move", "homing", "the first move"]
     machine = parse_machine(machine_text(commissioned_machine(None, BUS, 3, "elbow", work.settings, master_id=2)))
@@ -59,12 +59,12 @@ async def test_from_the_box_to_the_first_move() -> None:
 
 @virtual_time
 async def test_a_move_before_the_limits_are_set_is_refused() -> None:
-    async with simulated_devices(fleet_of()) as fleet, open_master(BUS) as master:  # type: ignore[arg-type]
+    async with simulated_devices(makers_of()) as simulation, open_master(BUS) as master:  # type: ignore[arg-type]
         work = DriveCommissioning(master, master.node(3))
         await work.look()
         with pytest.raises(LocalProtocolError, match="set_limits"):
             await work.small_move(5)
-        assert has_no_power(fleet)
+        assert has_no_power(simulation)
         assert not work.has_moved
 
 

@@ -69,7 +69,7 @@ class Drives:
         self.locator = ""
         self._thread = threading.Thread(target=trio.run, args=(self._serve,), name="drives")
         self._ready = threading.Event()
-        self._fleet: SimulatedDevices
+        self._simulation: SimulatedDevices
         self._token: trio.lowlevel.TrioToken
         self._end: trio.Event
 
@@ -78,7 +78,7 @@ class Drives:
         async with trio.open_nursery() as nursery:
             (self.locator,) = await nursery.start(serve_bus, "127.0.0.1", 0, BusServer())
             makers = [drive_maker(number, node_id, Shape.STANDARD) for number, node_id in enumerate(DEMO_NODES)]
-            async with simulated_devices({self.locator: makers}) as self._fleet:
+            async with simulated_devices({self.locator: makers}) as self._simulation:
                 self._ready.set()
                 await self._end.wait()
             nursery.cancel_scope.cancel()
@@ -93,22 +93,22 @@ class Drives:
         self._thread.join(PATIENCE)
 
     def _ask(self, question: Callable[[SimulatedDevices], T]) -> T:
-        return trio.from_thread.run_sync(question, self._fleet, trio_token=self._token)
+        return trio.from_thread.run_sync(question, self._simulation, trio_token=self._token)
 
     @property
     def moving(self) -> list[int]:
         """The node-IDs of the drives that really move."""
-        return self._ask(lambda fleet: fleet.moving)
+        return self._ask(lambda simulation: simulation.moving)
 
     @property
     def states(self) -> dict[int, State]:
-        return self._ask(lambda fleet: {node_id: node.drive.state for node_id, node in fleet.drives.items()})
+        return self._ask(lambda simulation: {node_id: node.drive.state for node_id, node in simulation.drives.items()})
 
     @property
     def positions(self) -> dict[int, int]:
         """The positions that the drives report, in counts."""
         return self._ask(
-            lambda fleet: {node_id: int(node.values[POSITION_ACTUAL_VALUE]) for node_id, node in fleet.drives.items()}
+            lambda simulation: {node_id: int(node.values[POSITION_ACTUAL_VALUE]) for node_id, node in simulation.drives.items()}
         )
 
     def all_move(self) -> bool:
