@@ -15,6 +15,7 @@ ONE_PROCESS: Final = ("tests/master/test_one_process.py",)
 PATIENT_CLOCK: Final = ("tests/master/test_patient_clock.py",)
 NODE_PDOS: Final = ("tests/master/test_node_pdos.py",)
 SLOTS: Final = ("tests/master/test_procedure_slot.py",)
+WATCHDOG: Final = ("tests/master/test_watchdog.py",)
 PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
 
 _LATE_SYNC: Final = "canopen_master/motion/late_sync.py"
@@ -165,6 +166,22 @@ MASTER_MUTANTS: Final = tuple(
             "RETURN: Final = 1.0",
             "a joint begins and ends its return to the path at once, at its highest speed",
             STALLS,
+        ),
+        (
+            "heartbeat_of_ours_not_named",
+            "canopen_master/motion/device.py",
+            "            self.heartbeat_missed_at = self.emcy_time\n",
+            "            pass\n",
+            "a drive that left Operational because our heartbeat was late is called silent, and nobody looks at this computer",
+            WATCHDOG,
+        ),
+        (
+            "blamed_for_long_ago",
+            _LATE_SYNC,
+            "if missed_at is not None and now - missed_at <= RECENT:",
+            "if missed_at is not None:",
+            "a heartbeat that was late once is the reason for whatever happens later",
+            WATCHDOG,
         ),
         (
             "back_beyond_its_limits",

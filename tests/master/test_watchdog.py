@@ -35,11 +35,12 @@ from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import ForeignHeartbeat
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import mux
+from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import open_transport
 from tests.master.motions import FAR, MOTIONS, SPEED
-from tests.master.world import BUS, Link, arm_of, drives, simulated, value, virtual_time
+from tests.master.world import BUS, Link, arm_of, drives, following_arm, simulated, value, virtual_time
 
 NODE = 3
 CONSUMERS, REACTION, ENTRY = mux(0x1016, 1), mux(0x6007), 127 << 16 | 500
@@ -154,6 +155,20 @@ async def test_a_joint_that_missed_our_heartbeat_is_not_just_called_silent(missi
         judged_at = lost_at + 0.13
         codes = [frame.data[:2] for at, _, frame in cable.log if frame.can_id == 0x080 + 3 and at < judged_at]
         assert codes == [b"\x30\x81"] + [b"\0\0"] * (missing < 0.12 and watchdog is not None)
+
+
+@pytest.mark.parametrize(("seconds", "is_named"), [(0.9, True), (1.1, False)])
+@virtual_time
+async def test_a_heartbeat_that_came_late_long_ago_is_not_the_reason(seconds: float, is_named: bool) -> None:
+    async with following_arm(3, 4) as (host, _, arm):
+        drives(host)[0].raise_error(0x8130, 0x11, b"\x7f", host.now())
+        host.pump()
+        await trio.sleep(seconds)
+        drives(host)[0].execute(NmtCommand.ENTER_PRE_OPERATIONAL, host.now())
+        with pytest.raises(ChainFaultError) as caught:
+            async for _ in arm.cycles():
+                arm.hold()
+    assert ("heartbeat came late" in caught.value.cause) is is_named
 
 
 @virtual_time
