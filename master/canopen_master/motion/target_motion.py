@@ -66,15 +66,24 @@ class StreamGenerator:
         return self._stream.is_at_rest
 
 
-class Targets:
-    """Takes targets while its block runs. Each method raises PlanRefusedError for values that are no numbers or not one for each
-    joint, and once it has ended; ChainHaltedError, ChainFaultError, MotionReplacedError if they were stopped, or something else
-    moves them."""
+class _StreamInput:
+    """What a program says to a stream of targets while its block runs."""
 
     def __init__(self, stream: TargetStream, check: Callable[[], None]) -> None:
         """check: raises if the motion is over."""
         self._stream = stream
         self._check = check
+
+    def renew(self) -> None:
+        """Hold the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
+        self._check()
+        self._stream.renew()
+
+
+class Targets(_StreamInput):
+    """Takes targets while its block runs. Each method raises PlanRefusedError for values that are no numbers or not one for each
+    joint, and once it has ended; ChainHaltedError, ChainFaultError, MotionReplacedError if they were stopped, or something else
+    moves them."""
 
     def aim_at(self, targets: Sequence[float]) -> None:
         """Go to these positions, each joint as fast as its limits allow, and rest there until others are given.
@@ -84,19 +93,9 @@ class Targets:
         self._check()
         self._stream.aim_at(targets)
 
-    def renew(self) -> None:
-        """Hold the dead man's switch, if there is one: the caller is still there."""
-        self._check()
-        self._stream.renew()
 
-
-class Jog:
+class Jog(_StreamInput):
     """Takes velocities while its block runs. Raises as `Targets` does."""
-
-    def __init__(self, stream: TargetStream, check: Callable[[], None]) -> None:
-        """check: raises if the motion is over."""
-        self._stream = stream
-        self._check = check
 
     def velocity(self, velocities: Sequence[float]) -> None:
         """Move at these velocities, in the user's unit per second, and hold the dead man's switch.
@@ -105,8 +104,3 @@ class Jog:
         """
         self._check()
         self._stream.move_at(velocities)
-
-    def renew(self) -> None:
-        """Hold the dead man's switch: the caller is still there, and wants these velocities."""
-        self._check()
-        self._stream.renew()
