@@ -203,7 +203,6 @@ ERRORS = [
         "[buses.can0]\n[master.watchdog]\ntimeout = '1us'",
         "m.toml:2:2: error: master.watchdog: period 100000000 ns and timeout 1000 ns",
     ),
-    ("[buses.can0]\n[master]\ngrip = false", "m.toml:3:1: error: master: grip: this entry is named watchdog"),
     ("[buses.can0]\n[nodes.a]", "m.toml:2:2: error: nodes.a: it has no id (node-ID)"),
     ("[buses.can0]\n[nodes]\na = 5", "m.toml:3:1: error: nodes: a: a table is expected, not 5"),
     ("[buses.can0]\n[nodes.a]\nid = 0", "m.toml:3:1: error: nodes.a: id: a node-ID of 1..127 is expected, not 0"),

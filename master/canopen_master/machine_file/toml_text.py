@@ -136,10 +136,7 @@ class _MachineReader:
     # ---- entries ----
 
     def _master(self) -> MasterEntry:
-        keys = KEYS["master"]
-        table = self._top.table("master", {**keys, "grip": keys["watchdog"]})
-        if table.has("grip"):
-            table.error("this entry is named watchdog", "grip")
+        table = self._top.table("master", KEYS["master"])
         values = table.take_all(("cycle", "timeout", "heartbeat_timeout"))
         for key, settings in (("watchdog", Watchdog), ("realtime", Realtime)):
             given = table.take(key)
