@@ -101,7 +101,7 @@ class SetPoints:
         self._is_new = self._is_held = False  # what the next SYNC takes along
         self._next: list[float] = []
         self._point: SourcePoint | None = None  # of the source, if it gave these
-        self._within: WithinReach | None = None  # while set-points are followed
+        self._within = WithinReach((), ())  # of no joints while none are followed
         self._path: deque[list[float]] = deque()
         self.source: SetPointSource | None = None
         self._feeds: list[FeedForward] = []
@@ -119,12 +119,12 @@ class SetPoints:
     @property
     def on_wire(self) -> Sequence[float]:
         """The set-points that the last SYNC took along; empty while none are followed. See late_sync.py for their difference."""
-        return [] if self._within is None else self._within.sent
+        return self._within.sent
 
     @property
     def is_on_path(self) -> bool:
         """Whether the joints are sent where they are wanted: they are not on their way back there."""
-        return self._within is None or self._within.is_on_path
+        return self._within.is_on_path
 
     def begin(self, speeds: Sequence[float]) -> None:
         """Begin: from now on each SYNC takes the images along. speeds: the most that each joint may be asked for, or inf."""
@@ -143,7 +143,7 @@ class SetPoints:
         for feed in self._feeds:
             feed.clear()
         self._feeds = []
-        self._within = self._point = None
+        self._within, self._point = WithinReach((), ()), None
         self.sent = []
         self._path.clear()
         self._is_new = self._is_held = self.is_awaited = False
@@ -197,8 +197,7 @@ class SetPoints:
         self.sync_cycles += 1
         self.skipped_cycles += skipped
         self.sent = self._next
-        if self._within is not None:
-            self._within.on_sent()
+        self._within.on_sent()
         if self._is_new or self._is_held:
             self.missed_in_row = 0
             self.taken += self._is_new
@@ -216,12 +215,11 @@ class SetPoints:
 
     def must_look(self, late: Time) -> bool:
         """Return whether a joint has to be asked where it is before a SYNC that is late by so many ns is sent."""
-        return self._within is not None and self._within.must_look(late / self._period)
+        return self._within.must_look(late / self._period)
 
     def before_late_sync(self, late: Time) -> None:
         """Shorten the next step: so soon behind this SYNC, which is late by so many ns, the next one is due."""
-        if self._within is not None:
-            self._write(1.0 - late % self._period / self._period)
+        self._write(1.0 - late % self._period / self._period)
 
     @property
     def limited(self) -> dict[Device, float]:
@@ -229,8 +227,7 @@ class SetPoints:
 
         That is all but those without a limit, and those that keep one by themselves.
         """
-        ways = () if self._within is None else self._within.ways
-        return {device: way for device, way in zip(self.devices, ways, strict=False) if math.isfinite(way)}
+        return {device: way for device, way in zip(self.devices, self._within.ways, strict=False) if math.isfinite(way)}
 
     @property
     def period(self) -> Time:
@@ -239,21 +236,18 @@ class SetPoints:
 
     def rest(self) -> None:
         """Take the velocities out of the images: the joints are about to be told to stay where they are."""
-        if self._within is not None:
-            for feed, position in zip(self._feeds, self._within.sent, strict=True):
-                feed.put(position, 0.0, feed.torque)
+        for feed, position in zip(self._feeds, self._within.sent, strict=True):
+            feed.put(position, 0.0, feed.torque)
 
     def stand_at_images(self) -> None:
         """Go on from the set-points in the images: the joints are there, and have been told so."""
-        if self._within is not None:
-            at, limited = list(self._within.sent), self.limited
-            for number, device in enumerate(self.devices):
-                if device in limited:
-                    at[number] = device.desired_position
-            if self.source is not None and (point := self.source.stand_at(at)) is not None:
-                self.sent = self._next = at
-                self._point = point
-            self._within.stand_at(at, self.sent)
+        limited = self.limited
+        each = zip(self.devices, self._within.sent, strict=True)
+        at = [device.desired_position if device in limited else position for device, position in each]
+        if self.source is not None and (point := self.source.stand_at(at)) is not None:
+            self.sent = self._next = at
+            self._point = point
+        self._within.stand_at(at, self.sent)
 
     def _take(self, point: SourcePoint) -> None:
         """Put the set-points of the source into the images. Raises SetPointRefusedError; some images may have changed then."""
@@ -271,7 +265,6 @@ class SetPoints:
     def _write(self, share: float = 1.0) -> None:
         """Put the set-points into the images. share: of a period, until the SYNC behind which they are taken."""
         within, point = self._within, self._point
-        assert within is not None
         positions = within.next(self._next, share)
         if point is None:
             for axis, position in zip(self._axes, positions, strict=True):

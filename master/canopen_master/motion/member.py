@@ -86,7 +86,10 @@ class OneCommand:
         return "shut down" if self.shut_downs else self.name
 
     async def run(self, name: str, procedure: Procedure[T]) -> T:
-        """Run the procedure of a command, and return its result. Raises its error; ProcedureTakenBackError if it was ended."""
+        """Run the procedure of a command, and return its result. name: of the command, for messages.
+
+        Raises its error; ProcedureTakenBackError if it was ended.
+        """
         running = self._procedure = ProcedureSlot(self._participant)
         self.name = name
         try:
@@ -199,13 +202,13 @@ class Member:
         self._participant.check_open()
 
     def require_idle(self, what: str) -> None:
-        """Raise if a command runs."""
+        """Raise if a command runs. what: what was to be done, for the error text."""
         self.check_open()
         if self.command.busy_with:
             raise not_now(self.name, what, f"it is busy: {self.command.busy_with}", "wait for its end, or halt() it")
 
     def require(self, what: str, *states: ChainState) -> None:
-        """Raise unless it is in one of these states, and no command runs."""
+        """Raise unless it is in one of these states, and no command runs. what: what was to be done, for the error text."""
         state = self.state
         if state is ChainState.STOPPING:
             state = ChainState.HALTED if self._culprit is None else ChainState.FAULT
@@ -222,11 +225,11 @@ class Member:
             raise not_now(self.name, what, f"it is {state.value}", step)
 
     def require_following(self, what: str) -> None:
-        """Raise unless it follows set-points, whether a loop or a motion gives them."""
+        """Raise unless it follows set-points, whether a loop or a motion gives them. what: as of `require`."""
         self.require(what, ChainState.FOLLOWING)
 
     def require_free(self, what: str) -> None:
-        """Raise unless it follows set-points that no motion gives."""
+        """Raise unless it follows set-points that no motion gives. what: as of `require`."""
         self.require_following(what)
         if self.motion is not None:
             seen = "it moves along a path, or by a stream of targets"
@@ -244,14 +247,17 @@ class Member:
         self.require(what, *CAN_MOVE)  # another task may have been quicker
 
     def require_not_stopped(self, stops: int, what: str) -> None:
-        """Raise if `halt` or `shut_down` was called since there were so many stops."""
+        """Raise if `halt` or `shut_down` was called since there were so many `stops`. what: as of `require`."""
         if self.command.stops != stops:
             raise chain_halted(self.name, f"before it could {what}")
 
     # ---- commands to all joints ----
 
     async def for_all(self, operation: str, make: Callable[[Device], Procedure[T]]) -> list[T]:
-        """Run one procedure for each joint, side by side. A failure is raised as this chain's."""
+        """Run one procedure for each joint, side by side. operation: its name, for messages.
+
+        A failure is raised as this chain's.
+        """
         try:
             return await self.command.run(operation, all_of(*(of_joint(device, make(device)) for device in self.devices)))
         except JointError as failed:
@@ -261,7 +267,7 @@ class Member:
             raise error or chain_halted(self.name, "while it was stopped") from None
 
     async def follow_set_points(self, what: str) -> None:
-        """Let all joints follow set-points from where they stand. what: for error texts. Raises as `Moving.follow`."""
+        """Let all joints follow set-points from where they stand. what: as of `require`. Raises as `Moving.follow`."""
         await self.require_standing(what)
         self.end_following(ChainState.READY)
         self._require_reference(what)
@@ -349,7 +355,10 @@ class Member:
         raise_first(self.name, "halt", await self.joints_stopped())
 
     def stop(self, why: str) -> None:
-        """Halt all joints, behind a stop along their path if they move along one, and end the running command."""
+        """Halt all joints, behind a stop along their path if they move along one, and end the running command.
+
+        why: for error texts, such as "by halt()".
+        """
         if self.motion is None:
             self.stop_now(why)
         elif self.state is ChainState.FOLLOWING:
@@ -358,7 +367,8 @@ class Member:
     def stop_now(self, why: str) -> None:
         """Halt all joints, each by its own ramp. May be called in the pump's turn; `joints_stopped` waits for the halt.
 
-        A joint that another stop took over is left to it: a halt would undo the command that leads the joint down.
+        A joint that another stop took over is left to it: a halt would undo the command that leads the joint down. why: as of
+        `stop`.
         """
         self._why_halted = why
         joints = [device for device in self.devices if not device.taken_over_by]
@@ -381,7 +391,10 @@ class Member:
         return self._halt.result() or []
 
     async def joints_halted(self, what: str) -> None:
-        """Halt joints that follow set-points, and wait for a halt under way. The next procedure sees whether each stands."""
+        """Halt joints that follow set-points, and wait for a halt under way. The next procedure sees whether each stands.
+
+        what: as of `require`.
+        """
         stops = self.command.stops
         if self.state is ChainState.FOLLOWING:
             self.stop(f"to {what}")
