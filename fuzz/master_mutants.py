@@ -16,8 +16,11 @@ PATIENT_CLOCK: Final = ("tests/master/test_patient_clock.py",)
 NODE_PDOS: Final = ("tests/master/test_node_pdos.py",)
 SLOTS: Final = ("tests/master/test_procedure_slot.py",)
 WATCHDOG: Final = ("tests/master/test_watchdog.py",)
+AT_ONCE: Final = ("tests/master/test_stops_at_once.py",)
+PATH_MOTION: Final = ("tests/master/test_path_motion.py",)
 PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
 
+_MEMBER: Final = "canopen_master/motion/member.py"
 _LATE_SYNC: Final = "canopen_master/motion/late_sync.py"
 
 MASTER_MUTANTS: Final = tuple(
@@ -41,11 +44,43 @@ MASTER_MUTANTS: Final = tuple(
         ),
         (
             "following_after_the_stop",
-            "canopen_master/motion/member.py",
+            _MEMBER,
             "period)  # which may stop it at once",
             "period)\n        self.state = ChainState.FOLLOWING",
             "a chain that is stopped while it begins to follow goes on to take set-points",
             SLOTS,
+        ),
+        (
+            "command_outlives_its_stop",
+            _MEMBER,
+            "            if self._procedure is not running:  # it was stopped at the moment of its end\n",
+            "            if False:\n",
+            "a command whose last step comes together with a halt of the chain counts as done",
+            SLOTS,
+        ),
+        (
+            "halt_that_nothing_remembers",
+            _MEMBER,
+            "        self.command.stops += 1\n",
+            "",
+            "a command that waits for the joints to stand goes on behind a halt that came meanwhile",
+            AT_ONCE,
+        ),
+        (
+            "begins_beside_a_shut_down",
+            _MEMBER,
+            '"shut down" if self.shut_downs else self.name',
+            "self.name",
+            "a chain is initialised while it is shut down",
+            AT_ONCE,
+        ),
+        (
+            "not_halted_behind_its_path",
+            _MEMBER,
+            "        if self.state is ChainState.STOPPING:\n            self.stop_now(self._why_halted)\n        elif problem:",
+            "        if problem:",
+            "a chain that has braked along its path is not halted",
+            PATH_MOTION,
         ),
         (
             "others_wait_for_the_path",

@@ -19,6 +19,7 @@ from canopen_proto.drives.axis.following import FollowingLost
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
+from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, act, sleep
 from tests.master.world import BUS, following_arm, simulated, virtual_time
 
@@ -125,6 +126,25 @@ async def test_a_command_of_a_chain_that_is_stopped_while_it_begins_ends() -> No
         assert stopped
         master.unwatch(watcher)
         await arm.members[0].halted()
+        assert arm.state is ChainState.HALTED
+
+
+@virtual_time
+async def test_a_command_of_a_chain_that_is_stopped_at_the_moment_of_its_end_has_not_succeeded() -> None:
+    async with following_arm(3, 4) as (_, master, arm):
+        await arm.halt()
+        stopped: list[ProcedureFinished] = []
+
+        def stop(finished: ProcedureFinished) -> None:
+            if not stopped:
+                stopped.append(finished)
+                arm.members[0].begin_halt()
+
+        watcher = master.watch((ProcedureFinished,), stop)
+        with pytest.raises(ChainHaltedError):
+            await arm.members[0].for_all("wait", lambda device: tell_and_wait(master))
+        assert stopped
+        master.unwatch(watcher)
         assert arm.state is ChainState.HALTED
 
 

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 import trio
 
-from canopen_master import Chain, ChainHaltedError, ChainState
+from canopen_master import Chain, ChainError, ChainHaltedError, ChainState
 from tests.master.path_world import arms, swing
 from tests.master.world import virtual_time
 
@@ -41,6 +41,24 @@ async def test_a_halt_while_a_command_waits_for_the_stop_before_it_ends_that_com
         before = record.rows[-1]
         await trio.sleep(1)
         assert record.rows[-1] == before
+
+
+@virtual_time
+async def test_nothing_begins_beside_a_shut_down() -> None:
+    async with arms(2) as (_, [arm], _record):
+        async with trio.open_nursery() as nursery:
+
+            async def follow() -> None:
+                with pytest.raises(ChainHaltedError):
+                    await arm.follow(swing(0.5, -0.3))
+
+            nursery.start_soon(follow)
+            await trio.sleep(1.5)
+            nursery.start_soon(arm.shut_down)
+            await trio.sleep(0.05)  # it brakes along the path
+            with pytest.raises(ChainError, match="it is busy: shut down"):
+                await arm.initialise()
+        assert arm.state is ChainState.OFF
 
 
 @virtual_time
