@@ -5,12 +5,17 @@ from __future__ import annotations
 import re
 from typing import Final, NamedTuple
 
+from canopen_data import DataError
+from canopen_data.findings import DictionaryError
 from canopen_master.errors import MasterError
+from canopen_master.simulation.hooks import ScriptError
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.steps import ProcedureError
 
 COMMAND_ERRORS: Final = (MasterError, LocalProtocolError, ProcedureError)
 """A command that fails, or is refused, raises one of these. Anything else is a mistake in the program."""
+FILE_ERRORS: Final = (DataError, DictionaryError, ScriptError)
+"""A machine whose files cannot be used raises one of these when it is opened, or simulated."""
 
 
 class Reply(NamedTuple):

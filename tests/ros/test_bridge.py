@@ -15,6 +15,7 @@ from canopen_ros.bridge import open_bridge
 from canopen_ros.diagnostics import Level, named
 from canopen_ros.goals import Feedback, GoalOutcome, TrajectoryGoal, TrajectoryPoint
 from canopen_ros.parameters import NodeParameters
+from canopen_ros.reply import FILE_ERRORS
 from canopen_ros.simulated import on_virtual_buses, simulated_machine
 from tests.master.world import virtual_time
 from tests.ros.ros_world import bridge_of, chain_text, ready_arm
@@ -139,6 +140,18 @@ async def test_simulated_devices_are_what_the_machine_file_says(tmp_path: Path, 
         assert default.values.read((0x1018, 4)) != 99
         assert sorted(simulation.drives) == [3, 5]
     assert "own.py:4: in setup: ValueError: so is an error told" in caplog.text
+
+
+@pytest.mark.parametrize(("script", "said"), [("def setup(:\n", "CO331"), (None, "cannot read own.py")])
+def test_a_script_that_cannot_be_used_is_no_traceback_of_the_node(script: str | None, said: str, tmp_path: Path) -> None:
+    (tmp_path / "own.dcf").write_bytes(open_description("sample_drive.eds").data)
+    (tmp_path / "own.py").write_text(script or "")
+    (tmp_path / "cell.toml").write_text(CELL)
+    machine = on_virtual_buses(read_machine(tmp_path / "cell.toml"))
+    if script is None:
+        (tmp_path / "own.py").unlink()
+    with pytest.raises(FILE_ERRORS, match=said):
+        simulated_machine(machine)
 
 
 @virtual_time

@@ -34,7 +34,7 @@ from canopen_ros.names import (
     Name,
 )
 from canopen_ros.parameters import BEST_EFFORT, NodeParameters, NoMachineError, ParameterError
-from canopen_ros.reply import Reply
+from canopen_ros.reply import FILE_ERRORS, Reply
 from canopen_ros.ros1 import messages
 from canopen_ros.ros1.action import TrajectoryAction, trajectory_goal
 from canopen_ros.ros1.roscore import RosCore
@@ -235,7 +235,7 @@ def main() -> int:
     except NoMachineError:
         print(NO_FILE)
         return 1
-    except MasterError as error:
+    except (MasterError, *FILE_ERRORS) as error:
         print(error, file=sys.stderr)
         return 1
     finally:

@@ -32,12 +32,10 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from canopen_data import DataError
-from canopen_data.findings import DictionaryError
 from canopen_ros.bridge import Bridge, open_bridge
 from canopen_ros.chain_bridge import ChainBridge
 from canopen_ros.parameters import NodeParameters, ParameterError
-from canopen_ros.reply import COMMAND_ERRORS
+from canopen_ros.reply import COMMAND_ERRORS, FILE_ERRORS
 from canopen_ros.ros2.declared import AUTOSTART, OF_ROS, SIM_TIME, declare, problem_of
 from canopen_ros.ros2.interface import Interface
 from canopen_ros.ros2.rcl import Executor, NamedParameter
@@ -58,7 +56,7 @@ class DrivesNotOffError(Exception):
     """Drives that did not confirm that they stand, or are off."""
 
 
-EXPECTED: Final = (*COMMAND_ERRORS, DrivesNotOffError, DataError, DictionaryError, OSError)
+EXPECTED: Final = (*COMMAND_ERRORS, *FILE_ERRORS, DrivesNotOffError, OSError)
 """A transition that raises one of these says its text; from anything else, a traceback is more use."""
 
 
