@@ -33,7 +33,7 @@ from typing import Any, Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.compiling import mypyc_attr
-from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.datatypes import Codec, Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
 from canopen_proto.foreign_writes import ForeignWrites
@@ -66,6 +66,7 @@ class RemoteNode(Group):
     __slots__ = (
         "_boot_listeners",
         "_commanded_at",
+        "_decoded",
         "_in_doubt",
         "_listeners",
         "_mpdo_listener",
@@ -127,6 +128,7 @@ class RemoteNode(Group):
         self.held = HeldRpdos()
         self._wanted: set[int] = set()
         self._writes: dict[RequestId, tuple[Variable, Value]] = {}
+        self._decoded: tuple[SdoUploaded, Codec, Value] | None = None  # the last upload: whoever asked for it wants its value too
         self._listeners: list[Callable[[Collection[Mux], Time], None]] = []
         self._boot_listeners: list[Callable[[], None]] = []
         self._sync_listeners: list[Callable[[Time], None]] = []
@@ -254,15 +256,23 @@ class RemoteNode(Group):
         variable.check_limits(meant)
         return variable, meant, variable.encode(meant)
 
-    def value_of(self, uploaded: SdoUploaded) -> Value:
-        """Return the value that an upload brought. Raises ObjectNotFoundError; ValueRangeError if its length is not the
-        object's."""
-        return self.dictionary.at(uploaded.index, uploaded.subindex).decode(uploaded.data)
+    def value_of(self, uploaded: SdoUploaded, variable: Variable | None = None) -> Value:
+        """Return the value that an upload brought. variable: the object that was asked for; None: look it up.
+
+        Raises ObjectNotFoundError; ValueRangeError if the length is not the object's.
+        """
+        if self._decoded is not None:
+            last, codec, value = self._decoded
+            if last is uploaded and (variable is None or variable.codec is codec):
+                return value
+        if variable is None:
+            variable = self.dictionary.at(uploaded.index, uploaded.subindex)
+        return variable.decode(uploaded.data)
 
     def message_of(self, uploaded: SdoUploaded) -> Message:
         """Return what an upload brought, by name and with its constants. Raises as `value_of` does."""
         variable = self.dictionary.at(uploaded.index, uploaded.subindex)
-        return self.dictionary.message(self.node_id, variable, variable.decode(uploaded.data), self.out.timestamp)
+        return self.dictionary.message(self.node_id, variable, self.value_of(uploaded, variable), self.out.timestamp)
 
     def fresh(self, mux: Mux, now: Time, max_age: Time = FRESH) -> Value | None:
         """Return the image of an object if it was heard at most max_age ns ago, else None. mux: the object's number for the
@@ -518,6 +528,7 @@ class RemoteNode(Group):
             value = variable.decode(report.data)
         except ValueRangeError:
             return  # a length that is not the object's: the caller that asked sees the bytes
+        self._decoded = (report, variable.codec, value)
         self.values.store[variable.mux] = value
         self._heard((variable.mux,), now)
 

@@ -6,7 +6,7 @@ from typing import Final, Protocol
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import Key, ObjectDictionary, Variable
+from canopen_proto.dictionary import Key, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.machine import Outbox, Outcome, RequestId, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoTransferError
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
@@ -31,6 +31,9 @@ class ObjectAccess(Protocol):
     def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
         """See RemoteNode."""
 
+    def value_of(self, uploaded: SdoUploaded, variable: Variable) -> Value:
+        """See RemoteNode."""
+
     def cancel(self, request_id: RequestId, now: Time) -> bool:
         """See RemoteNode."""
 
@@ -53,7 +56,7 @@ def read(node: ObjectAccess, key: Key) -> Procedure[Value]:
 def value_of(node: ObjectAccess, variable: Variable, uploaded: SdoUploaded) -> Value:
     """Return the value that an upload of this object brought. Raises UnexpectedLengthError."""
     try:
-        return variable.decode(uploaded.data)
+        return node.value_of(uploaded, variable)
     except ValueRangeError as error:
         raise UnexpectedLengthError(f"node {node.node_id}: {error}; is it described by another device's dictionary?") from error
 
@@ -66,12 +69,13 @@ def read_int(node: ObjectAccess, key: Key) -> Procedure[int]:
 
 
 def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
-    """Read an object; return None if the dictionary or the device does not have it. Raises SdoTransferError for any other
-    abort."""
-    if key not in node.dictionary:
+    """Read an object; return None if the dictionary or the device does not have it. Raises SdoTransferError for any other abort."""
+    try:
+        variable = node.dictionary.variable(key)
+    except ObjectNotFoundError:
         return None
     try:
-        return (yield from read(node, key))
+        return (yield from read(node, variable))
     except SdoTransferError as failed:
         if failed.abort_code in ABSENT:
             return None

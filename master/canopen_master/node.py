@@ -104,7 +104,7 @@ class Node(Peer):
         variable = self.dictionary.variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
         try:
-            return variable.decode(uploaded.data)
+            return self.remote.value_of(uploaded, variable)
         except ValueRangeError as error:
             raise self._unexpected(variable, uploaded, error) from error
 
@@ -139,34 +139,37 @@ class Node(Peer):
 
     async def matches(self, key: Key, constant: str) -> bool:
         """Read an object, and return whether it bears a constant: `(value & mask) == constant`."""
-        self.dictionary.constant(key, constant)  # an unknown name raises before anything is sent
-        return self.dictionary.matches(key, constant, await self.read(key))
+        variable = self.dictionary.variable(key)
+        wanted = self.dictionary.constant(variable, constant)  # an unknown name raises before anything is sent
+        value = await self.read(variable)
+        return isinstance(value, int) and wanted.is_in(value)
 
     async def read_int(self, key: Key, *, block: Block = False) -> int:
         """Read an object that holds an integer or a BOOLEAN. Raises LocalProtocolError, with nothing sent, for another type."""
-        self._check_type(key, "an integer", lambda kind: is_integer(kind) or kind is DataType.BOOLEAN)
-        value = await self.read(key, block=block)
+        variable = self._of_type(key, "an integer", lambda kind: is_integer(kind) or kind is DataType.BOOLEAN)
+        value = await self.read(variable, block=block)
         assert isinstance(value, int)
         return int(value)
 
     async def read_float(self, key: Key, *, block: Block = False) -> float:
         """Read an object that holds a REAL32 or REAL64. Raises LocalProtocolError, with nothing sent, for another type."""
-        self._check_type(key, "a real number", lambda kind: kind in (DataType.REAL32, DataType.REAL64))
-        value = await self.read(key, block=block)
+        variable = self._of_type(key, "a real number", lambda kind: kind in (DataType.REAL32, DataType.REAL64))
+        value = await self.read(variable, block=block)
         assert isinstance(value, float)
         return value
 
     async def read_str(self, key: Key, *, block: Block = False) -> str:
         """Read an object that holds text. Raises LocalProtocolError, with nothing sent, for another type."""
-        self._check_type(key, "text", lambda kind: kind in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING))
-        value = await self.read(key, block=block)
+        variable = self._of_type(key, "text", lambda kind: kind in (DataType.VISIBLE_STRING, DataType.UNICODE_STRING))
+        value = await self.read(variable, block=block)
         assert isinstance(value, str)
         return value
 
-    def _check_type(self, key: Key, wanted: str, suits: Callable[[DataType], bool]) -> None:
+    def _of_type(self, key: Key, wanted: str, suits: Callable[[DataType], bool]) -> Variable:
         variable = self.dictionary.variable(key)
         if not suits(variable.data_type):
             raise LocalProtocolError(f"{variable.label} is {variable.data_type.name}, not {wanted}; `read` takes every type")
+        return variable
 
     async def read_bytes(self, key: Key, subindex: int | None = None, *, block: Block = False) -> bytes:
         """Read the bytes of any object, in the dictionary or not. subindex: if key is an index alone; 0 by default."""

@@ -8,8 +8,8 @@ from typing import TypeVar
 import pytest
 
 from canopen_proto.abort import AbortCode, AbortOrigin
-from canopen_proto.datatypes import Value, ValueRangeError
-from canopen_proto.dictionary import Constant, Direction, Filler, NotInDictionaryError, ObjectDictionary, PdoDescription
+from canopen_proto.datatypes import DataType, Value, ValueRangeError
+from canopen_proto.dictionary import Constant, Direction, Filler, NotInDictionaryError, ObjectDictionary, PdoDescription, Variable
 from canopen_proto.emcy import EmcyReceived
 from canopen_proto.follower import Follower
 from canopen_proto.frame import KEY_EXTENDED, Frame
@@ -220,6 +220,30 @@ def test_a_length_that_is_not_the_objects_does_not_reach_the_image() -> None:
     assert bench.node.fresh(OUTPUT_KEY, bench.now) is None
     with pytest.raises(ValueRangeError, match="output"):
         bench.node.message_of(uploaded)
+
+
+def test_what_was_read_is_decoded_once_and_each_answer_keeps_its_own_value() -> None:
+    bench = MasterBench()
+    answers = []
+    for value in (30_000, 20_000):  # above the small integers, of which Python has one of each
+        bench.node.read("output", bench.now)
+        bench.tell(f"585#4B012000{value.to_bytes(2, 'little').hex()}0000")
+        answers += bench.seen(SdoUploaded)
+    first, second = answers
+    assert bench.node.value_of(second) is bench.output
+    assert bench.node.message_of(second).value is bench.output
+    assert (bench.node.value_of(first), bench.node.value_of(second)) == (30_000, 20_000)
+
+
+def test_an_answer_is_decoded_by_the_type_that_the_caller_asked_with() -> None:
+    bench = MasterBench()
+    unsigned = Variable(OUTPUT, 0, "as a count", DataType.UNSIGNED16)
+    bench.node.read(unsigned, bench.now)
+    bench.tell("585#4B012000FEFF0000")
+    (uploaded,) = bench.seen(SdoUploaded)
+    assert bench.output == bench.node.value_of(uploaded) == -2
+    assert bench.node.value_of(uploaded, unsigned) == 0xFFFE
+    assert bench.node.value_of(uploaded, bench.node.dictionary.variable("output")) == -2
 
 
 def test_an_object_that_the_dictionary_lacks_is_read_as_bytes() -> None:

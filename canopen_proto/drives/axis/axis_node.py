@@ -26,7 +26,7 @@ from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.objects import ObjectAccess
 from canopen_proto.remote_node import FRESH, RemoteNode
-from canopen_proto.sdo.client import Block, SdoClient
+from canopen_proto.sdo.client import Block, SdoClient, SdoUploaded
 
 V = TypeVar("V")
 Listener = Callable[[Collection[Mux], Time], None]
@@ -183,6 +183,9 @@ class FurtherAxis:
 
     def write(self, key: Key, value: Value, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
         return self._node.write(self._key(key), value, now, urgent=urgent, block=block)
+
+    def value_of(self, uploaded: SdoUploaded, variable: Variable) -> Value:
+        return self._node.value_of(uploaded, variable)
 
     def cancel(self, request_id: RequestId, now: Time) -> bool:
         return self._node.cancel(request_id, now)
