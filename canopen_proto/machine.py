@@ -61,6 +61,10 @@ class Event:
     A kind of event is a subclass with its own fields in `__slots__`, all fields in `__match_args__`, and an `__init__` that sets
     all of them itself: the call of another `__init__` would cost as much again. Equality and repr come from here.
 
+    It is no data class, and each reason was measured. With `dataclasses`, the start of a network takes 28 ms instead of 20, and a
+    class 105 us instead of 7. In the compiled build an event takes 155 ns instead of 28, for its `__init__` would be Python. Rare
+    kinds alone cannot be data classes: the compiler fails on a data class whose base has an `__init__` of its own.
+
     node_id: the node that it is about, 1..127; 0 if it is about the network (SYNC, a procedure), not one node.
     """
 
