@@ -57,28 +57,4 @@ if TYPE_CHECKING:
 else:
     from canopen_proto.lazy_names import lazy_names
 
-    __getattr__, __dir__, __all__ = lazy_names(
-        globals(),
-        {
-            "canopen_proto.abort": "AbortCode",
-            "canopen_proto.simulation.drive.node": "powerball",
-            "canopen_proto.dictionary.model": "NotInDictionaryError ObjectDictionary",
-            "canopen_proto.drives.axis.axis": "Axis AxisSettings",
-            "canopen_proto.emcy": "EmcyReceived",
-            "canopen_proto.frame": "Frame RoutingKey routing_key",
-            "canopen_proto.group": "Group",
-            "canopen_proto.heartbeat": "HeartbeatLost HeartbeatReceived HeartbeatRecovered NodeBooted",
-            "canopen_proto.local_node": "LocalNode",
-            "canopen_proto.machine": "COMPILED Event LocalProtocolError MILLISECOND Machine NEVER Outbox Outcome RequestId "
-            "SECOND Time",
-            "canopen_proto.multiplexer": "Mux mux",
-            "canopen_proto.network": "Network",
-            "canopen_proto.nmt": "NmtCommand NmtMaster NmtState",
-            "canopen_proto.pdo.consumer": "PdoReceived",
-            "canopen_proto.procedures.runner": "ProcedureCancelled ProcedureFailed ProcedureFinished",
-            "canopen_proto.procedures.steps": "Procedure ProcedureError",
-            "canopen_proto.remote_node": "RemoteNode",
-            "canopen_proto.sdo.client": "SdoClient",
-            "canopen_proto.sdo.events": "ObjectAccessPending ObjectWritten SdoAborted SdoDownloaded SdoUploaded",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(globals())

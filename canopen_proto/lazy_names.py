@@ -1,22 +1,37 @@
 """A package's public names, each imported from its module at its first use (PEP 562).
 
 So `from canopen_proto import Frame` loads frame.py and no drive, and `import canopen_proto.network` only what a network needs.
-Type checkers see plain imports under TYPE_CHECKING; a test compares the two lists.
+
+The table of the names is the package's plain imports under TYPE_CHECKING, which type checkers read. They never run, but the
+interpreter has compiled them: the code of the package names each module, and behind it what is imported from there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from typing import Any
 
 
-def lazy_names(
-    namespace: dict[str, object], homes: Mapping[str, str]
-) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package. namespace: its globals. homes: module -> its names."""
-    home_of = {name: module for module, names in homes.items() for name in names.split()}
+def lazy_names(namespace: dict[str, Any]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """Return `__getattr__` and `__dir__` of a package. namespace: its globals, whose `__all__` is found by `__getattr__`."""
+    home_of: dict[str, str] = {}
+
+    def homes() -> dict[str, str]:
+        if not home_of:  # the code is fetched for the first name, not for `import canopen_proto.network`
+            module = ""
+            for name in namespace["__spec__"].loader.get_code(namespace["__name__"]).co_names:
+                if name == __name__:  # the imports under TYPE_CHECKING end here
+                    break
+                if "." in name:
+                    module = name
+                elif module:
+                    home_of[name] = module
+        return home_of
 
     def get(name: str) -> object:
-        if name not in home_of:
+        if name == "__all__":
+            return [*homes()]
+        if name not in homes():
             raise AttributeError(f"module {namespace['__name__']!r} has no attribute {name!r}")
         from importlib import import_module
 
@@ -25,6 +40,6 @@ def lazy_names(
         return value
 
     def names() -> list[str]:
-        return sorted({*namespace, *home_of})
+        return sorted({*namespace, *homes()})
 
-    return get, names, [*home_of]
+    return get, names

@@ -37,15 +37,4 @@ if TYPE_CHECKING:
 else:
     from canopen_proto.lazy_names import lazy_names
 
-    __getattr__, __dir__, __all__ = lazy_names(
-        globals(),
-        {
-            "canopen_proto.procedures.objects": "UnexpectedLengthError read read_if_present read_int write",
-            "canopen_proto.procedures.runner": "ProcedureCancelled ProcedureFailed ProcedureFinished Runner",
-            "canopen_proto.procedures.steps": (
-                "Cancelled Procedure ProcedureError SdoTransferError StepTimeoutError act all_of ask_for_time current_time sleep "
-                "wait_for_event"
-            ),
-            "canopen_proto.procedures.streams": "download_stream upload_stream",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(globals())

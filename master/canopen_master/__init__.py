@@ -79,35 +79,4 @@ if TYPE_CHECKING:
 else:
     from canopen_proto.lazy_names import lazy_names
 
-    __getattr__, __dir__, __all__ = lazy_names(
-        globals(),
-        {
-            "canopen_master.participant.bus": "BusChanged FramesLost FramesNotSent",
-            "canopen_master.errors": (
-                "BusError ChainError ChainFaultError ChainFileError ChainHaltedError HaltNotConfirmedError MasterClosedError "
-                "MasterError MotionReplacedError NodeError NodeSilentError PackageMissingError PathRefusedError "
-                "PlanRefusedError RealtimeRefusedError SdoContestedError SdoError SdoGivenUpError SdoNotConfirmedError "
-                "SdoRefusedError SdoTimeoutError SetPointRefusedError UnexpectedAnswerError UnknownChainError"
-            ),
-            "canopen_master.watchdog": "NodeIdTakenError NotHeld",
-            "canopen_master.master": "Master",
-            "canopen_master.motion.chain": "Chain ChainSettings ChainState",
-            "canopen_master.motion.chain_file": "ChainDescription JointDescription parse_chains read_chains",
-            "canopen_master.motion.cycles": "Cycle Cycles",
-            "canopen_master.motion.device": "Device",
-            "canopen_master.motion.moving": "Progress Together together",
-            "canopen_master.motion.record_format": "RecordError",
-            "canopen_master.motion.record_reader": "MotionRecord read_record",
-            "canopen_master.motion.recording": "Recorder",
-            "canopen_master.motion.target_motion": "Jog Targets",
-            "canopen_master.node": "Node",
-            "canopen_master.node_pdos": "PdoDiffers",
-            "canopen_master.session": "MasterSession open_master",
-            "canopen_master.simulation.host": "DeviceModel Host powerballs simulate standard_drives",
-            "canopen_master.participant.patient_clock": "PatientClock",
-            "canopen_master.participant.subscription": "Subscription",
-            "canopen_proto.drives.axis.axis": "AxisSettings HomingStyle SCHUNK_POWERBALL",
-            "canopen_proto.drives.axis.watchdog": "Watchdog",
-            "canopen_transports.realtime": "Realtime",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(globals())

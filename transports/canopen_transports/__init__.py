@@ -33,20 +33,4 @@ if TYPE_CHECKING:
 else:
     from canopen_proto.lazy_names import lazy_names
 
-    __getattr__, __dir__, __all__ = lazy_names(
-        globals(),
-        {
-            "canopen_transports.errors": "BusState BusStateChanged FrameNotSentError ReceiveOverrun Report TransportError",
-            "canopen_transports.locator": "Locator parse_bitrate parse_locator",
-            "canopen_transports.opening": "OpenTransport open_transport",
-            "canopen_transports.python_can": "PythonCanTransport",
-            "canopen_transports.replay": "ReplayTransport",
-            "canopen_transports.tcp.client": "TcpTransport",
-            "canopen_transports.transport": (
-                "BatchTransport CyclicTransport EagerTransport FilteringTransport NarrowTransport PromptTransport "
-                "PushingTransport RatedTransport Received Transport check_frame"
-            ),
-            "canopen_transports.virtual": "VirtualTransport",
-            "canopen_transports.virtual_wire": "WireTransport",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(globals())
