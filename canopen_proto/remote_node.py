@@ -374,6 +374,10 @@ class RemoteNode(Group):
         self.held.sent_by_hand(producer)
         return producer.send(now)
 
+    def keep_commanded(self, mux: Mux) -> None:
+        """Count an object as commanded by us from now on: it goes into `commanded`."""
+        self.commanded.add(mux)
+
     def may_hold(self, mux: Mux) -> set[Value | None]:
         """Return the values that the device may have in an object of `commanded`; None in the set is an unknown value. mux: the
         object's number for the caller."""

@@ -110,7 +110,6 @@ def test_the_view_of_a_further_axis_shares_all_values_with_the_node() -> None:
     assert mux(0x6881) in rig.remote.heard_at
     assert objects.PROFILE_VELOCITY not in rig.remote.heard_at
     assert {objects.CONTROLWORD, mux(0x6840)} <= rig.remote.commanded
-    assert {objects.CONTROLWORD, mux(0x6840)} <= set(node.commanded)
     assert len(node.values.store) == len(list(node.values.store)) == len(rig.remote.values.store)
     assert node.fresh(objects.PROFILE_VELOCITY, rig.bus.now) == 4321
 

@@ -112,8 +112,8 @@ class Axis:
         self.selected_at: Time | None = None
         self.has_opened_brake = False
         self.occupancy = Occupancy()
-        self.node.commanded.add(objects.CONTROLWORD)
-        self.node.foreign_writes.listen((objects.CONTROLWORD, objects.MODES_OF_OPERATION))
+        self.node.keep_commanded(objects.CONTROLWORD)
+        node.foreign_writes.listen([self.node.on_device(mux) for mux in (objects.CONTROLWORD, objects.MODES_OF_OPERATION)])
         self.node.add_listener(self._on_values, self._on_boot)
 
     @property

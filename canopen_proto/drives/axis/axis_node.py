@@ -8,8 +8,7 @@ numbers: PDOs with their mappings, SDO clients, events, errors of SDO. `on_devic
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping, MutableSet
-from types import MappingProxyType
+from collections.abc import Callable, Collection, Iterator, Mapping, MutableMapping
 from typing import Protocol, TypeVar
 
 from canopen_proto.datatypes import Value
@@ -17,12 +16,9 @@ from canopen_proto.dictionary import Key, Variable
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import MAX_AXES, axes_of, dictionary_of_axis, swapped
 from canopen_proto.emcy import EmcyConsumer
-from canopen_proto.foreign_writes import ForeignWrite, ForeignWrites
-from canopen_proto.frame import RoutingKey
 from canopen_proto.machine import LocalProtocolError, RequestId, Time
 from canopen_proto.multiplexer import Mux, mux_text, split_mux
 from canopen_proto.nmt import NmtState
-from canopen_proto.pdo.mapping import Mapping as PdoMapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.objects import ObjectAccess
 from canopen_proto.remote_node import FRESH, RemoteNode
@@ -40,20 +36,6 @@ class Images(Protocol):
         """The values by mux."""
 
 
-class Commands(Protocol):
-    """The commands of other masters; see `ForeignWrites`."""
-
-    @property
-    def unknown(self) -> set[RoutingKey]:
-        """See ForeignWrites."""
-
-    def listen(self, muxes: Collection[Mux]) -> None:
-        """See ForeignWrites."""
-
-    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = ...) -> ForeignWrite | None:
-        """See ForeignWrites."""
-
-
 class AxisNode(ObjectAccess, Protocol):
     """All that an axis uses of its node; see this module's text. Each member is as in RemoteNode."""
 
@@ -66,19 +48,7 @@ class AxisNode(ObjectAccess, Protocol):
         """See RemoteNode."""
 
     @property
-    def commanded(self) -> MutableSet[Mux]:
-        """See RemoteNode."""
-
-    @property
-    def foreign_writes(self) -> Commands:
-        """See RemoteNode."""
-
-    @property
     def nmt_state(self) -> NmtState | None:
-        """See RemoteNode."""
-
-    @property
-    def last_sync(self) -> Time | None:
         """See RemoteNode."""
 
     @property
@@ -87,10 +57,6 @@ class AxisNode(ObjectAccess, Protocol):
 
     @property
     def sdo(self) -> SdoClient:
-        """See RemoteNode."""
-
-    @property
-    def sdo_channels(self) -> list[SdoClient]:
         """See RemoteNode."""
 
     @property
@@ -110,6 +76,9 @@ class AxisNode(ObjectAccess, Protocol):
         """See RemoteNode."""
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
+        """See RemoteNode."""
+
+    def keep_commanded(self, mux: Mux) -> None:
         """See RemoteNode."""
 
     def may_hold(self, mux: Mux) -> set[Value | None]:
@@ -159,12 +128,10 @@ class FurtherAxis:
         self._axis = axis
         self.out = node.out
         self.node_id = node.node_id
-        self.sdo, self.sdo_channels, self.rpdos, self.emcy = node.sdo, node.sdo_channels, node.rpdos, node.emcy
+        self.sdo, self.rpdos, self.emcy = node.sdo, node.rpdos, node.emcy
         self.dictionary = dictionary_of_axis(node.dictionary, axis)
         self.heard_at: Mapping[Mux, Time] = Swapped(node.heard_at, axis)
-        self.commanded: MutableSet[Mux] = SwappedSet(node.commanded, axis)
         self.values = SwappedImages(node.values.store, axis)
-        self.foreign_writes = SwappedCommands(node.foreign_writes, axis)
         self._news: dict[Collection[Mux], tuple[Mux, ...]] = {}  # the objects of each PDO, translated once
 
     def on_device(self, mux: Mux) -> Mux:
@@ -173,10 +140,6 @@ class FurtherAxis:
     @property
     def nmt_state(self) -> NmtState | None:
         return self._node.nmt_state
-
-    @property
-    def last_sync(self) -> Time | None:
-        return self._node.last_sync
 
     def read(self, key: Key, now: Time, *, urgent: bool = False, block: Block = False) -> RequestId:
         return self._node.read(self._key(key), now, urgent=urgent, block=block)
@@ -201,6 +164,9 @@ class FurtherAxis:
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
         self._node.enable_rpdo(number, now, enabled)
+
+    def keep_commanded(self, mux: Mux) -> None:
+        self._node.keep_commanded(self.on_device(mux))
 
     def may_hold(self, mux: Mux) -> set[Value | None]:
         return self._node.may_hold(self.on_device(mux))
@@ -267,46 +233,3 @@ class SwappedImages:
 
     def __init__(self, store: dict[Mux, Value], axis: int) -> None:
         self.store: MutableMapping[Mux, Value] = Swapped(store, axis)
-
-
-class SwappedSet(MutableSet[Mux]):
-    """A set of muxes as an axis sees it. It holds nothing itself."""
-
-    __slots__ = ("_axis", "_whole")
-
-    def __init__(self, whole: set[Mux], axis: int) -> None:
-        self._whole = whole
-        self._axis = axis
-
-    def add(self, value: Mux) -> None:
-        self._whole.add(swapped(value, self._axis))
-
-    def discard(self, value: Mux) -> None:
-        self._whole.discard(swapped(value, self._axis))
-
-    def __contains__(self, value: object) -> bool:
-        return isinstance(value, int) and swapped(Mux(value), self._axis) in self._whole
-
-    def __iter__(self) -> Iterator[Mux]:
-        return (swapped(each, self._axis) for each in self._whole)
-
-    def __len__(self) -> int:
-        return len(self._whole)
-
-
-class SwappedCommands:
-    """The writes of other masters to a node, as an axis sees them."""
-
-    def __init__(self, foreign_writes: ForeignWrites, axis: int) -> None:
-        self._writes = foreign_writes
-        self._axis = axis
-
-    @property
-    def unknown(self) -> set[RoutingKey]:
-        return self._writes.unknown
-
-    def listen(self, muxes: Collection[Mux]) -> None:
-        self._writes.listen([swapped(each, self._axis) for each in muxes])
-
-    def last(self, wanted: Mux, others: Mapping[RoutingKey, PdoMapping] = MappingProxyType({})) -> ForeignWrite | None:
-        return self._writes.last(swapped(wanted, self._axis), others)

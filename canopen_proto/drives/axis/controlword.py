@@ -87,12 +87,12 @@ def bring(axis: Axis, mux: Mux, value: int, *, urgent: bool = False) -> Procedur
     """
     node = axis.node
     node.dictionary.variable(mux).encode(value)
-    node.commanded.add(mux)
+    node.keep_commanded(mux)
     producer = node.rpdo_of(mux)
     if producer is not None and not producer.is_synchronous:
         yield from act(lambda now: put(axis, mux, value, now))
         return
-    last_sync = node.last_sync
+    last_sync = axis.remote.last_sync
     if producer is not None and last_sync is not None and (yield from current_time()) - last_sync <= SYNC_ALIVE:
         yield from act(lambda now: put(axis, mux, value, now))
         # An RPDO of transmission type n leaves at every n-th SYNC.

@@ -563,7 +563,7 @@ def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
     """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
     node = drive.axis.node
     index, subindex = split_mux(node.on_device(mux))
-    client = next((each for each in (node.sdo, *node.sdo_channels) if not each.busy), node.sdo)
+    client = next((each for each in (node.sdo, *drive.axis.remote.sdo_channels) if not each.busy), node.sdo)
     request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
     try:
         left = max(0, deadline - (yield from current_time()))

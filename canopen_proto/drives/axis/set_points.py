@@ -148,7 +148,7 @@ class AxisSetPoints:
             if SET_POINT_OF[mode] in node.dictionary:
                 self.select(mode)
         for mux in SET_POINT_OF.values():
-            node.commanded.add(mux)
+            node.keep_commanded(mux)
 
     def select(self, mode: int) -> None:
         """Make position set-points go into the object of this mode: 0x60C1:01 in ip, 0x607A in csp and pp.
@@ -167,7 +167,7 @@ class AxisSetPoints:
         else:
             self._position = RecordSetPoint(self._node.dictionary, self._store, sub_mode, period)
             for mux in sub_mode.objects:
-                self._node.commanded.add(mux)
+                self._node.keep_commanded(mux)
 
     def _image_of(self, mux: Mux) -> SetPoint:
         found = self._images.get(mux)

@@ -200,7 +200,7 @@ def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[N
     lower = _state_below(axis, state)
     if lower is not None:
         if (yield from read_int(axis.node, objects.MODES_OF_OPERATION_DISPLAY)) == mode:
-            axis.node.commanded.add(objects.MODES_OF_OPERATION)  # an RPDO that is sent later asks for this mode too
+            axis.node.keep_commanded(objects.MODES_OF_OPERATION)  # an RPDO that is sent later asks for this mode too
             yield from act(lambda now: put(axis, objects.MODES_OF_OPERATION, mode, now))
             return
         yield from halt(axis)

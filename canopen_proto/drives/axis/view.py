@@ -142,17 +142,17 @@ def _foreign_command(axis: Axis) -> ForeignCommand | None:
 
     Nothing contradicts a command that we have not sent.
     """
-    node = axis.node
+    node, foreign = axis.node, axis.remote.foreign_writes
     now = max(node.heard_at.values(), default=-NEVER)
-    others = _described(axis.remote) if node.foreign_writes.unknown else {}
+    others = _described(axis.remote) if foreign.unknown else {}
     found: list[tuple[ForeignWrite, str]] = []
-    word = node.foreign_writes.last(objects.CONTROLWORD, others)
+    word = foreign.last(node.on_device(objects.CONTROLWORD), others)
     if word is not None and axis.commanded_at is not None and word.time >= axis.commanded_at:
         if not isinstance(word.value, int):
             found.append((word, "sent it a controlword"))
         elif (word.value ^ axis.controlword) & COMPARED:
             found.append((word, f"commanded {command_text(word.value)}"))
-    selected = node.foreign_writes.last(objects.MODES_OF_OPERATION, others)
+    selected = foreign.last(node.on_device(objects.MODES_OF_OPERATION), others)
     is_later = selected is not None and axis.selected_at is not None and selected.time >= axis.selected_at
     if selected is not None and is_later and selected.value != axis.selected_mode:
         name = mode_name(selected.value) if isinstance(selected.value, int) else "a mode"
