@@ -10,9 +10,8 @@ from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
-from canopen_proto.simulation.drive.drive import Drive
+from canopen_proto.simulation.drive.drive import Drive, LateDrive
 from canopen_proto.simulation.drive.events import DriveStateChanged, InputsChanged, ModeChanged, StatuswordChanged
-from canopen_proto.simulation.drive.late_drive import LateDrive
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 
 E = TypeVar("E", bound=Event)

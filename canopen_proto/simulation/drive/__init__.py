@@ -1,13 +1,11 @@
 """A simulated CiA 402 drive: the device's side of the profile.
 
     node.py               `DriveNode`: the simulated drive on the bus
-    drive.py              `Drive`: its state machine, and what it shows
+    drive.py              `Drive`: its state machine, its modes, and what it shows; `LateDrive`, which acts late, as real ones do
     settings.py           its settings: shape, track, mechanics, delays
     events.py             the events of a simulated drive
     dictionary.py         its object dictionary, in two shapes
     answers.py            wrong, late and refused answers, for tests
-    late_drive.py         a drive that acts late, as real ones do
-    modes.py              the modes that it has, and when it takes another one
     profile_modes.py      the base of its modes of operation; its velocity modes (pv, vl)
     profile_position.py   its profile position mode
     synchronous_modes.py  its csp mode, and what all modes with a set-point at each SYNC have in common

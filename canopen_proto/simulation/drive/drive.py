@@ -19,18 +19,19 @@ Source: IEC 61800-7-201 (CiA 402-2): device control, common entries, option code
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.drives.cia402 import objects
-from canopen_proto.drives.cia402.modes import Mode, ModeStatus
+from canopen_proto.drives.cia402.modes import Mode, ModeStatus, supported
 from canopen_proto.drives.cia402.option_codes import STAYS_FROM
-from canopen_proto.drives.cia402.states import TRANSITIONS, Arc, Command, Occurrence, State, command_of
+from canopen_proto.drives.cia402.states import TRANSITIONS, Arc, Command, ControlBit, Occurrence, State, command_of
 from canopen_proto.error_codes import register_bits_of
 from canopen_proto.machine import MILLISECOND, NEVER, Machine, Outbox, Time
-from canopen_proto.multiplexer import Mux, mux
+from canopen_proto.multiplexer import Mux, mux, split_mux
 from canopen_proto.simulation.drive.dictionary import ALLOWED_VALUES
 from canopen_proto.simulation.drive.display import show_values, statusword_of
 from canopen_proto.simulation.drive.events import DriveFault, DriveFaultCleared, DriveStateChanged, ModeChanged, StatuswordChanged
@@ -38,9 +39,12 @@ from canopen_proto.simulation.drive.fallbacks import TORQUE_LIMITS
 from canopen_proto.simulation.drive.homing import Homing, has_method
 from canopen_proto.simulation.drive.inputs import Inputs
 from canopen_proto.simulation.drive.interpolated_position import POSITION_AND_VELOCITY, InterpolatedPosition
-from canopen_proto.simulation.drive.modes import changes_mode, has_mode, modes_of
+from canopen_proto.simulation.drive.profile_modes import OperationMode, ProfileVelocity, Velocity
+from canopen_proto.simulation.drive.profile_position import ProfilePosition
 from canopen_proto.simulation.drive.servo import UNLIMITED, Servo
-from canopen_proto.simulation.drive.settings import DriveSettings
+from canopen_proto.simulation.drive.settings import DriveSettings, Shape
+from canopen_proto.simulation.drive.synchronous_modes import CyclicPosition
+from canopen_proto.simulation.drive.torque_modes import CyclicTorque, CyclicVelocity, ProfileTorque
 
 STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
@@ -56,6 +60,15 @@ _IN_ORDER: Final = (5, 8)  # transitions by which a drive that stands is disable
 _ACT_AT_ONCE: Final = {*TORQUE_LIMITS, objects.DIGITAL_OUTPUTS, objects.DIGITAL_OUTPUT_MASK, objects.TOUCH_PROBE_FUNCTION}
 _SHOWS_FOLLOWING_ERROR: Final = (Mode.PROFILE_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION)
 _STAY_IN_QUICK_STOP: Final = range(STAYS_FROM, STAYS_FROM + 4)
+_LATE: Final = (objects.CONTROLWORD, objects.MODES_OF_OPERATION)
+_POWER: Final = {
+    State.READY_TO_SWITCH_ON: 1,
+    State.SWITCHED_ON: 2,
+    State.OPERATION_ENABLED: 3,
+    State.QUICK_STOP_ACTIVE: 3,
+    State.FAULT_REACTION_ACTIVE: 3,
+}
+"""How near a state is to Operation enabled; 0 for all others."""
 
 
 class Drive(Machine):
@@ -99,7 +112,7 @@ class Drive(Machine):
         self._servo = Servo(values.store, settings)
         common = (self._servo, out, node_id)
         self._homing, self._inputs = Homing(*common), Inputs(*common, axis)
-        self._modes = modes_of(*common, self._homing)
+        self._modes = _modes_of(*common, self._homing)
         self._mode = self._modes[Mode.NO_MODE]
         self._controlword = 0
         self._after_stop: Command | Occurrence | None = None  # to execute when the present ramp has ended
@@ -151,14 +164,14 @@ class Drive(Machine):
             return None
         is_mode = key == objects.MODES_OF_OPERATION
         if is_mode:
-            has_value = has_mode(self._servo, self._modes, value)
+            has_value = self._has_mode(value)
         elif key == objects.HOMING_METHOD:
             has_value = has_method(self._servo, value)
         else:
             has_value = value in ALLOWED_VALUES.get(key, (value,))
         if not has_value and value != self._servo.parameter(key):  # the value that a file gave it may be written back
             return AbortCode.INVALID_VALUE
-        if is_mode and value != self.mode and not changes_mode(self.settings, self.state, self._controlword):
+        if is_mode and value != self.mode and not self._changes_mode():
             return AbortCode.DEVICE_STATE
         if isinstance(mode := self._mode, InterpolatedPosition) and key == mode.record_end and mode.is_full:
             return AbortCode.DEVICE_STATE
@@ -405,12 +418,24 @@ class Drive(Machine):
         """Whether the mode controls the axis: operation is enabled, and not about to end."""
         return self.state is State.OPERATION_ENABLED and self._after_stop is None
 
+    def _has_mode(self, mode: int) -> bool:
+        """Return whether a mode can be selected: "no mode" always; without 6502h any; on a Schunk homing, whatever 6502h says."""
+        if mode == Mode.NO_MODE or (mode == Mode.HOMING and self.settings.shape is Shape.SCHUNK_POWERBALL):
+            return True
+        known = self.values.store.get(objects.SUPPORTED_DRIVE_MODES)
+        return mode in self._modes and (mode < 0 or not isinstance(known, int) or supported(known, mode))
+
+    def _changes_mode(self) -> bool:
+        """Return whether the drive takes another mode in its state, after its controlword."""
+        if self._controlword & ControlBit.HALT and not self.settings.changes_mode_halted:
+            return False
+        return _POWER.get(self.state, 0) <= _POWER.get(self.settings.mode_change_state, 0)
+
     def _select_mode(self) -> None:
         """Select the mode of 6060h. A mode that the drive lacks, or does not take now (an RPDO can write it), changes nothing, as
         6061h shows."""
         mode = self._servo.parameter(objects.MODES_OF_OPERATION)
-        takes_it = has_mode(self._servo, self._modes, mode) and changes_mode(self.settings, self.state, self._controlword)
-        if mode != self.mode and takes_it:
+        if mode != self.mode and self._has_mode(mode) and self._changes_mode():
             if self._acts:
                 self._mode.leave()
                 self._servo.brake(self._mode.ramp(1))
@@ -506,3 +531,70 @@ class Drive(Machine):
             wake, end = min(servo.time + step, due), servo.demand.end
             awaits_end = self._after_stop is not None or self._mode.awaits_end
             self._arm(end if awaits_end and servo.time < end < wake else wake)
+
+
+def _modes_of(servo: Servo, out: Outbox, node_id: int, homing: Homing) -> dict[int, OperationMode]:
+    """Return the modes that a drive can be in, by number; which of them it has, 6502h says."""
+    common = (servo, out, node_id)
+    return {
+        Mode.NO_MODE: OperationMode(*common),
+        Mode.PROFILE_POSITION: ProfilePosition(*common),
+        Mode.VELOCITY: Velocity(*common),
+        Mode.PROFILE_VELOCITY: ProfileVelocity(*common),
+        Mode.TORQUE: ProfileTorque(*common),
+        Mode.HOMING: homing,
+        Mode.INTERPOLATED_POSITION: InterpolatedPosition(*common),
+        Mode.CYCLIC_SYNCHRONOUS_POSITION: CyclicPosition(*common),
+        Mode.CYCLIC_SYNCHRONOUS_VELOCITY: CyclicVelocity(*common),
+        Mode.CYCLIC_SYNCHRONOUS_TORQUE: CyclicTorque(*common),
+        **{mode: OperationMode(*common) for mode in servo.settings.own_modes},
+    }
+
+
+class LateDrive(Drive):
+    """A simulated drive that obeys its commands late, as real ones do.
+
+    Controlwords and modes (6060h) take effect `DriveSettings.reaction` after they came, in the order in which they came; all else
+    is as in `Drive`. Until then statusword and mode display show the old values: a master that looks too early sees the past.
+    """
+
+    __slots__ = ("_late", "_obeys")
+
+    def __init__(self, out: Outbox, node_id: int, values: Values, settings: DriveSettings, axis: int = 0) -> None:
+        super().__init__(out, node_id, values, settings, axis)
+        self._late: deque[tuple[Time, Mux, int]] = deque()  # when it takes effect, key, value
+        self._obeys = False
+
+    def reset(self, now: Time) -> None:
+        self._late.clear()
+        super().reset(now)
+
+    def written(self, index: int, subindex: int, now: Time) -> None:
+        key = mux(index, subindex)
+        if key not in _LATE:
+            super().written(index, subindex, now)
+            return
+        value = self._servo.parameter(key)
+        last = next((late[2] for late in reversed(self._late) if late[1] == key), None)
+        if value != last:  # else the same value again, as in each cycle
+            self._late.append((now + self.settings.reaction, key, value))
+            self._schedule()
+
+    def _advance(self, now: Time) -> None:
+        while not self._obeys and self._late and self._late[0][0] <= now:
+            self._obey(*self._late.popleft())
+        super()._advance(now)
+
+    def _obey(self, time: Time, key: Mux, value: int) -> None:
+        store = self.values.store
+        newest, store[key] = store[key], value
+        self._obeys = True  # one after the other, also those of one PDO
+        index, subindex = split_mux(key)
+        super().written(index, subindex, time)
+        self._obeys = False
+        store[key] = newest
+
+    def _schedule(self, step: Time = STEP) -> None:
+        super()._schedule(step)
+        if self._late:
+            self._arm(min(self.deadline, self._late[0][0]))

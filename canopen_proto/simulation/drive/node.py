@@ -27,10 +27,9 @@ from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending
 from canopen_proto.simulation.drive.answers import Answer, AnswerDue, DelayedAnswers
 from canopen_proto.simulation.drive.axes import Axes, AxisValues
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
-from canopen_proto.simulation.drive.drive import Drive
+from canopen_proto.simulation.drive.drive import Drive, LateDrive
 from canopen_proto.simulation.drive.events import DriveFault, DriveFaultCleared, InputsChanged, ModeChanged, StatuswordChanged
 from canopen_proto.simulation.drive.fallbacks import UNSET_BY_ZERO
-from canopen_proto.simulation.drive.late_drive import LateDrive
 from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE, DriveSettings, Shape
 
 
