@@ -1,4 +1,4 @@
-"""The simulated drive's modes that take a set-point at each SYNC: their common part, and cyclic synchronous position (csp).
+"""The simulated drive's modes that take a set-point at each SYNC: their common parts, and cyclic synchronous position (csp).
 
 Interpolated position (ip) is in interpolated_position.py.
 
@@ -52,7 +52,7 @@ class SyncOverdue(Event):
 
 
 class SynchronousMode(OperationMode):
-    """The common part of ip and csp: whether the mode follows, and when it stops following."""
+    """The common part of ip, csp, csv and cst: whether the mode follows, and when it stops following."""
 
     __slots__ = ("_follows", "_sync_timeout", "_warning")
 
@@ -90,7 +90,46 @@ class SynchronousMode(OperationMode):
             self.servo.brake(self.servo.ramp(2))
 
 
-class CyclicPosition(SynchronousMode):
+class CyclicMode(SynchronousMode):
+    """The common part of csp, csv and cst: each follows from its begin on, and takes the present set-point at each SYNC."""
+
+    __slots__ = ()
+
+    def enter(self) -> None:
+        super().enter()
+        self._follows = True
+
+    def control(self, controlword: int, previous: int) -> None:
+        self.controlword = controlword
+        if controlword & ~previous & ControlBit.HALT:
+            self.due = NEVER
+            self._halt()
+
+    def on_sync(self) -> None:
+        if self.is_halted:
+            return
+        if not self._follows:
+            if not (self.servo.is_settled and self._would_stay()):
+                return
+            self._begin_following()
+        self._await_sync()
+        self._command()
+
+    def _would_stay(self) -> bool:
+        """Return whether the present set-point moves nothing: a mode that has stopped following goes on from there."""
+        raise NotImplementedError
+
+    def _command(self) -> None:
+        """Act on the present set-point."""
+        raise NotImplementedError
+
+    @property
+    def status(self) -> int:
+        follows = self._follows and not self.is_halted
+        return follows * ModeStatus.FOLLOWS_COMMAND | self._warning * StatusBit.WARNING
+
+
+class CyclicPosition(CyclicMode):
     """Cyclic synchronous position mode (csp)."""
 
     __slots__ = ("_is_new",)
@@ -99,29 +138,21 @@ class CyclicPosition(SynchronousMode):
 
     def enter(self) -> None:
         super().enter()
-        self._follows = True
         self._is_new = True  # 607Ah was written since the last SYNC
-
-    def control(self, controlword: int, previous: int) -> None:
-        self.controlword = controlword
-        if controlword & ~previous & ControlBit.HALT:
-            self.due = NEVER
-            self._halt()
 
     def written(self, key: Mux) -> None:
         self._is_new = True
 
-    def on_sync(self) -> None:
-        if self.is_halted:
-            return
+    def _target(self) -> float:
         servo = self.servo
         wanted = servo.parameter(objects.TARGET_POSITION) + servo.parameter(objects.POSITION_OFFSET)
-        target = place_of(servo, wanted, RotaryDirection.SHORTEST)
-        if not self._follows:
-            if not (servo.is_settled and self._is_near(target)):
-                return
-            self._begin_following()
-        self._await_sync()
+        return place_of(servo, wanted, RotaryDirection.SHORTEST)
+
+    def _would_stay(self) -> bool:
+        return self._is_near(self._target())
+
+    def _command(self) -> None:
+        servo, target = self.servo, self._target()
         if self._is_new or (not servo.moving_at and self._is_near(target)):
             servo.interpolate(target)
             servo.feed_forward(velocity=True)
@@ -135,8 +166,3 @@ class CyclicPosition(SynchronousMode):
         window = self.servo.parameter(objects.POSITION_WINDOW)
         nearness = 0 if window == UNLIMITED else window
         return abs(max(low, min(high, target)) - self.servo.demand_position) < nearness + 0.5  # positions are shown rounded
-
-    @property
-    def status(self) -> int:
-        follows = self._follows and not self.is_halted
-        return follows * ModeStatus.FOLLOWS_COMMAND | self._warning * StatusBit.WARNING

@@ -20,13 +20,12 @@ Source: IEC 61800-7-201 (CiA 402-2): profile torque, cyclic synchronous velocity
 from __future__ import annotations
 
 from canopen_proto.drives.cia402 import objects
-from canopen_proto.drives.cia402.modes import ModeStatus
 from canopen_proto.drives.cia402.states import ControlBit, StatusBit
-from canopen_proto.machine import NEVER, SECOND
+from canopen_proto.machine import SECOND
 from canopen_proto.multiplexer import Mux
 from canopen_proto.simulation.drive.plant import Control
 from canopen_proto.simulation.drive.profile_modes import OperationMode
-from canopen_proto.simulation.drive.synchronous_modes import SynchronousMode
+from canopen_proto.simulation.drive.synchronous_modes import CyclicMode
 
 _WINDOW = 1
 """Per mille of the rated torque between torque and target that count as reached."""
@@ -82,48 +81,22 @@ class ProfileTorque(OperationMode):
         return (abs(servo.torques[1] - servo.parameter(objects.TARGET_TORQUE)) <= _WINDOW) * StatusBit.TARGET_REACHED
 
 
-class _CyclicMode(SynchronousMode):
-    """The common part of csv and cst."""
+class _SpeedOrTorque(CyclicMode):
+    """The common part of csv and cst: a set-point of 0 moves nothing."""
 
     __slots__ = ()
-
-    def enter(self) -> None:
-        super().enter()
-        self._follows = True
-
-    def control(self, controlword: int, previous: int) -> None:
-        self.controlword = controlword
-        if controlword & ~previous & ControlBit.HALT:
-            self.due = NEVER
-            self._halt()
-
-    def on_sync(self) -> None:
-        if self.is_halted:
-            return
-        target = self._target()
-        if not self._follows:
-            if target or not self.servo.is_settled:
-                return
-            self._begin_following()
-        self._await_sync()
-        self._command(target)
 
     def stopped_by_switch(self) -> None:
         """Go on following: each SYNC is looked at again, and one that leads away from the switch is obeyed."""
 
+    def _would_stay(self) -> bool:
+        return not self._target()
+
     def _target(self) -> int:
         raise NotImplementedError
 
-    def _command(self, target: int) -> None:
-        raise NotImplementedError
 
-    @property
-    def status(self) -> int:
-        follows = self._follows and not self.is_halted
-        return follows * ModeStatus.FOLLOWS_COMMAND | self._warning * StatusBit.WARNING
-
-
-class CyclicVelocity(_CyclicMode):
+class CyclicVelocity(_SpeedOrTorque):
     """Cyclic synchronous velocity mode (csv)."""
 
     __slots__ = ()
@@ -131,9 +104,9 @@ class CyclicVelocity(_CyclicMode):
     def _target(self) -> int:
         return self.servo.parameter(objects.TARGET_VELOCITY)
 
-    def _command(self, target: int) -> None:
+    def _command(self) -> None:
         servo = self.servo
-        wanted = float(target + servo.parameter(objects.VELOCITY_OFFSET))
+        wanted = float(self._target() + servo.parameter(objects.VELOCITY_OFFSET))
         rates = servo.rate(objects.MAX_ACCELERATION), servo.rate(objects.MAX_DECELERATION)
         servo.run(wanted, *rates, control=Control.VELOCITY)
         servo.feed_forward()
@@ -141,7 +114,7 @@ class CyclicVelocity(_CyclicMode):
         servo.internal_limit = abs(next_velocity - wanted) >= 1.0
 
 
-class CyclicTorque(_CyclicMode):
+class CyclicTorque(_SpeedOrTorque):
     """Cyclic synchronous torque mode (cst)."""
 
     __slots__ = ()
@@ -152,8 +125,8 @@ class CyclicTorque(_CyclicMode):
     def _target(self) -> int:
         return self.servo.parameter(objects.TARGET_TORQUE)
 
-    def _command(self, target: int) -> None:
+    def _command(self) -> None:
         servo = self.servo
         servo.internal_limit = False
-        servo.push(target)
+        servo.push(self._target())
         servo.feed_forward()
