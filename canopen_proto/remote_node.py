@@ -375,7 +375,7 @@ class RemoteNode(Group):
         return producer.send(now)
 
     def keep_commanded(self, mux: Mux) -> None:
-        """Count an object as commanded by us from now on: it goes into `commanded`."""
+        """Count an object as commanded by us from now on: it goes into `commanded`. mux: the object's number for the caller."""
         self.commanded.add(mux)
 
     def may_hold(self, mux: Mux) -> set[Value | None]:

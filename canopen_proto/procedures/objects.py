@@ -69,7 +69,8 @@ def read_int(node: ObjectAccess, key: Key) -> Procedure[int]:
 
 
 def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
-    """Read an object; return None if the dictionary or the device does not have it. Raises SdoTransferError for any other abort."""
+    """Read an object; return None if the dictionary or the device does not have it. Raises SdoTransferError for any other
+    abort."""
     try:
         variable = node.dictionary.variable(key)
     except ObjectNotFoundError:
