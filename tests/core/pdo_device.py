@@ -6,7 +6,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Values, Variable
 from canopen_proto.machine import Outbox
-from canopen_proto.pdo import DevicePdos
+from canopen_proto.pdo.parameters import DevicePdos
 
 U8, U16, U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
 NODE_ID = 12

@@ -12,7 +12,9 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, FrameIgnored, LocalProtocolError
-from canopen_proto.pdo import MpdoMode, MpdoNotProcessed, MpdoReceived, PdoLengthUnexpected, PdoNotSent
+from canopen_proto.pdo.consumer import PdoLengthUnexpected
+from canopen_proto.pdo.multiplexed import MpdoMode, MpdoNotProcessed, MpdoReceived
+from canopen_proto.pdo.producer import PdoNotSent
 from tests.core.device_bench import PRE_OPERATIONAL, RESET_COMMUNICATION, START, SYNC, DeviceBench
 from tests.core.devices import INPUT, LIMITED, OUTPUT, io_device
 

@@ -11,12 +11,9 @@ from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary import Direction, ObjectDictionary, Values
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, Machine, Outbox
-from canopen_proto.pdo import (
-    DevicePdos,
-    PdoConsumer,
-    PdoProducer,
-    PdoReceived,
-)
+from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
+from canopen_proto.pdo.parameters import DevicePdos
+from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import communication_index
 from tests.core.pdo_device import NODE_ID, OFF, Device, communication, dictionary, mapping
 

@@ -9,7 +9,9 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import KEY_EXTENDED, KEY_REMOTE, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MICROSECOND, MILLISECOND, Machine, Outbox, Time
-from canopen_proto.pdo import MappedEntry, Mapping, PdoConsumer, PdoNotSent, PdoProducer, PdoReceived, PdoTooLate
+from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived, PdoTooLate
+from canopen_proto.pdo.mapping import MappedEntry, Mapping
+from canopen_proto.pdo.producer import PdoNotSent, PdoProducer
 from tests.core.bus import take_events, take_frames
 from tests.core.device_bench import PRE_OPERATIONAL, START, SYNC, DeviceBench
 from tests.core.devices import INPUT, OUTPUT, Pair, io_device

@@ -7,8 +7,8 @@ import pytest
 from canopen_proto.datatypes import DataType, ValueRangeError
 from canopen_proto.dictionary import Direction, Filler, PdoDescription, Variable
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
-from canopen_proto.pdo import MappedEntry, MappingError, PdoSettings
-from canopen_proto.pdo.settings import communication_index, mapping_index, place_of
+from canopen_proto.pdo.mapping import MappedEntry, MappingError
+from canopen_proto.pdo.settings import PdoSettings, communication_index, mapping_index, place_of
 from tests.core.pdo_device import U16, Device
 
 RPDO, TPDO = Direction.RPDO, Direction.TPDO

@@ -12,7 +12,8 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND, FrameIgnored, LocalProtocolError
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster
-from canopen_proto.pdo import MpdoReceived, PdoLengthUnexpected
+from canopen_proto.pdo.consumer import PdoLengthUnexpected
+from canopen_proto.pdo.multiplexed import MpdoReceived
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted, SdoDownloaded, SdoUploaded
 from tests.core.bus import Bus

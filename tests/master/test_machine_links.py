@@ -21,8 +21,8 @@ from canopen_proto.dictionary.concise import pack_concise
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.manager.linking import MASTER, End, Link, LinkPlan, Timing
 from canopen_proto.network import Network
-from canopen_proto.pdo import PdoReceived
 from canopen_proto.pdo.configure import exchange_device_pdos
+from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
