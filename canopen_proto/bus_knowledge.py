@@ -27,6 +27,7 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from canopen_proto.frame import (
+    ALL_NODE_IDS,
     EMCY,
     ERROR_CONTROL,
     MAX_NODE_ID,
@@ -161,7 +162,7 @@ class BusKnowledge:
 
     def nodes(self) -> tuple[int, ...]:
         """Return the node-IDs that showed a sign of life (PDOs do not count), in order."""
-        return tuple(node_id for node_id in range(1, MAX_NODE_ID + 1) if self.heard(node_id).time is not None)
+        return tuple(node_id for node_id in ALL_NODE_IDS if self.heard(node_id).time is not None)
 
     def heard(self, node_id: int) -> NodeHeard:
         """Return all that was heard of a node. Raises LocalProtocolError for a node-ID outside 1..127."""

@@ -33,6 +33,10 @@ RESTRICTED_CAN_IDS: Final = (
 )
 """CAN-IDs that no configurable communication object may take (CiA 301 v4.2.0, 7.3.5, table 40)."""
 
+PRODUCES: Final = 1 << 30
+"""COB-ID SYNC and TIME: the device produces it. CiA 301 v4.2.0, 7.5.2.5 and 7.5.2.15."""
+CONSUMES: Final = 1 << 31
+"""COB-ID TIME: the device consumes it. CiA 301 v4.2.0, 7.5.2.15."""
 CAN_ID_AND_FRAME: Final = 0x3FFF_FFFF
 """Bits 0 to 29 of a COB-ID, which may change only while it is not in use."""
 

@@ -36,7 +36,7 @@ from typing import Final
 
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
-from canopen_proto.cob_id import CAN_ID_AND_FRAME, check_can_id, check_cob_id, is_valid
+from canopen_proto.cob_id import CAN_ID_AND_FRAME, CONSUMES, PRODUCES, check_can_id, check_cob_id, is_valid
 from canopen_proto.datatypes import Value, range_of
 from canopen_proto.dictionary import Values
 from canopen_proto.emcy import MAX_HISTORY, EmcyConsumer, EmcyProducer
@@ -55,10 +55,7 @@ from canopen_proto.time_stamp import TimeConsumer, TimeProducer
 MIN_SYNC_PERIOD_US: Final = 100
 """The shortest communication cycle period that a client may set: two empty frames at 1 Mbit/s. A shorter one floods the bus."""
 
-SYNC_PRODUCER_BIT: Final = 1 << 30
-TIME_PRODUCER_BIT: Final = 1 << 30
-TIME_CONSUMER_BIT: Final = 1 << 31
-_TIME_BITS: Final = TIME_PRODUCER_BIT | TIME_CONSUMER_BIT
+_TIME_BITS: Final = PRODUCES | CONSUMES
 
 ERROR_REGISTER: Final = mux(indices.ERROR_REGISTER)
 ERROR_HISTORY: Final = mux(indices.PREDEFINED_ERROR_FIELD)
@@ -188,7 +185,7 @@ class CommunicationObjects(Owner):
     @property
     def may_send_time(self) -> bool:
         """Whether the device is a TIME producer (0x1012), and its NMT state allows TIME."""
-        return bool(self._cob_id(COB_ID_TIME, 0) & TIME_PRODUCER_BIT) and self._lives(Service.TIME)
+        return bool(self._cob_id(COB_ID_TIME, 0) & PRODUCES) and self._lives(Service.TIME)
 
     def _lives(self, service: Service) -> bool:
         return service in SERVICES[self._state]
@@ -227,7 +224,7 @@ class CommunicationObjects(Owner):
             return None
         match index:
             case indices.COB_ID_SYNC:
-                return check_cob_id(value, standing, in_use=bool(standing & value & SYNC_PRODUCER_BIT))
+                return check_cob_id(value, standing, in_use=bool(standing & value & PRODUCES))
             case indices.COMMUNICATION_CYCLE_PERIOD if value and value < MIN_SYNC_PERIOD_US:
                 return AbortCode.INVALID_VALUE
             case indices.COB_ID_TIME_STAMP:
@@ -322,7 +319,7 @@ class CommunicationObjects(Owner):
         cob_id, overflow = self._cob_id(COB_ID_SYNC, SYNC), self._int(SYNC_OVERFLOW)
         if not _is_overflow(overflow):
             overflow = 0  # a faulty file may have a value that no client could write
-        produces = self._lives(Service.SYNC) and bool(cob_id & SYNC_PRODUCER_BIT)
+        produces = self._lives(Service.SYNC) and bool(cob_id & PRODUCES)
         period = self._int(CYCLE_PERIOD) if produces else 0
         if period:
             period = max(period, MIN_SYNC_PERIOD_US) * MICROSECOND
@@ -339,7 +336,7 @@ class CommunicationObjects(Owner):
         cob_id = self._cob_id(COB_ID_TIME, 0)
         key = key_of_cob_id(cob_id)
         self.time_producer.key = key
-        self.time_consumer.set_key(key if cob_id & TIME_CONSUMER_BIT and self._lives(Service.TIME) else None)
+        self.time_consumer.set_key(key if cob_id & CONSUMES and self._lives(Service.TIME) else None)
 
 
 def _is_overflow(value: int) -> bool:

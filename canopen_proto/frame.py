@@ -55,6 +55,7 @@ SDO_CLIENT_TO_SERVER: Final = 0x600
 ERROR_CONTROL: Final = 0x700
 
 MAX_NODE_ID: Final = 127
+ALL_NODE_IDS: Final = range(1, MAX_NODE_ID + 1)
 UNCONFIGURED: Final = 0xFF
 """The node-ID of a device that has none."""
 

@@ -62,7 +62,7 @@ from canopen_proto.machine import LocalProtocolError, Machine, Outbox, Time, che
 from canopen_proto.multiplexer import mux
 from canopen_proto.nmt import SERVICES, NmtCommand, NmtResetRequested, NmtSlave, NmtState, NmtStateChanged, Service
 from canopen_proto.owner import Owner
-from canopen_proto.parameter_storage import SIGNATURES, ParameterStorage
+from canopen_proto.parameter_storage import ALL_INDICES, SIGNATURES, ParameterStorage
 from canopen_proto.pdo.consumer import (
     EMCY_PDO_LENGTH_EXCEEDED,
     EMCY_PDO_NOT_PROCESSED,
@@ -78,8 +78,6 @@ from canopen_proto.sdo.client import SdoClient
 from canopen_proto.sdo.server import PENDING, ObjectAccessPending, ObjectWritten, Pending, SdoServerAborted
 from canopen_proto.sdo.store import ValuesStore
 from canopen_proto.sync import SyncLengthUnexpected, SyncReceived, SyncSent
-
-ALL_OBJECTS: Final = range(0x10000)
 
 COMMUNICATION_ERROR: Final = 1
 """Subindex of 0x1029 for CAN off the bus, a lost heartbeat and life guarding. The device profile defines the next ones: CiA 401
@@ -414,7 +412,7 @@ class LocalNode(Group):
             self._take_node_id(self.lss.active.node_id)
         if request.command is NmtCommand.RESET_NODE:
             self.values.reset()
-            self.storage.put_back(ALL_OBJECTS)
+            self.storage.put_back(ALL_INDICES)
             emcy.reset()
             self.application.reset(now)
         else:

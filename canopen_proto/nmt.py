@@ -94,7 +94,8 @@ TRANSITIONS: Final[Mapping[tuple[NmtState, NmtCommand], NmtState]] = MappingProx
 node in it is not on the bus, and leaves it by itself. CiA 301 v4.2.0, 7.3.2.1"""
 
 _STATE_BY_NUMBER: Final = {int(state): state for state in NmtState}
-_COMMAND_BY_NUMBER: Final = {int(command): command for command in NmtCommand}
+COMMAND_OF_BYTE: Final = {int(command): command for command in NmtCommand}
+"""The first byte of an NMT frame -> its command."""
 
 STATE_OF_BYTE: Final = tuple(_STATE_BY_NUMBER.get(byte & 0x7F) for byte in range(256))
 """The byte of a heartbeat or guarding answer -> its state, whatever its toggle bit (bit 7); None if there is no such state."""
@@ -237,7 +238,7 @@ class NmtSlave(Machine):
             return
         if data[1] != self.node_id and data[1] != ALL_NODES:
             return
-        command = _COMMAND_BY_NUMBER.get(data[0])
+        command = COMMAND_OF_BYTE.get(data[0])
         if command is None:
             self.out.events.append(FrameIgnored(self.node_id, frame, f"0x{data[0]:02X} is not an NMT command"))
             return

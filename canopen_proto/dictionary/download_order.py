@@ -31,15 +31,12 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
 from canopen_proto import indices
+from canopen_proto.cob_id import CONSUMES, PRODUCES
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.multiplexer import Mux, mux, split_mux
 
-PRODUCES: Final = 1 << 30
-"""COB-ID SYNC and TIME: the device produces it. CiA 301 v4.2.0, 7.5.2.5 and 7.5.2.15."""
-CONSUMES: Final = 1 << 31
-"""COB-ID TIME: the device consumes it. CiA 301 v4.2.0, 7.5.2.15."""
 NO_DOWNLOAD: Final = 1
 """ObjFlags, bit 0: a download must not write the object. CiA 306-1."""
 

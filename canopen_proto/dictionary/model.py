@@ -25,6 +25,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final, NoReturn
 
+from canopen_proto import indices
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import DataType, Value, is_signed
 from canopen_proto.dictionary.objects import Access as Access
@@ -372,7 +373,7 @@ class _NameIndex:
         whole: dict[str, Variable] = {}
         for each in objects:
             alone = len(each.variables) == 1 and each.object_type not in _WITH_FIELDS
-            is_further = each.index in FURTHER_DEVICES
+            is_further = each.index in indices.FURTHER_DEVICES
             for variable in each.variables.values():
                 for name in variable.names:
                     if is_further:  # a name that the first logical device has too means that one
@@ -396,8 +397,6 @@ class _NameIndex:
         return next(name for name in self.exact if name.endswith(f":{field}"))
 
 
-FURTHER_DEVICES: Final = range(0x6800, 0xA000)
-"""The objects of the second to eighth logical device of a node: axes, if it is a drive. CiA 301 v4.2.0, 7.4.1 (from memory)."""
 _WITH_FIELDS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 
 

@@ -35,7 +35,6 @@ DRIVE_PROFILE: Final = 402
 _PROFILE_MASK: Final = 0xFFFF
 _ERROR_STATE: Final = (indices.ERROR_REGISTER, indices.MANUFACTURER_STATUS_REGISTER, indices.PREDEFINED_ERROR_FIELD)
 """Error register, manufacturer status register and history: process data even if no PDO may carry them."""
-_PER_AXIS: Final = 0x800
 
 SET_POINTS: Final[Mapping[int, Collection[int]]] = {
     0x6042: range(1),  # vl target velocity
@@ -129,7 +128,7 @@ def carried_in(values: Mapping[Mux, Value]) -> frozenset[Mux]:
 
 def _is_output(index: int, subindex: int, profile: int | None) -> bool:
     if profile in (DRIVE_PROFILE, None) and index in indices.PROFILE_AREA:
-        first_axis = indices.PROFILE_AREA.start + (index - indices.PROFILE_AREA.start) % _PER_AXIS
+        first_axis = indices.PROFILE_AREA.start + (index - indices.PROFILE_AREA.start) % indices.AXIS_STEP
         if subindex in SET_POINTS.get(first_axis, ()):
             return True
     return profile in (IO_PROFILE, None) and any(index in each for each in _OUTPUTS)

@@ -280,8 +280,6 @@ _TYPES: Final[dict[str, DataType]] = {
 _ROW: Final = re.compile(
     r"(\w{4})(?:-(\w{4}))? +(\w\w)(?:-(\w\w))? +(\w+) +(\w+)(\+?) +([\w{}:|]+)(?: = (-?\w+)( \+ node)?)?", re.ASCII
 )
-_AXIS_SPACING: Final = 0x800
-_FURTHER_AXES: Final = range(0x6800, 0xA000)
 _RECORDS: Final = (range(0x1018, 0x1019), indices.RPDO_MAPPINGS, indices.TPDO_MAPPINGS)
 """Objects whose fields are all of one type and which are records all the same."""
 
@@ -345,9 +343,9 @@ def find_standard(index: int, subindex: int = 0) -> Variable | None:
 
 @lru_cache(maxsize=4096)  # whoever builds many devices asks for the same objects again and again
 def _find_standard(index: int, subindex: int) -> Variable | None:
-    if index in _FURTHER_AXES:
+    if index in indices.FURTHER_DEVICES:
         base = STANDARD.get((_home(index), subindex))
-        axis = (index - 0x6000) // _AXIS_SPACING + 1
+        axis = (index - 0x6000) // indices.AXIS_STEP + 1
         if base is None:
             return None
         name, *aliases = (f"axis{axis}_{each}" for each in base.names)
@@ -409,4 +407,4 @@ def _with_default(variable: Variable, chosen: Mapping[int, Value]) -> Variable:
 
 def _home(index: int) -> int:
     """Return the index of the same object in the first axis."""
-    return 0x6000 + (index - 0x6000) % _AXIS_SPACING if index in _FURTHER_AXES else index
+    return 0x6000 + (index - 0x6000) % indices.AXIS_STEP if index in indices.FURTHER_DEVICES else index

@@ -26,7 +26,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingKey, routing_key
+from canopen_proto.frame import ALL_NODE_IDS, ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.lss.master import WINDOW, LssMaster, LssReply
 from canopen_proto.lss.messages import CONFIRM, FIELD_NAMES, UNCONFIGURED, LssAddress, LssService, LssState, number_of
@@ -126,7 +126,7 @@ class _BootUps(Machine):
     __slots__ = ()
 
     def can_ids(self) -> Iterator[RoutingKey]:
-        return (routing_key(ERROR_CONTROL + node_id) for node_id in range(1, MAX_NODE_ID + 1))
+        return (routing_key(ERROR_CONTROL + node_id) for node_id in ALL_NODE_IDS)
 
     def receive(self, frame: Frame, now: Time) -> None:
         if frame.data == b"\0":

@@ -22,14 +22,12 @@ from typing import Final
 from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.datatypes import DataType, text_for_people
-from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, Frame, RoutingKey, routing_key
+from canopen_proto.frame import ALL_NODE_IDS, ERROR_CONTROL, Frame, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.machine import MILLISECOND, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.nmt import SERVICES, STATE_OF_BYTE, NmtState, Service
 from canopen_proto.procedures.steps import Procedure, SdoTransferError, act, all_of, sleep, upload
 from canopen_proto.sdo.client import SdoClient
-
-ALL_NODE_IDS: Final = range(1, MAX_NODE_ID + 1)
 
 LISTEN: Final = 1500 * MILLISECOND
 """Longer than the usual heartbeat time of 1 s."""
@@ -113,7 +111,7 @@ class _Ears(Machine):
         self.heard: dict[int, NmtState] = {}
 
     def can_ids(self) -> Iterable[RoutingKey]:
-        return (routing_key(ERROR_CONTROL + node_id) for node_id in range(1, MAX_NODE_ID + 1))
+        return (routing_key(ERROR_CONTROL + node_id) for node_id in ALL_NODE_IDS)
 
     def receive(self, frame: Frame, now: Time) -> None:
         state = STATE_OF_BYTE[frame.data[0]] if len(frame.data) == 1 else None

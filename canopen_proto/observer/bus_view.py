@@ -31,7 +31,7 @@ from canopen_proto.frame import (
 )
 from canopen_proto.frame_bits import frame_bits
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.nmt import COMMAND_OF_BYTE, STATE_OF_BYTE, NmtState, target_of
 from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import Observation
 
@@ -49,13 +49,6 @@ _SLOTS: Final = 10
 _SLOT: Final = SECOND // _SLOTS
 _BY_THE_NODE: Final = frozenset((EMCY, TPDO1, TPDO2, TPDO3, TPDO4, SDO_SERVER_TO_CLIENT, ERROR_CONTROL))
 _ABORT: Final = 0x80
-_AFTER: Final[dict[int, NmtState]] = {
-    NmtCommand.START: NmtState.OPERATIONAL,
-    NmtCommand.STOP: NmtState.STOPPED,
-    NmtCommand.ENTER_PRE_OPERATIONAL: NmtState.PRE_OPERATIONAL,
-    NmtCommand.RESET_NODE: NmtState.INITIALISING,
-    NmtCommand.RESET_COMMUNICATION: NmtState.INITIALISING,
-}
 
 
 class Intervals(NamedTuple):
@@ -226,9 +219,10 @@ class BusView:
     def _command(self, data: bytes, now: Time) -> None:
         if len(data) != 2:
             return
-        state, node_id = _AFTER.get(data[0]), data[1]
-        if state is None or node_id > MAX_NODE_ID:
+        command, node_id = COMMAND_OF_BYTE.get(data[0]), data[1]
+        if command is None or node_id > MAX_NODE_ID:
             return
+        state = target_of(command)
         for node in self._nodes.values():
             if node_id in (0, node.node_id):
                 node.state, node.is_said, node.state_at = state, False, now
@@ -282,8 +276,9 @@ class _NodeView:
             self._register = 0
             self.state = NmtState.PRE_OPERATIONAL  # it enters this state by itself (CiA 301 v4.2.0, 7.3.2.2.1)
             return
-        if state in _STATES:  # no conditional expression: in the compiled core it would make an int of both
-            self.state = NmtState(state)
+        known = STATE_OF_BYTE[state]
+        if known is not None:  # no conditional expression: in the compiled core it would make an int of both
+            self.state = known
         else:
             self.state = state
         self.heartbeat.beat(now)
@@ -329,7 +324,6 @@ class _NodeView:
         )
 
 
-_STATES: Final = frozenset(int(state) for state in NmtState)
 _ABORT_BYTE: Final = bytes((_ABORT,))
 
 

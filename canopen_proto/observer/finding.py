@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from canopen_proto.machine import MICROSECOND, MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
 
-INHIBIT_UNIT: Final = 100 * MICROSECOND
-"""The unit of inhibit times: of PDOs, and of emergencies (0x1015)."""
 QUIET: Final = 1 * SECOND
 """Another sign within this time behind the last one is of the same gap."""
 
@@ -67,3 +65,8 @@ class Gaps:
 def ms_text(time: Time) -> str:
     """Return a duration for people: "9.5 ms"."""
     return f"{round(time / MILLISECOND, 1):g} ms"
+
+
+def duration_text(time: Time) -> str:
+    """Return a duration for people, with three digits: "1.25 s", "9.54 ms"."""
+    return f"{time / SECOND:.3g} s" if time >= SECOND else f"{time / MILLISECOND:.3g} ms"

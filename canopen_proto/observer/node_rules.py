@@ -22,7 +22,7 @@ from typing import Final
 
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
-from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.nmt import COMMAND_OF_BYTE, STATE_OF_BYTE, NmtCommand, NmtState
 from canopen_proto.observer.finding import QUIET, BusFinding, Gaps, ms_text
 from canopen_proto.observer.words import nmt_command_text
 
@@ -43,8 +43,6 @@ _AFTER: Final[dict[int, int]] = {
 }
 """The state behind a command; behind a reset it is not known until the node says it."""
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
-_COMMANDS: Final = frozenset(int(command) for command in NmtCommand)
-_STATES: Final = frozenset(int(state) for state in NmtState)
 _TURNS: Final = 5
 """Changes of a state without a reason that only two nodes can make: A, B, A, B, A, B."""
 _PAIRS: Final = 11
@@ -148,7 +146,7 @@ class NodeRules:
 
     def command(self, command: int, node_id: int, now: Time) -> list[BusFinding]:
         """Take note of an NMT command. node_id: 0 for all nodes."""
-        if command not in _COMMANDS:
+        if command not in COMMAND_OF_BYTE:
             return [BusFinding("nmt", 0, f"an NMT command 0x{command:02X} for node {node_id}: there is no such command")]
         if node_id > MAX_NODE_ID:
             name = nmt_command_text(command)
@@ -192,7 +190,7 @@ class NodeRules:
         suspect, view.suspect = view.suspect, None
         if suspect is not None and state == view.state and now - view.suspected > LATE:
             found.append(suspect)
-        if state not in _STATES:
+        if STATE_OF_BYTE[state] is None:
             found.append(BusFinding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
         interval, before, period = now - view.last, view.interval, view.period
         if abs(interval + before - period) * 8 <= period and abs(interval - before) * 5 > period > 0:

@@ -23,6 +23,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.frame import (
+    ALL_NODE_IDS,
     EMCY,
     ERROR_CONTROL,
     KEY_EXTENDED,
@@ -134,7 +135,7 @@ class Observer:
         load_limit: float = LOAD_LIMIT,
         drives: Iterable[int] = (),
     ) -> None:
-        self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in range(1, MAX_NODE_ID + 1)}
+        self._dictionaries = {node_id: dictionary_of(node_id) or _EMPTY for node_id in ALL_NODE_IDS}
         self._parameters = ObservedParameters(self._dictionaries)
         self._pdos = ObservedPdos(self._parameters)
         self._cob_ids: dict[int, tuple[tuple[RoutingKey, CobIdService, int], ...]] = {}  # by node-ID

@@ -20,9 +20,10 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from canopen_proto import indices
-from canopen_proto.cob_id import is_valid
+from canopen_proto.cob_id import CAN_ID_AND_FRAME, is_valid
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import (
+    ALL_NODE_IDS,
     COB_ID_INVALID,
     MAX_NODE_ID,
     SDO_CLIENT_TO_SERVER,
@@ -48,8 +49,6 @@ MAX_RECORDED: Final = 4096
 _MAX_BYTES: Final = 4
 _COMMUNICATION: Final = (1, 2)
 """Subindices of 0x1010 and 0x1011: all parameters, and those of communication."""
-COB_ID_BITS: Final = 0x3FFF_FFFF
-"""Bits 30 and 31 say for SYNC and TIME whether the device produces or consumes them."""
 _FIRST_CHANNELS: Final = range(SDO_SERVER_TO_CLIENT, SDO_CLIENT_TO_SERVER + MAX_NODE_ID + 1)
 
 
@@ -151,12 +150,12 @@ def services_of(parameters: ObservedParameters, node_id: int) -> Iterator[tuple[
     ):
         cob_id = parameters.value(node_id, index, 0)
         if cob_id and not (service is CobIdService.EMCY and cob_id & COB_ID_INVALID):
-            key = key_of_cob_id(cob_id & COB_ID_BITS)
+            key = key_of_cob_id(cob_id & CAN_ID_AND_FRAME)
             if _may_be(key, service, is_recorded=parameters.is_recorded(node_id, index)):
                 yield key, service, node_id
     if indices.EMERGENCY_CONSUMER in parameters.indices(node_id):
         is_recorded = parameters.is_recorded(node_id, indices.EMERGENCY_CONSUMER)
-        for producer in range(1, MAX_NODE_ID + 1):
+        for producer in ALL_NODE_IDS:
             cob_id = parameters.value(node_id, indices.EMERGENCY_CONSUMER, producer) or 0
             if is_valid(cob_id) and _may_be(key_of_cob_id(cob_id), CobIdService.EMCY, is_recorded=is_recorded):
                 yield key_of_cob_id(cob_id), CobIdService.EMCY, producer

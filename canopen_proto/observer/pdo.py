@@ -17,10 +17,10 @@ from typing import Final, TypeAlias
 
 from canopen_proto.datatypes import ValueRangeError, bit_length_of
 from canopen_proto.dictionary import Direction, ObjectDictionary
-from canopen_proto.drives.cia402.axes import AXIS_STEP, MAX_AXES
+from canopen_proto.drives.cia402.axes import MAX_AXES
 from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
-from canopen_proto.indices import DEVICE_TYPE
+from canopen_proto.indices import AXIS_STEP, DEVICE_TYPE
 from canopen_proto.multiplexer import index_of
 from canopen_proto.observer.meaning import ShownObject, Words, hex_text, object_text, shown_of, value_text
 from canopen_proto.observer.parameters import ObservedParameters

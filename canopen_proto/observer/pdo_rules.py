@@ -15,8 +15,8 @@ from typing import Final
 
 from canopen_proto.dictionary import Direction
 from canopen_proto.machine import MILLISECOND, NEVER, Time
-from canopen_proto.observer.finding import INHIBIT_UNIT, BusFinding, Gaps, ms_text
-from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, TRANSMISSION_TYPE, place_of
+from canopen_proto.observer.finding import BusFinding, Gaps, ms_text
+from canopen_proto.pdo.settings import EVENT_TIMER, INHIBIT_TIME, INHIBIT_UNIT, TRANSMISSION_TYPE, place_of
 
 MAX_CYCLIC: Final = 240
 """The largest transmission type of synchronous PDOs: each 240th SYNC. 0: at a SYNC, but not at each one."""

@@ -15,9 +15,10 @@ from typing import Final, NamedTuple
 
 from canopen_proto.lss import messages as lss
 from canopen_proto.lss.messages import LssService
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import NEVER, SECOND, Time
 from canopen_proto.multiplexer import Mux, mux_text
 from canopen_proto.nmt import NmtCommand
+from canopen_proto.observer.finding import duration_text
 from canopen_proto.observer.sdo import Settled
 
 SILENCE: Final = 2 * SECOND
@@ -124,7 +125,7 @@ class Sequences:
     def _end_boot(self, node_id: int, end: str, now: Time) -> None:
         boot = self._boots.pop(node_id, None)
         if boot is not None and boot.has_frames:
-            how = f"; {end} {_seconds(now - boot.begin)} behind its boot-up" if end else ""
+            how = f"; {end} {duration_text(now - boot.begin)} behind its boot-up" if end else ""
             self.ended.append(Summary("boot-up", node_id, boot.text() + how))
 
     def _wait(self, now: Time) -> None:
@@ -171,7 +172,7 @@ class _Fastscan:
 
     def text(self) -> str:
         """Return the fastscan in words."""
-        count = f"{_counted(self.requests, 'request')}, {_seconds(self.last - self.begin)}"
+        count = f"{_counted(self.requests, 'request')}, {duration_text(self.last - self.begin)}"
         numbers = sorted(self.numbers.items())
         found = ", ".join(f"{lss.field_name(part)} 0x{number:08X}" for part, number in numbers)
         if self.is_over:
@@ -226,7 +227,3 @@ _COMMANDS: Final[dict[int, str]] = {
 
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
-
-
-def _seconds(time: Time) -> str:
-    return f"{time / SECOND:.3g} s" if time >= SECOND else f"{time / MILLISECOND:.3g} ms"

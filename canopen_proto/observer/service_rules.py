@@ -20,8 +20,9 @@ from canopen_proto.indices import (
 )
 from canopen_proto.lss.messages import LssService
 from canopen_proto.machine import NEVER, Time
-from canopen_proto.observer.finding import INHIBIT_UNIT, BusFinding, Gaps, ms_text
+from canopen_proto.observer.finding import BusFinding, Gaps, ms_text
 from canopen_proto.observer.pdo_rules import BURST, EARLY
+from canopen_proto.pdo.settings import INHIBIT_UNIT
 from canopen_proto.sync import MAX_COUNTER
 
 _PRODUCES_SYNC: Final = COB_ID_NO_RTR  # bit 30: of a SYNC it has this meaning

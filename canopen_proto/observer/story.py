@@ -14,10 +14,11 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from canopen_proto.drives.cia402.objects import STATUSWORD
-from canopen_proto.drives.cia402.states import State, state_of
+from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.frame import MAX_NODE_ID, Frame
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Time
+from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import index_of
+from canopen_proto.observer.finding import duration_text
 from canopen_proto.observer.observer import Observation
 
 MAX_KINDS: Final = 4096
@@ -25,7 +26,6 @@ MAX_KINDS: Final = 4096
 MISSED: Final = 3
 """A node is silent behind so many of its heartbeat times without a heartbeat."""
 
-_IN_FAULT: Final = (State.FAULT, State.FAULT_REACTION_ACTIVE)
 _ABORT: Final = b"\x80"
 _STATUSWORD: Final = index_of(STATUSWORD)
 
@@ -122,7 +122,7 @@ class Story:
         """Tell when a drive falls into fault, and when it leaves that."""
         state, key = state_of(word), (node_id, index)
         before = self._states.get(key)
-        if (state in _IN_FAULT) == (before is not None):
+        if (state in FAULT_STATES) == (before is not None):
             return
         which = "the drive" if index == _STATUSWORD else f"the drive of statusword {index:04X}"
         if before is None:
@@ -142,7 +142,7 @@ class Story:
     def _heard(self, node_id: int, is_boot_up: bool, now: Time, events: list[BusEvent]) -> None:
         beat = self._beats.get(node_id)
         if beat is not None and beat.is_silent:
-            self._tell("back", node_id, f"it is back {_duration(now - beat.last)} behind its last heartbeat", now, events)
+            self._tell("back", node_id, f"it is back {duration_text(now - beat.last)} behind its last heartbeat", now, events)
         if beat is None or beat.is_silent or is_boot_up:
             self._beats[node_id] = _Beat(now)
             return
@@ -167,16 +167,12 @@ class Story:
             else:
                 self._deadline = min(self._deadline, due)
         if silent and pause * 2 > min(now - beat.last for _, beat in silent):
-            self._tell("silent", 0, f"the recording has no frame at all for {_duration(pause)} before this one", now, events)
+            self._tell("silent", 0, f"the recording has no frame at all for {duration_text(pause)} before this one", now, events)
             for _, beat in silent:
                 beat.last = now
                 self._deadline = min(self._deadline, now + MISSED * beat.period)
             return
         for node_id, beat in silent:
             beat.is_silent = True
-            text = f"no heartbeat for {_duration(now - beat.last)}; it had one in {_duration(beat.period)} at most"
+            text = f"no heartbeat for {duration_text(now - beat.last)}; it had one in {duration_text(beat.period)} at most"
             self._tell("silent", node_id, text, now, events)
-
-
-def _duration(time: Time) -> str:
-    return f"{time / SECOND:.3g} s" if time >= SECOND else f"{time / MILLISECOND:.3g} ms"

@@ -25,7 +25,7 @@ from canopen_proto import indices
 from canopen_proto.datatypes import DataType, encode
 from canopen_proto.dictionary import Direction, PdoDescription
 from canopen_proto.dictionary.download_order import Write
-from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1, RoutingKey, key_of_cob_id
+from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1, RoutingKey, can_id_of, key_of_cob_id
 from canopen_proto.machine import MICROSECOND, MILLISECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mapped, mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError
@@ -58,7 +58,6 @@ EVENT_DRIVEN: Final = (254, 255)
 
 _FIRST: Final = {Direction.RPDO: indices.RPDO1_COMMUNICATION_PARAMETER, Direction.TPDO: indices.TPDO1_COMMUNICATION_PARAMETER}
 _MAPPING: Final = 0x200  # from the communication to the mapping parameter
-_CAN_ID: Final = 0x1FFF_FFFF
 
 
 class PdoPlace(NamedTuple):
@@ -154,7 +153,7 @@ class PdoSettings:
     @property
     def can_id_text(self) -> str:
         """Its CAN-ID for people: "0x203"."""
-        return f"0x{self.key & _CAN_ID:X}"
+        return f"0x{can_id_of(self.key):X}"
 
     @property
     def muxes(self) -> set[Mux]:

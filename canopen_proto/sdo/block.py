@@ -49,8 +49,9 @@ import struct
 from typing import Final
 
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.sdo.codec import BLOCK_SIZE_BIT, BLOCK_UPLOAD, CRC_BIT, FINAL, INITIATE, LEAST_INITIATE, SEQUENCE
+from canopen_proto.sdo.codec import BLOCK_SIZE_BIT, BLOCK_UPLOAD, CRC_BIT, END_RESPONSE, FINAL, INITIATE, LEAST_INITIATE, SEQUENCE
 
+END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 MAX_BLOCK_SIZE: Final = 127
 """Segments in a sub-block: their numbers have seven bits."""
 SEGMENT_SIZE: Final = 7

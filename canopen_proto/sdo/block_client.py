@@ -21,7 +21,7 @@ from typing import Final
 from canopen_proto.abort import AbortCode, AbortOrigin
 from canopen_proto.frame import Frame
 from canopen_proto.machine import LocalProtocolError, Time
-from canopen_proto.sdo.block import MAX_SIZE, chosen_block_size, receiver_initiate, sender_initiate
+from canopen_proto.sdo.block import END_RESPONSE_PAYLOAD, MAX_SIZE, chosen_block_size, receiver_initiate, sender_initiate
 from canopen_proto.sdo.block_receiver import BlockReceiver
 from canopen_proto.sdo.block_sender import BlockSender
 from canopen_proto.sdo.codec import (
@@ -30,7 +30,6 @@ from canopen_proto.sdo.codec import (
     BLOCK_SIZE_BIT,
     BLOCK_UPLOAD,
     CRC_BIT,
-    END_RESPONSE,
     INITIATE_UPLOAD_RESPONSE,
     KIND,
     SIZE,
@@ -46,7 +45,6 @@ MAX_FED: Final = 1 << 16
 NO_BLOCKS: Final = (AbortCode.INVALID_COMMAND, AbortCode.UNSUPPORTED_ACCESS)
 """How servers refuse block transfer, at its initiation."""
 
-_END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 _START_PAYLOAD: Final = bytes((START_UPLOAD,)).ljust(8, b"\x00")
 
 
@@ -193,7 +191,7 @@ class BlockUpload(BlockReceiver):
 
     def _complete(self, content: bytes, now: Time) -> None:
         end = self.end
-        end.send(_END_RESPONSE_PAYLOAD)
+        end.send(END_RESPONSE_PAYLOAD)
         if not self._is_stream:
             end.out.events.append(SdoUploaded(end.node_id, self.request_id, self.index, self.subindex, content))
         else:

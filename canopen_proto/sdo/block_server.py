@@ -12,18 +12,14 @@ Source: CiA 301 v4.2.0, 7.2.4.3.9 and 7.2.4.3.13.
 
 from __future__ import annotations
 
-from typing import Final
-
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
-from canopen_proto.sdo.block import COPY_TIME, MAX_SIZE, receiver_initiate, sender_initiate, silence_limit
+from canopen_proto.sdo.block import COPY_TIME, END_RESPONSE_PAYLOAD, MAX_SIZE, receiver_initiate, sender_initiate, silence_limit
 from canopen_proto.sdo.block_receiver import BlockReceiver
 from canopen_proto.sdo.block_sender import BlockSender
-from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, BLOCK_DOWNLOAD, CRC_BIT, END_RESPONSE, KIND, START_UPLOAD, is_initiate
+from canopen_proto.sdo.codec import ACKNOWLEDGEMENT, BLOCK_DOWNLOAD, CRC_BIT, KIND, START_UPLOAD, is_initiate
 from canopen_proto.sdo.host import Door
 from canopen_proto.sdo.transfer import OVER, ChannelEnd
-
-_END_RESPONSE_PAYLOAD: Final = bytes((END_RESPONSE,)).ljust(8, b"\x00")
 
 
 class ServerBlockUpload(BlockSender):
@@ -78,7 +74,7 @@ class ServerBlockDownload(BlockReceiver):
 
     def _complete(self, content: bytes, now: Time) -> None:
         self.state = OVER  # behind its end nothing is on the way
-        answer = Frame(self.end.can_id, _END_RESPONSE_PAYLOAD, self.end.flags, 8)
+        answer = Frame(self.end.can_id, END_RESPONSE_PAYLOAD, self.end.flags, 8)
         self._door.write(self, content, self.offset, answer, now)
 
     def _on_gap(self, command: int, sequence: int, data: bytes, frame: Frame, now: Time) -> bool:

@@ -33,6 +33,7 @@ from canopen_proto.drives.axis.occupancy import Occupancy
 from canopen_proto.drives.axis.scale import Scale
 from canopen_proto.drives.axis.set_points import AxisSetPoints
 from canopen_proto.drives.axis.settings import MILLIDEGREES_PER_RADIAN as MILLIDEGREES_PER_RADIAN
+from canopen_proto.drives.axis.settings import OPEN_SETTINGS
 from canopen_proto.drives.axis.settings import SCHUNK_POWERBALL as SCHUNK_POWERBALL
 from canopen_proto.drives.axis.settings import AxisSettings as AxisSettings
 from canopen_proto.drives.axis.settings import HomingStyle as HomingStyle
@@ -43,7 +44,6 @@ from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode
 
-_OPEN: Final = AxisSettings()
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
 
@@ -87,7 +87,7 @@ class Axis:
     digital_io.py. occupancy: the motion under way, see exclusive_motion.py.
     """
 
-    def __init__(self, node: RemoteNode, settings: AxisSettings = _OPEN, number: int = 0) -> None:
+    def __init__(self, node: RemoteNode, settings: AxisSettings = OPEN_SETTINGS, number: int = 0) -> None:
         """Make axis `number` (0..7) of a node. Raises LocalProtocolError if its dictionary lacks an object that it needs."""
         self.number = number
         self.remote = node

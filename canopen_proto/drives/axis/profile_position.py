@@ -42,7 +42,7 @@ OTHER_TARGET: Final = "a target within the limit, or another limit"
 
 _OPPOSITE: Final = {RotaryDirection.POSITIVE: RotaryDirection.NEGATIVE, RotaryDirection.NEGATIVE: RotaryDirection.POSITIVE}
 
-_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
+AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 """The controlword with which a new set-point drops the one before."""
 
 
@@ -100,7 +100,7 @@ def move_to(
             axis.leave_unanswered("a target")
             raise
         axis.started_at = OBEYED
-        yield from command(axis, _AT_ONCE | relation)
+        yield from command(axis, AT_ONCE | relation)
         yield from wait_for_target(axis, target, given_at, timeout, relative)
     except (Cancelled, Exception) as cause:
         yield from halt_after(axis, cause)
@@ -150,9 +150,9 @@ def _give_set_point(axis: Axis, counts: int, relation: int) -> Procedure[None]:
     A halt keeps the drive's target, and a word without bit 8 lets the drive go on to it. So the halt ends with the same word that
     gives the new set-point. A halted drive need not accept a set-point, then: the standard does not say whether it does.
     """
-    yield from make_room(axis, _AT_ONCE | relation)
+    yield from make_room(axis, AT_ONCE | relation)
     yield from write(axis.node, objects.TARGET_POSITION, counts)
-    yield from command(axis, _AT_ONCE | relation | ModeControl.NEW_SET_POINT)
+    yield from command(axis, AT_ONCE | relation | ModeControl.NEW_SET_POINT)
 
 
 def make_room(axis: Axis, word: int) -> Procedure[None]:

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
-from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.axis.settings import OPEN_SETTINGS, AxisSettings
 from canopen_proto.drives.axis.units import read_number
 from canopen_proto.drives.axis.view import COMPARED, DriveView, command_text, view_of
 from canopen_proto.drives.cia402 import objects
@@ -56,9 +56,6 @@ _BY_PDO: Final = (Mode.INTERPOLATED_POSITION, *_OBEYS)
 _BY_BIT_4: Final = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION)
 
 
-_NO_SETTINGS: Final = AxisSettings()
-
-
 class Reason(NamedTuple):
     """An obstacle, and what to do about it; both in words. is_command: a command removes it; else something outside has to."""
 
@@ -72,7 +69,7 @@ def outer_reason(view: DriveView) -> Reason | None:
     return next((each for each in reasons(view) if not each.is_command), None)
 
 
-def look_at(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView | None]:
+def look_at(node: AxisNode, settings: AxisSettings = OPEN_SETTINGS) -> Procedure[DriveView | None]:
     """Read what a drive shows, by SDO, by number, whatever the dictionary has. Returns None for a node without a statusword.
 
     settings: name the maker's bits (`sto_input`, `brake_bit`). Raises SdoTransferError if the node does not answer.

@@ -174,5 +174,7 @@ def _shown(value: object) -> str:
     return value.value if isinstance(value, enum.Enum) else str(value)
 
 
+OPEN_SETTINGS: Final = AxisSettings()
+"""Nothing is said: what the drive tells counts."""
 SCHUNK_POWERBALL: Final = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN, homing=HomingStyle.SCHUNK)
 """The manual's arm: millidegrees on the wire; the user's unit is the radian."""

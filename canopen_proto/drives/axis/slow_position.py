@@ -30,12 +30,12 @@ from canopen_proto.drives.axis.exclusive_motion import moves
 from canopen_proto.drives.axis.failures import accounted, require_reference
 from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.halting import halt, halt_after
-from canopen_proto.drives.axis.profile_position import make_room, set_options
+from canopen_proto.drives.axis.profile_position import AT_ONCE, make_room, set_options
 from canopen_proto.drives.axis.state import enable, set_mode
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeControl, ModeStatus
-from canopen_proto.drives.cia402.states import Command, ControlBit, State
+from canopen_proto.drives.cia402.states import ControlBit, State
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, split_mux
 from canopen_proto.procedures.objects import read_if_present, read_int
@@ -51,8 +51,6 @@ RAMP_TIME: Final = 500 * MILLISECOND
 """Of a drive that does not tell how fast it may go and accelerate."""
 LONGEST_RAMP: Final = 2 * SECOND
 """A drive whose ramps are longer is not watched more loosely: it has a slow profile, and needs slow paths."""
-
-_TAKES_AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 
 
 @moves
@@ -126,15 +124,15 @@ def _amount(axis: Axis, key: Mux) -> Procedure[int]:
 def _give(axis: Axis, counts: int, mode: Mode | None = None) -> Procedure[None]:
     """Give a target. A halt that is in force ends with the same controlword that gives it; see `profile_position`."""
     if mode is None:
-        yield from command(axis, _TAKES_AT_ONCE | axis.controlword & ControlBit.HALT)
+        yield from command(axis, AT_ONCE | axis.controlword & ControlBit.HALT)
         yield from _acknowledged(axis, False, mode)
     else:
-        yield from make_room(axis, int(_TAKES_AT_ONCE))
+        yield from make_room(axis, int(AT_ONCE))
     yield from _bring(axis, counts)
-    yield from command(axis, _TAKES_AT_ONCE | ModeControl.NEW_SET_POINT)
+    yield from command(axis, AT_ONCE | ModeControl.NEW_SET_POINT)
     yield from _acknowledged(axis, True, mode)
     axis.started_at = OBEYED
-    yield from command(axis, int(_TAKES_AT_ONCE))
+    yield from command(axis, int(AT_ONCE))
 
 
 def _acknowledged(axis: Axis, wanted: bool, mode: Mode | None) -> Procedure[None]:

@@ -26,8 +26,6 @@ from canopen_proto.multiplexer import Mux, index_of, mapping_entry, mux, split_m
 MAX_AXES: Final = 8
 PDOS_PER_AXIS: Final = 64
 """How many PDO numbers each axis has by default: axis k has the PDOs from 64 * k + 1 on."""
-AXIS_STEP: Final = 0x800
-"""From an object of an axis to that of the next axis."""
 DEVICE_TYPE: Final = Mux(0x67FF00)
 """Of the first axis; device type of a logical device."""
 

@@ -24,12 +24,12 @@ from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.option_codes import OPTION_CODES
 from canopen_proto.drives.cia402.states import STATUS_PATTERNS, ControlBit, State, StatusBit
+from canopen_proto.indices import AXIS_STEP
 from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
 
 PROFILE: Final = 402
 """Low word of a drive's device type."""
 
-_AXIS: Final = 0x800
 _AXES: Final = 8
 
 _STATES: Final = {
@@ -126,7 +126,7 @@ def with_drive_names(dictionary: ObjectDictionary) -> ObjectDictionary:
     constants: dict[Mux, tuple[Constant, ...]] = {}
     for key, names in _NAMES.items():
         for axis in range(_AXES):
-            variable = dictionary.get(index_of(key) + axis * _AXIS, subindex_of(key))
+            variable = dictionary.get(index_of(key) + axis * AXIS_STEP, subindex_of(key))
             if variable is not None:
                 known = {constant.name for constant in dictionary.constants_of(variable)}
                 constants[variable.mux] = tuple(name for name in names if name.name not in known)

@@ -20,16 +20,13 @@ from canopen_proto import indices
 from canopen_proto.dictionary import Values
 from canopen_proto.dictionary.concise import ConciseError, from_concise
 from canopen_proto.dictionary.download_order import Write
-from canopen_proto.frame import MAX_NODE_ID
+from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.machine import MICROSECOND, MILLISECOND, LocalProtocolError, Time, check_node_id
 from canopen_proto.manager.boot.assignment import Assignment, Startup
 from canopen_proto.multiplexer import mux
 
 CONSUMER_FACTOR: Final = 3
 """A node is lost after so many heartbeats that did not come."""
-MAX_HEARTBEAT: Final = 0xFFFF * MILLISECOND
-"""The longest time in 0x1016 and 0x1017."""
-ALL_NODE_IDS: Final = range(1, MAX_NODE_ID + 1)
 NMT_INHIBIT_TIME: Final = 0x102A
 PAUSE_UNIT: Final = 100 * MICROSECOND
 """The unit of 0x102A."""

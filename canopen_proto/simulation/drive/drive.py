@@ -23,6 +23,7 @@ from collections import deque
 from typing import Final
 
 from canopen_proto.abort import AbortCode
+from canopen_proto.communication_errors import EMCY_COMMUNICATION, EMCY_CONNECTION_LOST
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.values import Values
 from canopen_proto.drives.cia402 import objects
@@ -50,9 +51,7 @@ STEP: Final = 10 * MILLISECOND
 """Between two checks of a moving drive: following error, switches, target window. Positions do not depend on it."""
 
 FOLLOWING_ERROR: Final = 0x8611
-HEARTBEAT_ERROR: Final = 0x8130
-COMMUNICATION_ERROR: Final = 0x8100
-_CONNECTION_FAULTS: Final = frozenset((HEARTBEAT_ERROR, COMMUNICATION_ERROR))
+_CONNECTION_FAULTS: Final = frozenset((EMCY_CONNECTION_LOST, EMCY_COMMUNICATION))
 
 _NO_STATES: Final = (State.UNKNOWN, State.NOT_READY_TO_SWITCH_ON)
 _ENERGISED: Final = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE)

@@ -15,8 +15,9 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import open_session
+from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.manager.scan import ALL_NODE_IDS, LISTEN, NodeFound, Scanner, duration_of
+from canopen_proto.manager.scan import LISTEN, NodeFound, Scanner, duration_of
 from canopen_proto.manager.scan import scan as scan_procedure
 from canopen_proto.network import Network
 

@@ -21,11 +21,12 @@ from canopen_cli.shared.questions import confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_master.simulation.serving import DEMO_LOCATOR
+from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.lss.bit_rate import DELAY, Refusal, activate, missing, prepare, store_all
 from canopen_proto.lss.messages import BIT_RATES, LssAddress
 from canopen_proto.lss.scan import survey
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.manager.scan import ALL_NODE_IDS, LISTEN, NodeFound, scan
+from canopen_proto.manager.scan import LISTEN, NodeFound, scan
 from canopen_transports.locator import bitrate_text, parse_bitrate, parse_locator
 
 WITHOUT_RATE: Final = ("virtual", "tcp", "udp_multicast")

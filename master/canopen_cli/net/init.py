@@ -36,8 +36,9 @@ from canopen_master.machine_file.from_chains import bus_name
 from canopen_master.simulation.plant import DeviceEntry
 from canopen_master.simulation.serving import DEMO_LOCATOR
 from canopen_proto import indices
+from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.machine import MILLISECOND, Time
-from canopen_proto.manager.scan import ALL_NODE_IDS, LISTEN, NodeFound
+from canopen_proto.manager.scan import LISTEN, NodeFound
 from canopen_proto.procedures.steps import Procedure, SdoTransferError, all_of, upload
 
 COLUMNS: Final = ("node", "name", "device", "vendor-ID", "product code", "file")

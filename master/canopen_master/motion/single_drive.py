@@ -9,7 +9,7 @@ from canopen_proto.drives.axis import shut_down
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.axis.reasons import look_at
-from canopen_proto.drives.axis.settings import AxisSettings
+from canopen_proto.drives.axis.settings import OPEN_SETTINGS, AxisSettings
 from canopen_proto.drives.axis.view import DriveView
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axis_of
@@ -19,10 +19,8 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, ProcedureError
 
 T = TypeVar("T")
 
-_NO_SETTINGS = AxisSettings()
 
-
-def look_at_drive(node: AxisNode, settings: AxisSettings = _NO_SETTINGS) -> Procedure[DriveView]:
+def look_at_drive(node: AxisNode, settings: AxisSettings = OPEN_SETTINGS) -> Procedure[DriveView]:
     """Return what a drive shows (see `look_at`). Raises NodeIsNoDriveError if it has no statusword."""
     view = yield from look_at(node, settings)
     if view is None:

@@ -19,8 +19,9 @@ from canopen_master.ros_configurations.report import ImportReport, YamlSection, 
 from canopen_master.ros_configurations.scale import ContradictionError, JointKeys, number_in_toml
 from canopen_master.ros_configurations.unit_expression import Exact
 from canopen_master.ros_configurations.yaml_text import Value
-from canopen_proto.drives.cia402.axes import AXIS_STEP, MAX_AXES
+from canopen_proto.drives.cia402.axes import MAX_AXES
 from canopen_proto.drives.cia402.objects import INTERPOLATION_TIME_UNITS
+from canopen_proto.indices import AXIS_STEP
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.multiplexer import Mux, index_of
 
