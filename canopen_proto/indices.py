@@ -54,10 +54,8 @@ COMMUNICATION_AREA: Final = range(0x1000, 0x2000)
 """The communication profile area. CiA 301 v4.2.0, table 41; so with the next two."""
 MANUFACTURER_AREA: Final = range(0x2000, 0x6000)
 PROFILE_AREA: Final = range(0x6000, 0xA000)
-"""The objects of the device profiles: eight logical devices (or axes), AXIS_STEP indices each."""
-AXIS_STEP: Final = 0x800
-"""From an object of a logical device (an axis, if the node is a drive) to that of the next one."""
-FURTHER_DEVICES: Final = PROFILE_AREA[AXIS_STEP:]
+"""The objects of the device profiles: eight logical devices (or axes), 0x800 indices each."""
+FURTHER_DEVICES: Final = range(0x6800, 0xA000)
 """The objects of the second to eighth logical device of a node. CiA 301 v4.2.0, 7.4.1 (from memory)."""
 
 SDO_SERVERS: Final = range(0x1200, 0x1280)

@@ -14,6 +14,9 @@ Mux = NewType("Mux", int)
 
 _FIRST_MUX: Final = 0x100000
 
+AXIS_STEP: Final = 0x800
+"""From the index of an object of a logical device (an axis, if the node is a drive) to that of the next one."""
+
 
 def mux(index: int, subindex: int = 0) -> Mux:
     """Return the multiplexer of an object: index 0..0xFFFF, subindex 0..0xFF, not checked."""

@@ -28,7 +28,7 @@ from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.download_order import reason_to_leave_out
 from canopen_proto.dictionary.model import ObjectDictionary, Variable
 from canopen_proto.frame import COB_ID_INVALID
-from canopen_proto.multiplexer import Mux, mapped, mux
+from canopen_proto.multiplexer import AXIS_STEP, Mux, mapped, mux
 
 IO_PROFILE: Final = 401
 DRIVE_PROFILE: Final = 402
@@ -128,7 +128,7 @@ def carried_in(values: Mapping[Mux, Value]) -> frozenset[Mux]:
 
 def _is_output(index: int, subindex: int, profile: int | None) -> bool:
     if profile in (DRIVE_PROFILE, None) and index in indices.PROFILE_AREA:
-        first_axis = indices.PROFILE_AREA.start + (index - indices.PROFILE_AREA.start) % indices.AXIS_STEP
+        first_axis = indices.PROFILE_AREA.start + (index - indices.PROFILE_AREA.start) % AXIS_STEP
         if subindex in SET_POINTS.get(first_axis, ()):
             return True
     return profile in (IO_PROFILE, None) and any(index in each for each in _OUTPUTS)

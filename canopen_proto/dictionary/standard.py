@@ -29,6 +29,7 @@ from typing import Any, Final, NamedTuple
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, Value
 from canopen_proto.dictionary.model import Access, Object, ObjectNotFoundError, ObjectType, Variable
+from canopen_proto.multiplexer import AXIS_STEP
 
 _COMMUNICATION: Final = """
 1000      00    U32  ro    device_type
@@ -345,7 +346,7 @@ def find_standard(index: int, subindex: int = 0) -> Variable | None:
 def _find_standard(index: int, subindex: int) -> Variable | None:
     if index in indices.FURTHER_DEVICES:
         base = STANDARD.get((_home(index), subindex))
-        axis = (index - 0x6000) // indices.AXIS_STEP + 1
+        axis = (index - 0x6000) // AXIS_STEP + 1
         if base is None:
             return None
         name, *aliases = (f"axis{axis}_{each}" for each in base.names)
@@ -407,4 +408,4 @@ def _with_default(variable: Variable, chosen: Mapping[int, Value]) -> Variable:
 
 def _home(index: int) -> int:
     """Return the index of the same object in the first axis."""
-    return 0x6000 + (index - 0x6000) % indices.AXIS_STEP if index in indices.FURTHER_DEVICES else index
+    return 0x6000 + (index - 0x6000) % AXIS_STEP if index in indices.FURTHER_DEVICES else index

@@ -20,8 +20,8 @@ from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.drives.cia402.axes import MAX_AXES
 from canopen_proto.drives.cia402.objects import STATUSWORD
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
-from canopen_proto.indices import AXIS_STEP, DEVICE_TYPE
-from canopen_proto.multiplexer import index_of
+from canopen_proto.indices import DEVICE_TYPE
+from canopen_proto.multiplexer import AXIS_STEP, index_of
 from canopen_proto.observer.meaning import ShownObject, Words, hex_text, object_text, shown_of, value_text
 from canopen_proto.observer.parameters import ObservedParameters
 from canopen_proto.pdo.mapping import MAX_ENTRIES, MappedEntry, MappingError, entries_of

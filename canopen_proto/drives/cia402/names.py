@@ -24,8 +24,7 @@ from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.option_codes import OPTION_CODES
 from canopen_proto.drives.cia402.states import STATUS_PATTERNS, ControlBit, State, StatusBit
-from canopen_proto.indices import AXIS_STEP
-from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
+from canopen_proto.multiplexer import AXIS_STEP, Mux, index_of, split_mux, subindex_of
 
 PROFILE: Final = 402
 """Low word of a drive's device type."""

@@ -21,9 +21,8 @@ from canopen_master.ros_configurations.unit_expression import Exact
 from canopen_master.ros_configurations.yaml_text import Value
 from canopen_proto.drives.cia402.axes import MAX_AXES
 from canopen_proto.drives.cia402.objects import INTERPOLATION_TIME_UNITS
-from canopen_proto.indices import AXIS_STEP
 from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.multiplexer import Mux, index_of
+from canopen_proto.multiplexer import AXIS_STEP, Mux, index_of
 
 BUS: Final = "can0"
 CAUTIOUS: Final = {"radian": 0.5, "millimetre": 100.0}
