@@ -4,6 +4,8 @@ So `from canopen_proto import Frame` loads frame.py and no drive, and `import ca
 
 The table of the names is the package's plain imports under TYPE_CHECKING, which type checkers read. They never run, but the
 interpreter has compiled them: the code of the package names each module, and behind it what is imported from there.
+That code is there in .py and .pyc files, in zip files and in frozen programs; a translation to C, as Nuitka's, has none, and has
+to import each name from its module.
 """
 
 from __future__ import annotations
