@@ -1,0 +1,156 @@
+"""A fault in a world that runs: which frames it has met so far, and what it makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+from canopen_proto.abort import AbortCode
+from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
+from canopen_proto.machine import LocalProtocolError, Time
+from canopen_proto.multiplexer import split_mux
+from canopen_proto.sdo.codec import (
+    ABORT,
+    BLOCK_DOWNLOAD,
+    BLOCK_UPLOAD,
+    EXPEDITED,
+    EXPEDITED_BITS,
+    INITIATE,
+    INITIATE_DOWNLOAD,
+    INITIATE_UPLOAD,
+    INITIATE_UPLOAD_RESPONSE,
+    MAX_EXPEDITED,
+    SPECIFIER,
+)
+from canopen_proto.testing.draws import Draws
+from canopen_proto.testing.faults import (
+    Copy,
+    Corrupt,
+    Delay,
+    Fault,
+    FrameFault,
+    Lie,
+    Lose,
+    Refuse,
+    Reorder,
+    Replace,
+    Sudden,
+)
+from canopen_proto.testing.patterns import Names, Pattern, is_remote, mux_of, sdo_read, sdo_request, sdo_write
+
+
+class Course(NamedTuple):
+    """What becomes of a frame on its way. at: when it comes. only: at this receiver; 0: at all. but: not at these ones.
+
+    is_late: those behind it with its identifier wait for it. is_loose: it waits for none. fate: what happened to it, in words.
+    """
+
+    frame: Frame
+    at: Time
+    only: int = 0
+    but: frozenset[int] = frozenset()
+    is_late: bool = False
+    is_loose: bool = False
+    fate: str = ""
+
+
+class ArmedFault:
+    """See this module's text. fault: the value. draws: numbers of its own."""
+
+    def __init__(self, fault: Fault, draws: Draws) -> None:
+        self.fault = fault
+        self._draws = draws
+        self._met = 0
+        self._patterns = _patterns_of(fault)
+
+    def meets(self, frame: Frame, bus: str, now: Time, names: Names) -> bool:
+        """Whether the fault hits this frame; it counts the frame."""
+        fault = self.fault
+        if not fault.since <= now < fault.until or fault.bus not in ("", bus):
+            return False
+        if not any(pattern.fits(frame, names) for pattern in self._patterns) or not self._can_answer(frame):
+            return False
+        self._met += 1
+        if fault.positions and self._met not in fault.positions:
+            return False
+        if fault.when is not None and not fault.when(frame):
+            return False
+        return self._draws.happens(fault.chance)
+
+    def _can_answer(self, frame: Frame) -> bool:
+        """Whether a fault that answers for a device can answer this request: one that begins a transfer."""
+        if not isinstance(self.fault, Refuse | Lie):
+            return True
+        return len(frame.data) >= 4 and frame.data[0] & SPECIFIER in _BEGINNINGS
+
+    def bend(self, course: Course) -> list[Course]:
+        """Return what a FrameFault makes of a frame on its way."""
+        fault = self.fault
+        assert isinstance(fault, FrameFault)
+        if not fault.to or course.only == fault.to:
+            return self._bent(fault, course)
+        if course.only or fault.to in course.but:
+            return [course]
+        return [course._replace(but=course.but | {fault.to}), *self._bent(fault, course._replace(only=fault.to))]
+
+    def _bent(self, fault: FrameFault, course: Course) -> list[Course]:
+        frame, at = course.frame, course.at
+        match fault:
+            case Lose():
+                return [course._replace(fate="lost")]
+            case Copy(later=later):
+                return [course, course._replace(at=at + later, is_loose=True, fate="copy")]
+            case Delay(by=by):
+                return [course._replace(at=at + by, is_late=True, fate="late")]
+            case Reorder(by=by):
+                return [course._replace(at=at + by, is_loose=True, fate="out of order")]
+            case Corrupt(flip=flip):
+                return [course._replace(frame=self._corrupted(frame, flip), fate="corrupted")]
+            case Replace(data=data):
+                return [course._replace(frame=Frame(frame.can_id, data, frame.flags), fate="replaced")]
+            case _:
+                raise LocalProtocolError(f"{fault} is no fault that a World knows")
+
+    def _corrupted(self, frame: Frame, flip: bytes) -> Frame:
+        data = frame.data
+        if is_remote(frame) or not data:
+            return frame
+        bits = int.from_bytes(flip[: len(data)].ljust(len(data), b"\0")) or 1 << self._draws.between(0, 8 * len(data) - 1)
+        return Frame(frame.can_id, (int.from_bytes(data) ^ bits).to_bytes(len(data)), frame.flags)
+
+    def answer(self, request: Frame, names: Names) -> Frame:
+        """Return what a device answers to an SDO request in the place of its own answer."""
+        fault = self.fault
+        index, subindex = split_mux(mux_of(request))
+        if isinstance(fault, Refuse):
+            data = INITIATE.pack(ABORT, index, subindex, fault.code)
+        else:
+            assert isinstance(fault, Lie)
+            value = Pattern("sdo write", fault.node_id, fault.key, fault.value).data(names)
+            assert value is not None
+            if request.data[0] & SPECIFIER == BLOCK_UPLOAD:
+                data = INITIATE.pack(ABORT, index, subindex, AbortCode.INVALID_COMMAND)  # then it is asked without blocks
+            elif not 0 < len(value) <= MAX_EXPEDITED:
+                raise LocalProtocolError(f"{fault}: {len(value)} bytes; an answer of one frame has 1..{MAX_EXPEDITED}")
+            else:
+                data = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[len(value)], index, subindex, value)
+        return Frame(request.can_id - SDO_CLIENT_TO_SERVER + SDO_SERVER_TO_CLIENT, data)
+
+
+_BEGINNINGS: Final = frozenset((INITIATE_DOWNLOAD, INITIATE_UPLOAD, BLOCK_UPLOAD, BLOCK_DOWNLOAD))
+
+
+def _patterns_of(fault: Fault) -> Iterable[Pattern]:
+    match fault:
+        case FrameFault(on=on):
+            return (on,)
+        case Sudden(on=on):
+            return () if on is None else (on,)
+        case Refuse(node_id=node_id, key=None):
+            return (sdo_request(node_id),)
+        case Refuse(node_id=node_id, key=key) if key is not None:
+            return (sdo_read(node_id, key), sdo_write(node_id, key))
+        case Lie(node_id=node_id, key=key):
+            return (sdo_read(node_id, key),)
+        case _:
+            raise LocalProtocolError(f"{fault} is no fault that a World knows")

@@ -1,0 +1,232 @@
+"""`WorldBus`: a bus of a World. Every frame reaches all participants but its sender, in one order for all. Faults sit in between.
+
+    sender --> transmission --> faults --> receivers
+               |                |
+               |                `- faults.py, those of the world, in their order
+               `- a time drawn from `transmission`, in the order of sending; or a cable with bit timing and arbitration
+
+What was on the bus stays in `trace`, for the assertions (seen.py) and the observer (judge.py).
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import NEVER, Time
+from canopen_proto.testing.armed_fault import ArmedFault, Course
+from canopen_proto.testing.draws import Draws
+from canopen_proto.testing.faults import FrameFault, Lie, Refuse, Sudden
+from canopen_proto.testing.judge import Judge
+from canopen_proto.testing.participant import Participant
+from canopen_proto.testing.patterns import Names, Pattern
+from canopen_proto.testing.seen import Seen, check_never, find
+from canopen_proto.testing.trace import Passed
+
+
+class Cable(Protocol):
+    """A bus with bit timing and arbitration, as canopen_transports.wire has one: `Wire`."""
+
+    def join(self, now: Time) -> Any:
+        """Add a member, and return it."""
+
+    def send(self, member: Any, frame: Frame, now: Time) -> None:
+        """Queue a frame."""
+
+    def bus_off(self, member: Any, now: Time) -> None:
+        """Take a member bus-off."""
+
+    def next_output(self) -> Time:
+        """Return when something comes out at the earliest."""
+
+    def handle_timeout(self, now: Time) -> None:
+        """Do what is due."""
+
+    def drain(self) -> tuple[Sequence[Any], Sequence[Any]]:
+        """Return the frames that came out, with `at`, `frame`, `senders` and `receivers`, and the reports."""
+
+    def time_of(self, bits: int) -> Time:
+        """Return the time of so many bits."""
+
+
+class _Sent(NamedTuple):
+    at: Time
+    number: int
+    frame: Frame
+    sender: Participant | None
+
+
+class _Late(NamedTuple):
+    at: Time
+    number: int
+    course: Course
+    sender: Participant | None
+
+
+class WorldBus:
+    """See this module's text; made by `World.bus`. trace: all frames so far. participants: in the order of joining."""
+
+    def __init__(
+        self,
+        name: str,
+        clock: Callable[[], Time],
+        names: Names,
+        faults: list[ArmedFault],
+        on_sudden: Callable[[Sudden], None],
+        draws: Draws,
+        transmission: tuple[Time, Time],
+        cable: Cable | None,
+    ) -> None:
+        self.name = name
+        self.names = names
+        self.participants: list[Participant] = []
+        self.trace: list[Passed] = []
+        self.observer = Judge(name, self.trace, clock, names)
+        self._clock = clock
+        self._faults = faults
+        self._on_sudden = on_sudden
+        self._draws = draws
+        self._transmission = transmission
+        self._cable = cable
+        self._members: dict[Participant, Any] = {}
+        self._sent: list[_Sent] = []
+        self._late: list[_Late] = []
+        self._held: dict[tuple[int, int], Time] = {}  # until when frames wait behind a late one, by routing key and receiver
+        self._last_at: Time = 0
+        self._count = 0
+        self._since: Time = 0
+
+    # ---- for tests ----
+
+    def send(self, frame: Frame | str) -> None:
+        """Put a frame on the bus, as somebody whom nobody knows. candump's notation will do: "605#4041600000000000"."""
+        self.put(Frame.parse(frame) if isinstance(frame, str) else frame, None)
+
+    def mark(self) -> None:
+        """Let `saw` and `never` look only at what comes from now on."""
+        self._since = self._clock()
+
+    def saw(self, pattern: Pattern, *, after: Time | None = None) -> Seen:
+        """Return the first frame that fits, for more questions. after: only frames from this time on; default: since `mark`.
+
+        Raises AssertionError, which says what came instead.
+        """
+        since = self._since if after is None else after
+        return find(pattern, self.observer, self.names, since)
+
+    def never(self, pattern: Pattern, *, after: Time | None = None) -> None:
+        """Check that no frame came that fits. Raises AssertionError, which shows the first one, with what was before it."""
+        check_never(pattern, self.observer, self.names, self._since if after is None else after)
+
+    def lines(self, last: int = 20) -> list[str]:
+        """Return the last frames in words."""
+        return self.observer.lines()[-last:] if last else []
+
+    # ---- for the world ----
+
+    def join(self, participant: Participant) -> None:
+        self.participants.append(participant)
+        if self._cable is not None:
+            self._members[participant] = self._cable.join(self._clock())
+
+    def leave(self, participant: Participant) -> None:
+        """Take a participant off the bus: it hears nothing more. What it has sent arrives."""
+        self.participants.remove(participant)
+
+    def put(self, frame: Frame, sender: Participant | None) -> None:
+        """Take a frame for transmission. A controller that is bus-off loses it."""
+        now = self._clock()
+        if sender is not None and now < sender.off_until:
+            return
+        if self._cable is not None and sender is not None:
+            self._cable.send(self._members[sender], frame, now)
+            return
+        least, most = self._transmission
+        at = self._last_at = max(now, self._last_at) + (self._draws.between(least, most))
+        self._count += 1
+        heapq.heappush(self._sent, _Sent(at, self._count, frame, sender))
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a frame that was sent is still on its way; those that a fault makes late do not count."""
+        return bool(self._sent) or (self._cable is not None and self._cable.next_output() < NEVER)
+
+    def next_time(self) -> Time:
+        """Return when the next frame comes; NEVER if none is under way."""
+        due = self._sent[0].at if self._sent else NEVER
+        if self._late:
+            due = min(due, self._late[0].at)
+        if self._cable is not None:
+            # One bit late, so that all who send at one time take part in the arbitration
+            due = min(due, self._cable.next_output() + self._cable.time_of(1))
+        return due
+
+    def step(self, now: Time) -> None:
+        """Let the frames come that are due."""
+        while self._late and self._late[0].at <= now:
+            late = heapq.heappop(self._late)
+            self._deliver(late.course, late.sender, now)
+            return
+        if self._sent and self._sent[0].at <= now:
+            sent = heapq.heappop(self._sent)
+            self._arrive(sent.frame, sent.sender, now)
+            return
+        if self._cable is not None:
+            self._cable.handle_timeout(now - self._cable.time_of(1))
+            deliveries, _ = self._cable.drain()
+            senders = {member: participant for participant, member in self._members.items()}
+            for each in deliveries:
+                self._arrive(each.frame, senders.get(each.senders[0]), now)
+
+    def _arrive(self, frame: Frame, sender: Participant | None, now: Time) -> None:
+        """Carry a frame past the faults."""
+        courses = [Course(frame, now)]
+        moments, answers = [], []
+        for armed in self._faults:
+            if not armed.meets(frame, self.name, now, self.names):
+                continue
+            fault = armed.fault
+            if isinstance(fault, FrameFault):
+                courses = [bent for course in courses for bent in armed.bend(course)]
+            elif isinstance(fault, Refuse | Lie):
+                courses = [course._replace(but=course.but | {fault.node_id}) for course in courses]
+                answers.append((armed.answer(frame, self.names), fault.node_id))
+            elif isinstance(fault, Sudden):
+                moments.append(fault)
+        for course in courses:
+            self._forward(course, sender, now)
+        for answer, node_id in answers:
+            self.put(answer, next((each for each in self.participants if each.node_id == node_id), None))
+        for moment in moments:
+            self._on_sudden(moment)
+
+    def _forward(self, course: Course, sender: Participant | None, now: Time) -> None:
+        if course.fate == "lost":
+            self._record(course, sender, now)
+            return
+        place = (course.frame.key, course.only)
+        at = course.at
+        if not course.is_loose:
+            at = max(at, self._held.get(place, 0))
+        if course.is_late:
+            self._held[place] = at
+        if at <= now:
+            self._deliver(course, sender, now)
+        else:
+            self._count += 1
+            heapq.heappush(self._late, _Late(at, self._count, course, sender))
+
+    def _deliver(self, course: Course, sender: Participant | None, now: Time) -> None:
+        self._record(course, sender, now)
+        for participant in tuple(self.participants):
+            if participant is sender:
+                continue
+            node_id = participant.node_id
+            if course.only in (0, node_id) and node_id not in course.but:
+                participant.hear(course.frame, now)
+
+    def _record(self, course: Course, sender: Participant | None, now: Time) -> None:
+        fate = f"{course.fate} at node {course.only}" if course.only and course.fate else course.fate
+        self.trace.append(Passed(now, course.frame, "" if sender is None else sender.name, fate, course.only))

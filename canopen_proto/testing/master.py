@@ -1,0 +1,106 @@
+"""`WorldMaster`: a master of a World for tests without async: the core's machines, and calls that let the world run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
+
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Key, ObjectDictionary
+from canopen_proto.machine import SECOND, Event, LocalProtocolError, RequestId, Time
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtCommand, NmtMaster
+from canopen_proto.procedures.objects import read, write
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.steps import Procedure
+from canopen_proto.remote_node import RemoteNode
+from canopen_proto.testing.bus import WorldBus
+from canopen_proto.testing.participant import Participant
+from canopen_proto.testing.patterns import Names
+
+T = TypeVar("T")
+
+
+class RunUntil(Protocol):
+    """`World.run_until`."""
+
+    def __call__(self, condition: Callable[[], object], limit: Time) -> None:
+        """See there."""
+
+
+class WorldMaster(Participant):
+    """See this module's text; made by `World.master`. nmt: the NMT commands. events: what its network has reported, in order."""
+
+    def __init__(self, bus: WorldBus, run_until: RunUntil, clock: Callable[[], Time], names: Names) -> None:
+        self.runs = Network()
+        super().__init__("master", network=self.runs, on_event=self._on_event)
+        self.nmt = NmtMaster(self.runs.out)
+        self.runs.attach(self.nmt)
+        self._bus = bus
+        self._run_until = run_until
+        self._clock = clock
+        self._names = names
+        self._nodes: dict[int, RemoteNode] = {}
+        self._ended: dict[RequestId, ProcedureFinished | ProcedureFailed | ProcedureCancelled] = {}
+
+    def node(self, node_id: int, dictionary: ObjectDictionary | None = None) -> RemoteNode:
+        """Return the view of a node. dictionary: by default that of the world's device. The first call for a node decides.
+
+        Raises LocalProtocolError if there is none.
+        """
+        if node_id not in self._nodes:
+            known = self._names(node_id) if dictionary is None else dictionary
+            if known is None:
+                raise LocalProtocolError(f"the world has no node {node_id}: give its dictionary, or make the device first")
+            node = RemoteNode(self.runs.out, node_id, known)
+            self.runs.attach(node)
+            self._nodes[node_id] = node
+        return self._nodes[node_id]
+
+    def read(self, node_id: int, key: Key) -> Value:
+        """Read an object by SDO; return its value. Raises SdoFailed, UnexpectedLength."""
+        return self.run(read(self.node(node_id), key))
+
+    def write(self, node_id: int, key: Key, value: Value) -> None:
+        """Write an object by SDO. Raises SdoFailed."""
+        self.run(write(self.node(node_id), key, value))
+
+    def command(self, command: NmtCommand, node_id: int = 0) -> None:
+        """Send an NMT command. node_id: 0: to all nodes. It is on the bus as soon as time passes."""
+        self.nmt.send(command, node_id, self._clock())
+
+    def run(self, procedure: Procedure[T], limit: Time = 3600 * SECOND) -> T:
+        """Let the world run until a procedure is over; return its result, or raise its error.
+
+        What was sent before comes first: the boot-up of a device that was just switched on would end our requests to it.
+        Raises NotReached, and cancels the procedure, if it takes longer than `limit` (ns).
+        """
+        self._run_until(lambda: not self._bus.is_busy, limit)
+        request_id = self.start(procedure)
+        try:
+            self._run_until(lambda: request_id in self._ended, limit)
+        except AssertionError:
+            self.runs.cancel(request_id, self._clock())
+            raise
+        result: T = self.result(request_id)
+        return result
+
+    def start(self, procedure: Procedure[T]) -> RequestId:
+        """Start a procedure; it runs as time passes. `has_ended` and `result` ask for its end."""
+        return self.runs.run(procedure, self._clock())
+
+    def has_ended(self, request_id: RequestId) -> bool:
+        """Whether a procedure is over."""
+        return request_id in self._ended
+
+    def result(self, request_id: RequestId) -> Any:
+        """Return the result of a procedure that is over, or raise its error."""
+        ended = self._ended.pop(request_id)
+        if isinstance(ended, ProcedureFailed):
+            raise ended.error
+        assert isinstance(ended, ProcedureFinished), f"{ended} was cancelled"
+        return ended.result
+
+    def _on_event(self, event: Event) -> None:
+        if isinstance(event, ProcedureFinished | ProcedureFailed | ProcedureCancelled):
+            self._ended[event.request_id] = event

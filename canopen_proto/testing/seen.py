@@ -1,0 +1,145 @@
+"""Assertions that explain: what a bus of a World has seen, and in which order.
+
+    bus.saw(sdo_write(5, "controlword", 0x0F)).within(100 * MILLISECOND).then(tpdo(5))
+    bus.never(sdo_abort(5))
+
+An assertion looks back: let the world run first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.multiplexer import mux
+from canopen_proto.sdo.codec import MAX_EXPEDITED
+from canopen_proto.testing.judge import Judge, Witnessed
+from canopen_proto.testing.patterns import Names, Pattern
+
+_NEAR: Final = 5
+"""Frames that are shown because they are near to what was looked for."""
+_SERVICES: Final = {"tpdo": "TPDO", "rpdo": "RPDO", "sync": "SYNC", "nmt": "NMT", "emcy": "EMCY"} | dict.fromkeys(
+    ("sdo request", "sdo answer", "sdo write", "sdo read", "sdo abort"), "SDO"
+)
+"""The services of the observer, by those of patterns."""
+
+
+class Seen:
+    """A frame that was seen; made by `WorldBus.saw`. time: ns. frame: itself. text: in words."""
+
+    def __init__(self, pattern: Pattern, place: int, judge: Judge, names: Names, since: Time) -> None:
+        self._pattern = pattern
+        self._place = place
+        self._judge = judge
+        self._names = names
+        self._since = since
+
+    @property
+    def _witnessed(self) -> Witnessed:
+        return self._judge.witnessed()[self._place]
+
+    @property
+    def time(self) -> Time:
+        """When it was on the bus, ns."""
+        return self._witnessed.passed.time
+
+    @property
+    def frame(self) -> Frame:
+        """The frame."""
+        return self._witnessed.passed.frame
+
+    @property
+    def text(self) -> str:
+        """The frame in words, with its time and its sender."""
+        return str(self._witnessed)
+
+    def within(self, limit: Time) -> Seen:
+        """Check that it came not later than so many ns behind the time from which was looked (`after`, `mark`, the start), or
+        behind the frame before it (`then`). Raises AssertionError."""
+        took = self.time - self._since
+        if took > limit:
+            behind = f"{_time_text(took)} behind {self._since / SECOND:.6f} s, not within {_time_text(limit)}"
+            raise AssertionError(f"{self._pattern} came {behind}.\n{self._judge.tail(self.time)}")
+        return self
+
+    def times(self, count: int) -> Seen:
+        """Check that such frames came so many times, no more and no less. Raises AssertionError."""
+        found = list(_all(self._pattern, self._judge, self._names, self._since))
+        if len(found) != count:
+            lines = "\n".join(f"  {self._judge.witnessed()[place]}" for place in found[-_NEAR:])
+            raise AssertionError(f"{self._pattern} came {len(found)} times, not {count}:\n{lines}")
+        return self
+
+    def then(self, pattern: Pattern) -> Seen:
+        """Return the first frame behind this one that fits another pattern. Raises AssertionError if there is none."""
+        return find(pattern, self._judge, self._names, self.time, self._place + 1, f" behind {self._pattern}")
+
+
+def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int = 0, behind: str = "") -> Seen:
+    """Return the first frame that fits. Raises AssertionError, which says what came instead."""
+    place = next(_all(pattern, judge, names, since, first), None)
+    if place is not None:
+        return Seen(pattern, place, judge, names, since)
+    looked = [each for each in judge.witnessed()[first:] if each.passed.time >= since]
+    near = _nearest(pattern, looked, names)
+    told = [f"{judge.name} never saw {pattern}{behind} (looked at {len(looked)} frames from {since / SECOND:.6f} s on)."]
+    if near:
+        told += ["What came nearest:", *(f"  {each}" for each in near)]
+    lost = [each for each in looked if not each.passed.was_heard and pattern.fits(each.passed.frame, names)]
+    if lost:
+        told += ["It was sent, but a fault took it:", *(f"  {each}" for each in lost[:_NEAR])]
+    raise AssertionError("\n".join([*told, judge.tail(looked[-1].passed.time if looked else since)]))
+
+
+def check_never(pattern: Pattern, judge: Judge, names: Names, since: Time) -> None:
+    """Check that no frame fits. Raises AssertionError."""
+    place = next(_all(pattern, judge, names, since), None)
+    if place is not None:
+        witnessed = judge.witnessed()[place]
+        raise AssertionError(f"{judge.name} saw {pattern}:\n  {witnessed}\n{judge.tail(witnessed.passed.time)}")
+
+
+def _all(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int = 0) -> Iterator[int]:
+    """The places of the frames that fit. A long value that was written fits with the frame that confirms it."""
+    long = _long_value(pattern, names)
+    for place, each in enumerate(judge.witnessed()[first:], start=first):
+        if each.passed.time < since or not each.passed.was_heard:
+            continue
+        if long is None:
+            fits = pattern.fits(each.passed.frame, names)
+        else:
+            settled = None if each.observation is None else each.observation.settled
+            fits = settled is not None and not settled.is_read and (settled.node_id, settled.place, settled.data) == long
+        if fits:
+            yield place
+
+
+def _long_value(pattern: Pattern, names: Names) -> tuple[int, int, bytes] | None:
+    if pattern.service != "sdo write":
+        return None
+    data = pattern.data(names)
+    if data is None or 0 < len(data) <= MAX_EXPEDITED:
+        return None
+    return pattern.node_id, pattern.variable(names).mux, data
+
+
+def _nearest(pattern: Pattern, looked: Iterable[Witnessed], names: Names) -> list[Witnessed]:
+    """The last frames that are most like what was looked for: of its object, else of its service and node."""
+    service = _SERVICES.get(pattern.service, pattern.service)
+    same, of_object = [], []
+    for each in looked:
+        meaning = None if each.observation is None else each.observation.meaning
+        if meaning is None or not meaning.service.startswith(service) or pattern.node_id not in (0, meaning.node_id):
+            continue
+        same.append(each)
+        if pattern.key is not None and any(
+            mux(shown.index, shown.subindex) == pattern.variable(names).mux for shown in meaning.objects
+        ):
+            of_object.append(each)
+    return (of_object or same)[-_NEAR:]
+
+
+def _time_text(time: Time) -> str:
+    return f"{time / SECOND:g} s" if time >= SECOND else f"{time / MILLISECOND:g} ms"

@@ -1,0 +1,388 @@
+"""A World: time passes where it is let, each seed gives its own frames, and the same ones each time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from canopen_proto.abort import AbortCode
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Access, Object, Variable
+from canopen_proto.frame import Frame
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Outbox
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtCommand, NmtState
+from canopen_proto.procedures import SdoFailed, sleep
+from canopen_proto.sdo.client import SdoClient
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import Shape
+from canopen_proto.testing import (
+    BusOff,
+    Copy,
+    Corrupt,
+    Delay,
+    Fault,
+    Lie,
+    Lose,
+    NotReached,
+    Pause,
+    Refuse,
+    Reorder,
+    Replace,
+    Reset,
+    SecondMaster,
+    World,
+    boot_up,
+    can_frame,
+    emcy,
+    heartbeat,
+    nmt,
+    sdo_abort,
+    sdo_answer,
+    sdo_read,
+    sdo_request,
+    sdo_write,
+    tpdo,
+)
+from tests.core.full_device import full_device
+
+STANDARD = drive_dictionary(Shape.STANDARD)
+
+
+def full(out: Outbox) -> LocalNode:
+    """A device with an object of each kind."""
+    return LocalNode(out, 5, full_device())
+
+
+def beating(*faults: Fault, seed: int = 0) -> World:
+    """A drive that sends its heartbeat each 100 ms, for a second."""
+    world = World(seed, faults)
+    world.drive(5)
+    world.master().write(5, "producer_heartbeat_time", 100)
+    world.advance(SECOND)
+    return world
+
+
+def times(world: World, text: str) -> list[float]:
+    """When frames came whose candump text begins so, in ms, to 10 ms."""
+    return [round(each.time / MILLISECOND, -1) for each in world.bus().trace if str(each.frame).startswith(text)]
+
+
+# ---- time, seeds, order ----
+
+
+def test_an_hour_passes_at_once_and_exactly() -> None:
+    world = beating()
+    world.advance(3600 * SECOND)
+    assert world.now >= 3601 * SECOND
+    assert len(times(world, "705#7F")) == pytest.approx(36_010, abs=2)
+
+
+LIFE = """
+from canopen_proto.testing import *
+from canopen_proto.machine import SECOND
+world = World({seed}, [Lose(heartbeat(), chance=0.2), Corrupt(sdo_answer(), chance=0.1), Delay(tpdo(5), by=SECOND, chance=0.3)])
+for node_id in (5, 6, 7):
+    world.drive(node_id)
+master = world.master()
+for node_id in (5, 6, 7):
+    try:
+        master.write(node_id, "producer_heartbeat_time", 100)
+    except Exception as error:
+        print(error)
+master.command(1, 0)
+world.advance(20 * SECOND)
+for each in world.bus().trace:
+    print(*each)
+"""
+
+
+def life(seed: int, hash_seed: str) -> str:
+    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", LIFE.format(seed=seed)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_seed_gives_the_same_frames_in_each_process() -> None:
+    one, other = life(1, "0"), life(1, "1234")
+    assert one == other
+    assert one.count("\n") > 500
+    assert one != life(2, "0")
+
+
+def test_at_one_time_the_seed_says_who_acts_first() -> None:
+    def order(seed: int) -> list[int]:
+        world = World(seed)
+        for node_id in range(1, 9):
+            world.drive(node_id).set_value(0x1017, 0, 100, 0)
+        world.advance(130 * MILLISECOND)
+        return [each.frame.can_id for each in world.bus().trace[-8:]]
+
+    assert order(1) == order(1)
+    assert len({tuple(order(seed)) for seed in range(5)}) > 1
+
+
+def test_what_does_not_come_is_told_with_the_last_frames() -> None:
+    world = beating()
+    with pytest.raises(NotReached, match=r"emergency of node 5 did not .*: 2 s are over.\n.*frames on can0(.|\n)*705#7F"):
+        world.run_until(emcy(5), limit=2 * SECOND)
+    empty = World()
+    with pytest.raises(NotReached, match="nothing more will happen in this world"):
+        empty.run_until(lambda: False)
+
+
+def test_run_until_a_frame_comes() -> None:
+    world = beating()
+    began = world.now
+    world.run_until(heartbeat(5), limit=SECOND)
+    assert 0 < world.now - began <= 101 * MILLISECOND
+
+
+def test_a_function_that_the_world_calls_cannot_let_time_pass() -> None:
+    world = World()
+    world.listener(lambda frame, now: world.advance(1))
+    world.drive(5)
+    with pytest.raises(LocalProtocolError, match="time is passing already"):
+        world.advance(SECOND)
+
+
+def test_machines_of_ones_own_are_a_participant() -> None:
+    world = World()
+    world.drive(5)
+    network = Network()
+    client = SdoClient(network.out, 5)
+    network.attach(client)
+    host = world.host(network)
+    world.advance(MILLISECOND)
+    client.upload(0x1000, 0, world.now)
+    world.run_until(sdo_answer(5))
+    world.advance(0)
+    assert [type(event).__name__ for event in host.events] == ["SdoUploaded"]
+    world.leave(host)
+    client.upload(0x1000, 0, world.now)
+    world.advance(SECOND)
+    assert world.bus().participants == [world.bus().participants[0]]
+
+
+def test_a_listener_hears_all_frames_but_its_own() -> None:
+    heard: list[str] = []
+    world = World()
+    ear = world.listener(lambda frame, now: heard.append(str(frame)))
+    drive = world.drive(5)
+    world.send(ear, Frame.parse("000#0105"))
+    world.advance(MILLISECOND)
+    assert heard[0] == "705#00"
+    assert "000#0105" not in heard
+    assert drive.state is NmtState.OPERATIONAL
+
+
+def test_each_bus_is_its_own() -> None:
+    world = World()
+    world.drive(5)
+    world.drive(6, bus="can1")
+    world.advance(MILLISECOND)
+    assert [[str(each.frame) for each in bus.trace] for bus in world.buses.values()] == [["705#00"], ["706#00"]]
+
+
+def test_what_a_device_stores_it_has_after_a_reset() -> None:
+    world = World(faults=[Reset(5, on=nmt("start", 5))])
+    world.device(full, bus="can0")
+    master = world.master()
+    master.write(5, "producer_heartbeat_time", 321)
+    master.write(5, (0x1010, 1), 0x65766173)
+    master.command(NmtCommand.START, 5)
+    world.run_until(boot_up(5))
+    assert master.read(5, "producer_heartbeat_time") == 321
+
+
+def test_a_node_id_is_given_once() -> None:
+    world = World()
+    world.drive(5)
+    with pytest.raises(LocalProtocolError, match="node 5 in this world already"):
+        world.device(STANDARD, 5)
+    with pytest.raises(LocalProtocolError, match="no node 9: give its dictionary"):
+        world.master().node(9)
+
+
+def test_a_procedure_that_takes_too_long_is_cancelled() -> None:
+    world = World()
+    master = world.master()
+    with pytest.raises(NotReached, match="1 s are over"):
+        master.run(sleep(2 * SECOND), limit=SECOND)
+    world.advance(SECOND)
+    assert not master.runs.runner.busy
+
+
+# ---- faults ----
+
+
+def test_by_position() -> None:
+    assert times(beating(), "705#7F") == [0, 100, 200, 300, 400, 500, 600, 700, 800, 900, 1000]
+    world = beating(Lose(heartbeat(5), nth=(3, 4)))
+    assert [each.fate for each in world.bus().trace if str(each.frame) == "705#7F"] == ["", "", "lost", "lost", *[""] * 7]
+
+
+def test_by_chance_and_by_predicate() -> None:
+    def lost(fault: Fault, seed: int = 0) -> int:
+        return sum(each.fate == "lost" for each in beating(fault, seed=seed).bus().trace)
+
+    assert lost(Lose(heartbeat(5), chance=0.0)) == 0
+    assert {lost(Lose(heartbeat(5), chance=0.5), seed) for seed in range(6)} > {4}
+    assert lost(Lose(when=lambda frame: frame.data == b"\x7f")) == 11
+    assert lost(Lose(heartbeat(5), since=250 * MILLISECOND, until=550 * MILLISECOND)) == 3
+    assert lost(Lose(heartbeat(5), bus="can1")) == 0
+
+
+def test_a_late_frame_holds_up_those_behind_it_and_a_loose_one_does_not() -> None:
+    late = Delay(heartbeat(5), by=250 * MILLISECOND, nth=3)
+    assert times(beating(late), "705#7F") == [0, 100, 450, 450, 450, 500, 600, 700, 800, 900, 1000]
+    loose = Reorder(heartbeat(5), by=250 * MILLISECOND, nth=3)
+    assert times(beating(loose), "705#7F") == [0, 100, 300, 400, 450, 500, 600, 700, 800, 900, 1000]
+
+
+def test_copies_and_changed_data() -> None:
+    assert times(beating(Copy(heartbeat(5), nth=3, later=50 * MILLISECOND)), "705#7F")[2:5] == [200, 250, 300]
+    assert times(beating(Replace(heartbeat(5), data=b"\x05", nth=3)), "705#05") == [200]
+    assert times(beating(Corrupt(heartbeat(5), flip=b"\xff", nth=3)), "705#80") == [200]
+    odd = [each.frame.data[0] for each in beating(Corrupt(heartbeat(5), nth=3)).bus().trace if each.fate == "corrupted"]
+    assert [(byte ^ 0x7F).bit_count() for byte in odd] == [1]
+
+
+def test_two_faults_meet_the_same_frame() -> None:
+    world = beating(Copy(heartbeat(5), nth=3, later=50 * MILLISECOND), Delay(heartbeat(5), nth=3, by=20 * MILLISECOND))
+    assert times(world, "705#7F")[2:5] == [220, 270, 300]
+
+
+def test_one_receiver_alone_misses_a_frame() -> None:
+    world = World(faults=[Lose(nmt("start"), to=5)])
+    one, other = world.drive(5), world.drive(6)
+    world.bus().send("000#0100")
+    world.advance(MILLISECOND)
+    assert (one.state, other.state) == (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+    world.bus().saw(nmt("start"))
+
+
+def test_a_device_refuses_and_does_not_execute() -> None:
+    world = World(faults=[Refuse(5, "producer_heartbeat_time", AbortCode.LOCAL_CONTROL, nth=1)])
+    drive, master = world.drive(5), world.master()
+    with pytest.raises(SdoFailed, match="0x08000021"):
+        master.write(5, "producer_heartbeat_time", 100)
+    assert drive.values.store[0x101700] == 0
+    master.write(5, "producer_heartbeat_time", 100)
+    world.bus().saw(sdo_abort(5, AbortCode.LOCAL_CONTROL)).times(1)
+
+
+def test_a_device_lies_about_its_identity() -> None:
+    world = World(faults=[Lie(5, (0x1018, 1), 0x1234)])
+    world.drive(5)
+    assert world.master().read(5, (0x1018, 1)) == 0x1234
+
+
+def test_a_device_that_pauses_is_late_and_loses_nothing() -> None:
+    world = beating(Pause(5, at=250 * MILLISECOND, lasts=200 * MILLISECOND))
+    assert times(world, "705#7F")[2:5] == [200, 450, 500]
+    gone = beating(Pause(5, on=heartbeat(5), nth=3))
+    assert times(gone, "705#7F") == [0, 100, 200]
+    with pytest.raises(SdoFailed, match="did not answer"):
+        gone.master().read(5, "device_type")
+
+
+def test_a_device_goes_bus_off_and_returns() -> None:
+    world = beating(BusOff(5, at=250 * MILLISECOND, lasts=300 * MILLISECOND))
+    assert times(world, "705#7F") == [0, 100, 200, 600, 700, 800, 900, 1000]
+    world.bus().saw(emcy(5, 0x8140)).within(551 * MILLISECOND).then(emcy(5, 0))
+
+
+def test_a_second_master_stops_all() -> None:
+    world = beating(SecondMaster(("000#0200", "000#0100"), at=500 * MILLISECOND, apart=100 * MILLISECOND))
+    world.bus().saw(nmt("stop")).then(nmt("start")).then(tpdo(5))
+    assert world.bus().saw(can_frame("000#02")).frame == Frame.parse("000#0200")
+
+
+def test_faults_that_make_no_sense() -> None:
+    for make in (
+        lambda: Lose(chance=1.5),
+        lambda: Lose(nth=0),
+        lambda: Pause(5, on=heartbeat(5), at=1),
+        lambda: Reset(128),
+    ):
+        with pytest.raises(LocalProtocolError):
+            make()
+    with pytest.raises(ValueError, match="candump"):
+        SecondMaster(("nonsense",))
+
+
+# ---- what was seen ----
+
+
+def test_what_was_never_seen_is_told_with_what_came_nearest() -> None:
+    bus = beating().bus()
+    bus.saw(sdo_write(5, "producer_heartbeat_time", 100)).within(10 * MILLISECOND).then(heartbeat(5)).within(10 * MILLISECOND)
+    with pytest.raises(AssertionError) as caught:
+        bus.saw(sdo_write(5, "producer_heartbeat_time", 0x65))
+    text = str(caught.value)
+    assert text.startswith("can0 never saw SDO write of producer_heartbeat_time = 0x65 (101) to node 5")
+    assert "What came nearest:" in text
+    assert "write 1017:00 producer_heartbeat_time = 100" in text
+
+
+def test_what_a_fault_took_is_told() -> None:
+    bus = beating(Lose(boot_up(5))).bus()
+    with pytest.raises(AssertionError, match=r"a fault took it:\n.*705#00.*\[lost\]"):
+        bus.saw(boot_up(5))
+
+
+def test_too_late_too_often_and_never() -> None:
+    bus = beating().bus()
+    with pytest.raises(AssertionError, match=r"heartbeat of node 5 came 0\.\d+ ms behind .*, not within 0.1 ms"):
+        bus.saw(heartbeat(5)).within(MILLISECOND // 10)
+    with pytest.raises(AssertionError, match="heartbeat of node 5 came 11 times, not 3"):
+        bus.saw(heartbeat(5)).times(3)
+    with pytest.raises(AssertionError, match="can0 saw heartbeat of node 5:\n.*705#7F"):
+        bus.never(heartbeat(5))
+    bus.never(emcy())
+    bus.mark()
+    bus.never(heartbeat(5))
+    bus.saw(heartbeat(5), after=0).times(11)
+
+
+def test_a_value_of_several_segments_is_seen_with_the_frame_that_confirms_it() -> None:
+    label = Object.of("label", [Variable(0x2100, 0, "label", DataType.VISIBLE_STRING, Access.RW)])
+    world = World()
+    world.device(full_device(label), 5)
+    world.master().write(5, "label", "more than four")
+    seen = world.bus().saw(sdo_write(5, "label", "more than four"))
+    assert seen.frame.can_id == 0x585
+    assert "written" in seen.text
+    world.bus().never(sdo_write(5, "label", "another one"))
+
+
+def test_patterns_are_values_and_say_what_they_mean() -> None:
+    assert sdo_read(5, 0x6041) == sdo_read(5, 0x6041)
+    assert str(sdo_read(5, 0x6041)) == "SDO read of 0x6041:00 of node 5"
+    assert str(nmt("reset_node", 5)) == "NMT command reset node to node 5"
+    assert str(sdo_request(5)) == "an SDO request to node 5"
+    assert str(heartbeat(5, NmtState.STOPPED)) == "heartbeat of node 5, stopped"
+    for wrong in (lambda: nmt("go"), lambda: tpdo(5, 5), lambda: sdo_read(0, 0x6041)):
+        with pytest.raises(LocalProtocolError):
+            wrong()
+
+
+def test_the_observer_tells_what_was_wrong() -> None:
+    beating().bus().observer.clean()
+    doubled = beating(Copy(heartbeat(5), nth=4)).bus().observer
+    with pytest.raises(AssertionError, match=r"What was wrong on can0:\n.* copied: node 5: "):
+        doubled.clean()
+    doubled.clean(but=["copied"])
+    with pytest.raises(ValueError, match="no rule 'nonsense'"):
+        doubled.clean(but=["nonsense"])
+
+
+def test_for_good_is_for_good() -> None:
+    world = beating(BusOff(5, at=500 * MILLISECOND, lasts=NEVER))
+    world.advance(3600 * SECOND)
+    assert times(world, "705#7F")[-1] == 400
