@@ -21,11 +21,12 @@ import canopen_master
 import canopen_proto
 import canopen_proto.procedures
 import canopen_proto.testing
+import canopen_testing
 import canopen_transports
 from canopen_proto.drives import axis as drive
 from tests import user_example, user_mistakes
 
-LAZY = [canopen_proto, canopen_proto.procedures, canopen_proto.testing, canopen_master, canopen_transports]
+LAZY = [canopen_proto, canopen_proto.procedures, canopen_proto.testing, canopen_master, canopen_testing, canopen_transports]
 
 
 def seen_by_type_checkers(package: ModuleType) -> dict[str, str]:

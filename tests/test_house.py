@@ -26,6 +26,7 @@ ARROWS = {
     "canopen_transports": {"canopen_proto"},
     "canopen_check": {"canopen_proto", "canopen_data"},
     "canopen_master": {"canopen_proto", "canopen_data", "canopen_transports"},
+    "canopen_testing": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check"},
     "canopen_ros": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master"},
     "canopen_cli": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check", "canopen_ros"},
 }

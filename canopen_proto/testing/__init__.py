@@ -6,6 +6,8 @@
     patterns.py   which frames are meant
     seen.py       `bus.saw(...)`, `bus.never(...)`; judge.py: `bus.observer.clean()`
 
+`__tracebackhide__` keeps the inside of an assertion out of pytest's reports.
+
 Files of devices, bit timing, programs in trio and asyncio, and the pytest fixtures are in the package canopen_testing.
 """
 

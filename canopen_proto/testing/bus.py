@@ -113,11 +113,13 @@ class WorldBus:
 
         Raises AssertionError, which says what came instead.
         """
+        __tracebackhide__ = True
         since = self._since if after is None else after
         return find(pattern, self.observer, self.names, since)
 
     def never(self, pattern: Pattern, *, after: Time | None = None) -> None:
         """Check that no frame came that fits. Raises AssertionError, which shows the first one, with what was before it."""
+        __tracebackhide__ = True
         check_never(pattern, self.observer, self.names, self._since if after is None else after)
 
     def lines(self, last: int = 20) -> list[str]:

@@ -89,6 +89,7 @@ class Judge:
 
         Raises AssertionError, which names what was wrong, and shows the frames before it.
         """
+        __tracebackhide__ = True
         unknown = [rule for rule in but if rule not in RULES]
         if unknown:
             raise ValueError(f"the observer has no rule {unknown[0]!r}: {', '.join(RULES)}")

@@ -14,7 +14,6 @@ from canopen_proto.procedures.objects import read, write
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.testing.bus import WorldBus
 from canopen_proto.testing.participant import Participant
 from canopen_proto.testing.patterns import Names
 
@@ -31,16 +30,17 @@ class RunUntil(Protocol):
 class WorldMaster(Participant):
     """See this module's text; made by `World.master`. nmt: the NMT commands. events: what its network has reported, in order."""
 
-    def __init__(self, bus: WorldBus, run_until: RunUntil, clock: Callable[[], Time], names: Names) -> None:
+    def __init__(self, settle: Callable[[], None], run_until: RunUntil, clock: Callable[[], Time], names: Names) -> None:
         self.runs = Network()
         super().__init__("master", network=self.runs, on_event=self._on_event)
         self.nmt = NmtMaster(self.runs.out)
         self.runs.attach(self.nmt)
-        self._bus = bus
+        self._settle = settle
         self._run_until = run_until
         self._clock = clock
         self._names = names
         self._nodes: dict[int, RemoteNode] = {}
+        self._on_end: dict[RequestId, Callable[[], object]] = {}
         self._ended: dict[RequestId, ProcedureFinished | ProcedureFailed | ProcedureCancelled] = {}
 
     def node(self, node_id: int, dictionary: ObjectDictionary | None = None) -> RemoteNode:
@@ -59,10 +59,12 @@ class WorldMaster(Participant):
 
     def read(self, node_id: int, key: Key) -> Value:
         """Read an object by SDO; return its value. Raises SdoFailed, UnexpectedLength."""
+        __tracebackhide__ = True
         return self.run(read(self.node(node_id), key))
 
     def write(self, node_id: int, key: Key, value: Value) -> None:
         """Write an object by SDO. Raises SdoFailed."""
+        __tracebackhide__ = True
         self.run(write(self.node(node_id), key, value))
 
     def command(self, command: NmtCommand, node_id: int = 0) -> None:
@@ -75,7 +77,8 @@ class WorldMaster(Participant):
         What was sent before comes first: the boot-up of a device that was just switched on would end our requests to it.
         Raises NotReached, and cancels the procedure, if it takes longer than `limit` (ns).
         """
-        self._run_until(lambda: not self._bus.is_busy, limit)
+        __tracebackhide__ = True
+        self._settle()
         request_id = self.start(procedure)
         try:
             self._run_until(lambda: request_id in self._ended, limit)
@@ -85,9 +88,12 @@ class WorldMaster(Participant):
         result: T = self.result(request_id)
         return result
 
-    def start(self, procedure: Procedure[T]) -> RequestId:
-        """Start a procedure; it runs as time passes. `has_ended` and `result` ask for its end."""
-        return self.runs.run(procedure, self._clock())
+    def start(self, procedure: Procedure[T], on_end: Callable[[], object] | None = None) -> RequestId:
+        """Start a procedure; it runs as time passes. `has_ended` and `result` ask for its end, and on_end is called then."""
+        request_id = self.runs.run(procedure, self._clock())
+        if on_end is not None:
+            self._on_end[request_id] = on_end
+        return request_id
 
     def has_ended(self, request_id: RequestId) -> bool:
         """Whether a procedure is over."""
@@ -104,3 +110,4 @@ class WorldMaster(Participant):
     def _on_event(self, event: Event) -> None:
         if isinstance(event, ProcedureFinished | ProcedureFailed | ProcedureCancelled):
             self._ended[event.request_id] = event
+            self._on_end.pop(event.request_id, lambda: None)()

@@ -58,6 +58,7 @@ class Seen:
     def within(self, limit: Time) -> Seen:
         """Check that it came not later than so many ns behind the time from which was looked (`after`, `mark`, the start), or
         behind the frame before it (`then`). Raises AssertionError."""
+        __tracebackhide__ = True
         took = self.time - self._since
         if took > limit:
             behind = f"{_time_text(took)} behind {self._since / SECOND:.6f} s, not within {_time_text(limit)}"
@@ -66,6 +67,7 @@ class Seen:
 
     def times(self, count: int) -> Seen:
         """Check that such frames came so many times, no more and no less. Raises AssertionError."""
+        __tracebackhide__ = True
         found = list(_all(self._pattern, self._judge, self._names, self._since))
         if len(found) != count:
             lines = "\n".join(f"  {self._judge.witnessed()[place]}" for place in found[-_NEAR:])
@@ -74,11 +76,13 @@ class Seen:
 
     def then(self, pattern: Pattern) -> Seen:
         """Return the first frame behind this one that fits another pattern. Raises AssertionError if there is none."""
+        __tracebackhide__ = True
         return find(pattern, self._judge, self._names, self.time, self._place + 1, f" behind {self._pattern}")
 
 
 def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int = 0, behind: str = "") -> Seen:
     """Return the first frame that fits. Raises AssertionError, which says what came instead."""
+    __tracebackhide__ = True
     place = next(_all(pattern, judge, names, since, first), None)
     if place is not None:
         return Seen(pattern, place, judge, names, since)
@@ -95,6 +99,7 @@ def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int =
 
 def check_never(pattern: Pattern, judge: Judge, names: Names, since: Time) -> None:
     """Check that no frame fits. Raises AssertionError."""
+    __tracebackhide__ = True
     place = next(_all(pattern, judge, names, since), None)
     if place is not None:
         witnessed = judge.witnessed()[place]

@@ -143,7 +143,7 @@ class World:
 
     def master(self, bus: str = "can0") -> WorldMaster:
         """Return a master on a bus, for a test without async: its calls let the world run until they have their result."""
-        master = WorldMaster(self.bus(bus), self.run_until, lambda: self.now, self._dictionary_of)
+        master = WorldMaster(self.settle, self.run_until, lambda: self.now, self._dictionary_of)
         self._join(master, bus)
         return master
 
@@ -194,6 +194,7 @@ class World:
 
         Raises NotReached if that takes longer than `limit` (ns), or if nothing more will happen.
         """
+        __tracebackhide__ = True
         met = self._comes(condition) if isinstance(condition, Pattern) else condition
         began, end = self.now, self.now + limit
         self._pump()
@@ -205,6 +206,16 @@ class World:
                 self.now, why = end, f"{limit / SECOND:g} s are over"
             tails = [bus.observer.tail(self.now) for bus in self.buses.values()]
             raise NotReached("\n".join([f"{_name(condition)} did not come true since {began / SECOND:.6f} s: {why}.", *tails]))
+
+    def settle(self, limit: Time = SECOND) -> None:
+        """Let the frames come that are on their way, such as the boot-up of a device that was just switched on.
+
+        Returns after `limit` (ns) at the latest: a bus may be busy all the time.
+        """
+        end = self.now + limit
+        self._pump()
+        while any(bus.is_busy for bus in self.buses.values()) and self.step(end):
+            pass
 
     def next_time(self) -> Time:
         """Return when the next thing happens; NEVER if nothing will."""

@@ -21,7 +21,7 @@ from canopen_transports.python_can import PythonCanTransport
 from canopen_transports.replay import ReplayTransport, open_replay
 from canopen_transports.tcp import TcpTransport, open_tcp
 from canopen_transports.tracing import TracingTransport, traced
-from canopen_transports.virtual import VirtualTransport, open_virtual
+from canopen_transports.virtual import VirtualTransport, has_stand_in, open_virtual
 from canopen_transports.virtual_wire import WireTransport
 
 if TYPE_CHECKING:
@@ -58,6 +58,9 @@ async def open_transport(locator: str) -> OpenTransport | TracingTransport:
 
 
 async def _open(parsed: Locator) -> OpenTransport:
+    if has_stand_in():
+        await trio.lowlevel.checkpoint()
+        return VirtualTransport(parsed.channel)
     if parsed.own:
         await trio.lowlevel.checkpoint()
         if parsed.interface == "virtual":

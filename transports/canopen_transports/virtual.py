@@ -27,15 +27,24 @@ from canopen_transports.virtual_wire import WireTransport, open_wire
 MAX_PUSHED: Final = 64
 """Frames that are pushed in a row. Later ones wait in the queues, so that other tasks have their turn."""
 
-_buses: trio.lowlevel.RunVar[dict[str, _Line]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
+_buses: trio.lowlevel.RunVar[dict[str, VirtualLine]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
+_stand_in: trio.lowlevel.RunVar[Callable[[str], VirtualLine] | None] = trio.lowlevel.RunVar("stand-in for all buses", None)
 
 
-class _Line:
+class VirtualLine:
     """The part of a bus that its members share: the list of members, and the frames under way."""
 
     def __init__(self) -> None:
         self.members: tuple[VirtualTransport, ...] = ()
         self._under_way: list[tuple[VirtualTransport, Frame, Time]] = []
+
+    def join(self, member: VirtualTransport) -> None:
+        """Add a member."""
+        self.members += (member,)
+
+    def leave(self, member: VirtualTransport) -> None:
+        """Remove a member."""
+        self.members = tuple(each for each in self.members if each is not member)
 
     def carry(self, sender: VirtualTransport, frame: Frame, now: Time) -> None:
         """Hand a frame to all members but its sender, then the frames that their receivers send meanwhile: one order for all."""
@@ -66,8 +75,11 @@ class VirtualTransport(trio.abc.AsyncResource):
         self._clock = trio.lowlevel.current_clock()
         self._queue = ReceiveQueue(self.locator, queue_size)
         self._receiver: Callable[[Frame, Time], None] | None = None
-        self._line = _names().setdefault(name, _Line())
-        self._line.members += (self,)
+        names = _names()
+        if name not in names:
+            names[name] = (_stand_in.get() or _new_line)(name)
+        self._line = names[name]
+        self._line.join(self)
 
     async def send(self, frame: Frame) -> None:
         """Queue the frame for every other member. Never waits: CAN has no back-pressure."""
@@ -115,9 +127,8 @@ class VirtualTransport(trio.abc.AsyncResource):
         if not self._closed:
             self._closed = True
             self._receiver = None
-            line = self._line
-            line.members = tuple(member for member in line.members if member is not self)
-            if not line.members:
+            self._line.leave(self)
+            if not self._line.members:
                 del _buses.get()[self._name]
             self._queue.close()
         await trio.lowlevel.checkpoint()
@@ -138,7 +149,25 @@ async def open_virtual(
     return VirtualTransport(name) if member is None else member
 
 
-def _names() -> dict[str, _Line]:
+def stand_in(line: Callable[[str], VirtualLine]) -> None:
+    """Let every bus that is opened from now on in this `trio.run`, whatever its locator, be one in this process, of such lines.
+
+    For simulations of the world around a program: no adapter is touched. line: makes the line of a bus by its name, which is the
+    channel of its locator.
+    """
+    _stand_in.set(line)
+
+
+def has_stand_in() -> bool:
+    """Whether `stand_in` was called in this `trio.run`."""
+    return _stand_in.get() is not None
+
+
+def _new_line(name: str) -> VirtualLine:
+    return VirtualLine()
+
+
+def _names() -> dict[str, VirtualLine]:
     """Return the buses of this run that have no physics."""
     try:
         return _buses.get()

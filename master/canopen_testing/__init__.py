@@ -1,0 +1,34 @@
+"""For tests of devices and programs: a World with files, bit timing and programs in trio and asyncio, and the pytest plugin.
+
+    program_world.py   `ProgramWorld`; its time in trio, and world_loop.py for asyncio; can_bus.py for python-can
+    plugin.py          the fixtures; docs/testing.md shows them
+
+The faults, patterns and assertions are in canopen_proto.testing.
+
+It is a package of its own because the core imports nothing of trio and pytest, and canopen_master nothing of canopen_check.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from canopen_testing.async_tests import AsyncioMaster as AsyncioMaster
+    from canopen_testing.can_bus import WorldCanBus as WorldCanBus
+    from canopen_testing.conformance_fixture import RunCase as RunCase
+    from canopen_testing.fixture_types import SimDrive as SimDrive
+    from canopen_testing.fixture_types import SimNode as SimNode
+    from canopen_testing.program_world import ProgramWorld as ProgramWorld
+    from canopen_testing.wall_clock import WallClockWait as WallClockWait
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__, __all__ = lazy_names(
+        globals(),
+        {
+            "canopen_testing.async_tests": "AsyncioMaster",
+            "canopen_testing.can_bus": "WorldCanBus",
+            "canopen_testing.conformance_fixture": "RunCase",
+            "canopen_testing.fixture_types": "SimDrive SimNode",
+            "canopen_testing.program_world": "ProgramWorld",
+            "canopen_testing.wall_clock": "WallClockWait",
+        },
+    )

@@ -1,0 +1,206 @@
+"""`ProgramWorld`: a World with devices made of their files, buses with bit timing, and programs in trio and asyncio, unchanged.
+
+    world = ProgramWorld(seed=7)
+    world.device("drive.eds", node_id=5)
+    world.run(main)                      # trio: `main` opens its master, on whatever bus, and sleeps as it likes
+    world.run_asyncio(main)              # asyncio
+
+**trio.** The world is the clock: `trio.run(main, clock=world)` is the same as `world.run(main)`. When no task can run, the world
+goes to its next happening, or to the deadline of a task, whichever comes first. Every bus that the program opens is the bus of
+the world with that name, the channel of its locator: `socketcan:can0` and `virtual:can0` are both `can0`. trio's order of tasks
+is drawn with the seed.
+
+**asyncio.** The loop (world_loop.py) does the same. Frames come by python-can: `can.Bus(interface="canopen_world",
+channel="can0")` (can_bus.py), or by `World.listener`.
+
+**Waiting in earnest is an error.** `time.sleep` raises WallClockWait while a program runs (wall_clock.py). A program that waits
+for what never comes ends with NotReached, after `limit` of the world's time, or after IN_EARNEST if nothing more will happen.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from os import PathLike
+from typing import Any, Final, TypeVar
+
+import trio
+
+from canopen_master.simulation.device_files import models_of
+from canopen_master.simulation.plant import DeviceEntry
+from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.local_node import LocalNode
+from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time
+from canopen_proto.testing import NotReached, World, WorldBus
+from canopen_proto.testing.world import LIMIT, NodeMaker
+from canopen_testing.present import present
+from canopen_testing.trio_order import seeded_order
+from canopen_testing.world_line import WorldLine
+from canopen_testing.world_loop import WorldLoop
+from canopen_transports import virtual
+from canopen_transports.wire import Wire, WireSettings
+
+T = TypeVar("T")
+
+DAY: Final = 24 * 3600 * SECOND
+"""The most that a program may take of the world's time, unless it is told."""
+IN_EARNEST: Final = 1.0
+"""Seconds of real time for a thread or a file that a program waits for, when nothing will happen in the world."""
+_LOOK: Final = 0.02
+_AT_ONCE: Final = 1e-9
+"""More than 0: so trio lets tasks run that wait for all others, and what a machine has left in its outbox is taken up."""
+
+
+class _Steps(trio.abc.Instrument):
+    """Tells whether a task has run since the loop was last idle, and whether one runs now."""
+
+    def __init__(self) -> None:
+        self.is_idle = False
+        self.in_task = False
+
+    def before_task_step(self, task: trio.lowlevel.Task) -> None:
+        self.is_idle = False
+        self.in_task = True
+
+    def after_task_step(self, task: trio.lowlevel.Task) -> None:
+        self.in_task = False
+
+
+class ProgramWorld(World, trio.abc.Clock):
+    """See this module's text. limit: how long a program may run, in ns of the world."""
+
+    limit: Time = DAY
+
+    _steps: _Steps
+    _left = IN_EARNEST
+    _program = ""
+    _scope: trio.CancelScope | None = None
+    _stuck: NotReached | None = None
+
+    # ---- what is in it ----
+
+    def bus(self, name: str = "can0", *, bitrate: int = 0) -> WorldBus:
+        """Return the bus of this name; it is made when it is first asked for.
+
+        bitrate: bit/s: frames take the time of their bits, and the lowest identifier goes first; 0: any time, as the seed draws.
+        Raises LocalProtocolError if the bus is there already, with another bit rate or with devices.
+        """
+        if not bitrate:
+            return super().bus(name)
+        settings = WireSettings(bitrate=bitrate, seed=self.seed, acknowledge=False)
+        return self._new_bus(name, Wire(settings, self.now))
+
+    def device(
+        self, made_of: ObjectDictionary | NodeMaker | str | PathLike[str], node_id: int = 0, *, bus: str = "can0"
+    ) -> LocalNode:
+        """Switch on a device of a file (EDS, DCF, XDD, or a sample's name), of a dictionary, or of your own making; return it.
+
+        A file of a CiA 402 drive makes a drive that moves. node_id: 0 with a file: the one that it names.
+        Raises what `canopen_master.simulation.device_files.models_of` does, and as `World.device`.
+        """
+        if isinstance(made_of, str | PathLike):
+            (made_of,) = models_of([DeviceEntry(str(made_of), (node_id,) if node_id else ())])
+        return super().device(made_of, node_id, bus=bus)
+
+    # ---- programs ----
+
+    def run(self, main: Callable[..., Awaitable[T]], *args: object, limit: Time = DAY) -> T:
+        """Run a trio program to its end in this world; return its result, or raise its error.
+
+        Raises NotReached if it takes longer than `limit` (ns of the world), or waits for what never comes: it is cancelled first.
+        """
+
+        async def within() -> T:
+            with trio.CancelScope() as self._scope:
+                return await main(*args)
+            assert self._stuck is not None
+            raise self._stuck
+
+        self.limit, self._stuck = self.now + limit, None
+        try:
+            with present(self), seeded_order(self.seed):
+                return trio.run(within, clock=self)
+        finally:
+            self._scope, self._program, self.limit = None, "", DAY
+
+    def run_asyncio(self, main: Callable[..., Any], *args: object, limit: Time = DAY) -> Any:
+        """Run an asyncio program to its end in this world; return its result, or raise its error. Raises NotReached as `run`."""
+        self.settle()
+        self.limit, self._program = self.now + limit, "await asyncio.sleep"
+        try:
+            with present(self), asyncio.Runner(loop_factory=lambda: WorldLoop(self)) as runner:
+                return runner.run(main(*args))
+        finally:
+            self._program, self.limit = "", DAY
+
+    def advance(self, duration: Time) -> None:
+        self._check_no_program()
+        super().advance(duration)
+
+    def run_until(self, condition: Any, limit: Time = LIMIT) -> None:
+        self._check_no_program()
+        super().run_until(condition, limit)
+
+    def _check_no_program(self) -> None:
+        if self._program:
+            raise LocalProtocolError(f"in a program of the world time passes where it awaits: {self._program}")
+
+    def pass_time(self, end: Time) -> float:
+        """Go to the next happening, or to `end` (ns) if nothing happens before. For the loops of programs.
+
+        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. Raises NotReached if that was too long.
+        """
+        if self.now >= self.limit:
+            raise NotReached(f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}")
+        if self.step(end) or self.now < end < NEVER:
+            if self.next_time() > end:
+                self.now = max(self.now, min(end, self.limit)) if end < NEVER else self.now
+            self._left = IN_EARNEST
+            return 0.0
+        if end <= self.now:
+            return 0.0
+        self._left -= _LOOK
+        if self._left > 0:
+            return _LOOK
+        raise NotReached(
+            f"the program waits for what never comes: at {self.now / SECOND:g} s of the world nothing more will happen, and "
+            f"nothing came from a thread or a file for {IN_EARNEST:g} s of real time.\n{self._tails()}"
+        )
+
+    def _tails(self) -> str:
+        return "\n".join(bus.observer.tail(self.now) for bus in self.buses.values())
+
+    # ---- trio's clock ----
+
+    def start_clock(self) -> None:
+        """Let every bus of this run be one of the world."""
+        self.settle()  # else the program takes the boot-ups of devices that are there already for resets
+        self._steps = _Steps()
+        self._program = "await trio.sleep"
+        trio.lowlevel.add_instrument(self._steps)
+        virtual.stand_in(lambda name: WorldLine(self, name))
+
+    def current_time(self) -> float:
+        """Return the world's time in seconds."""
+        return self.now / SECOND
+
+    def deadline_to_sleep_time(self, deadline: float) -> float:
+        """Let time pass. Called by trio's loop when no task can run."""
+        steps = self._steps
+        if steps.in_task:
+            return 0.0 if deadline <= self.current_time() else _AT_ONCE  # somebody asks whether this clock is real
+        if not steps.is_idle:
+            steps.is_idle = True
+            return _AT_ONCE
+        end = NEVER if deadline == math.inf else max(math.ceil(deadline * SECOND), self.now + 1)
+        if self._stuck is not None:
+            return 0.0
+        try:
+            return self.pass_time(end)
+        except NotReached as stuck:
+            if self._scope is None:
+                raise
+            self._stuck = stuck
+            self._scope.cancel()
+            return 0.0

@@ -1,0 +1,70 @@
+"""`WorldLoop`: an asyncio loop whose time is that of a world.
+
+Loops with virtual time that are on PyPI (looptime, async-solipsism, aiotools) jump to the next timer of the loop. Here a frame
+may come before that, and time must stop there: the loop asks the world how far it may go.
+
+Ready callbacks run first, in asyncio's order, which is fixed. When none is ready, the world goes to its next happening or to the
+loop's next timer. Real files and threads are looked at without waiting for them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import selectors
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from canopen_proto.machine import NEVER, SECOND, Time
+
+
+class Passing(Protocol):
+    """The part of a ProgramWorld that a loop needs."""
+
+    now: Time
+
+    def pass_time(self, end: Time) -> float:
+        """See ProgramWorld."""
+
+
+class WorldLoop(asyncio.SelectorEventLoop):
+    """See this module's text. Make one for each program: `asyncio.Runner(loop_factory=lambda: WorldLoop(world))`."""
+
+    def __init__(self, world: Passing) -> None:
+        super().__init__(_WorldSelector(world))
+        self.world = world
+
+    def time(self) -> float:
+        """Return the world's time in seconds."""
+        return self.world.now / SECOND
+
+
+class _WorldSelector(selectors.BaseSelector):
+    """Looks at real files, but waits in the world's time."""
+
+    def __init__(self, world: Passing) -> None:
+        self._world = world
+        self._real = selectors.DefaultSelector()
+
+    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self._real.register(fileobj, events, data)
+
+    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
+        return self._real.unregister(fileobj)
+
+    def modify(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
+        return self._real.modify(fileobj, events, data)
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready = self._real.select(0)
+        if ready or (timeout is not None and timeout <= 0):
+            return ready
+        now = self._world.now
+        end = NEVER if timeout is None else max(math.ceil(now + timeout * SECOND), now + 1)
+        return self._real.select(self._world.pass_time(end))
+
+    def get_map(self) -> Mapping[Any, selectors.SelectorKey]:
+        return self._real.get_map()
+
+    def close(self) -> None:
+        self._real.close()
