@@ -45,23 +45,36 @@ class WorldCanBus(can.BusABC):
         if len(self._frames) == 1:
             self._writer.send(b"\0")
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not self._frames and timeout != 0:
-            limit = round((FOREVER if timeout is None else timeout) * SECOND)
-            try:
-                self._world.run_until(lambda: self._frames, limit)
-            except NotReached:
-                if timeout is None:
-                    raise
-                return None, False
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Let the world run until a frame comes that passes the filters; return it, or None after `timeout` seconds of the world.
+
+        Raises NotReached if nothing comes in FOREVER without a timeout.
+        """
+        end = self._world.now + round((FOREVER if timeout is None else timeout) * SECOND)
+        while True:
+            message = self._taken()
+            if message is not None:
+                if self._matches_filters(message):
+                    return message
+            elif timeout is not None and self._world.now >= end:
+                return None
+            else:
+                try:
+                    self._world.run_until(lambda: self._frames, end - self._world.now)
+                except NotReached:
+                    if timeout is None:
+                        raise
+
+    def _taken(self) -> can.Message | None:
+        """The next frame that waits."""
         if not self._frames:
-            return None, False
+            return None
         frame, now = self._frames.popleft()
         if not self._frames:
             self._reader.recv(1)
         message = message_of(frame)
         message.timestamp = now / SECOND
-        return message, False
+        return message
 
     def fileno(self) -> int:
         """Return a file that can be read while a frame waits."""

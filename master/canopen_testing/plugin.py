@@ -147,7 +147,8 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, o
 
     world, found = pyfuncitem.stash[_WORLD], pyfuncitem.obj
     if hasattr(found, "_trio_test_runner_wrapped"):  # by pytest-trio, which has fixtures of its own; it looks for a clock
-        pyfuncitem.obj = lambda **arguments: found(**arguments, **{CLOCK: world})
+        clock = {} if "canopen_world" in pyfuncitem._fixtureinfo.argnames else {CLOCK: world}
+        pyfuncitem.obj = lambda **arguments: found(**arguments, **clock)
     else:
         in_trio = _is_for_trio(pyfuncitem)
         pyfuncitem.obj = lambda **arguments: run_in(world, test, in_trio, arguments)

@@ -1,0 +1,298 @@
+"""Programs in a world: trio, asyncio and python-can, unchanged; their time is the world's, and a wait in real time is told."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+import time
+
+import can
+import pytest
+import trio
+import trio.testing
+
+from canopen_master import ChainSettings, open_master
+from canopen_proto import EmcyReceived
+from canopen_proto.frame import Frame
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.testing import Lose, NotReached, boot_up, emcy, heartbeat, nmt, sdo_answer
+from canopen_testing import AsyncioMaster, ProgramWorld, WallClockWait, WorldCanBus
+from canopen_testing.present import present_world
+from canopen_transports import open_transport
+
+
+async def configure(locator: str = "virtual:can0") -> str:
+    """What a user writes."""
+    async with open_master(locator) as master:
+        node = master.node(5, "sample_io.eds")
+        await node.write("producer_heartbeat_time", 500)
+        await node.start()
+        await trio.sleep(3)
+        return await node.read_str("manufacturer_device_name")
+
+
+def world_of(seed: int = 0, **more: object) -> ProgramWorld:
+    world = ProgramWorld(seed, **more)  # type: ignore[arg-type]
+    world.device("sample_io.eds", 5)
+    return world
+
+
+# ---- trio ----
+
+
+def test_a_trio_program_runs_unchanged() -> None:
+    world = world_of()
+    assert world.run(configure) == "Sample I/O"
+    assert 3 * SECOND < world.now < 4 * SECOND
+    world.bus().saw(nmt("start", 5)).then(heartbeat(5)).then(heartbeat(5)).within(501 * MILLISECOND)
+    world.bus().observer.clean()
+
+
+def test_whatever_bus_it_opens_is_that_of_the_world() -> None:
+    world = world_of()
+    assert world.run(configure, "socketcan:can0") == "Sample I/O"
+    other = ProgramWorld()
+    other.device("sample_io.eds", 5, bus="PCAN_USBBUS1")
+    assert trio.run(configure, "pcan:PCAN_USBBUS1@500k", clock=other) == "Sample I/O"
+
+
+def test_two_participants_of_a_program_meet_in_the_world() -> None:
+    world = ProgramWorld(faults=[Lose(nth=2)])
+
+    async def main() -> list[str]:
+        one, other = await open_transport("virtual:can0"), await open_transport("virtual:can0")
+        async with one, other:
+            for text in ("100#01", "100#02", "100#03"):
+                await one.send(Frame.parse(text))
+            await trio.sleep(0.01)
+            return [str((await other.receive())[0]) for _ in range(2)]  # type: ignore[index]
+
+    assert world.run(main) == ["100#01", "100#03"]
+    assert [each.sender for each in world.bus().trace] == ["program"] * 3
+    assert world.bus().participants == []
+
+
+LIFE = """
+import trio
+from canopen_master import open_master
+from canopen_proto.testing import Lose, sdo_answer
+from canopen_testing import ProgramWorld
+
+async def main():
+    async with open_master("virtual:can0") as master, trio.open_nursery() as nursery:
+        async def work(node_id):
+            node = master.node(node_id)
+            for number in range(20):
+                try:
+                    await node.write("producer_heartbeat_time", 100 + number)
+                except Exception as error:
+                    print(error)
+                await trio.sleep(0.01)
+        for node_id in (5, 6, 7):
+            nursery.start_soon(work, node_id)
+
+world = ProgramWorld({seed}, [Lose(sdo_answer(), chance=0.1)])
+for node_id in (5, 6, 7):
+    world.drive(node_id)
+world.run(main)
+for each in world.bus().trace:
+    print(*each)
+"""
+
+
+def life(seed: int, hash_seed: str) -> str:
+    environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", LIFE.format(seed=seed)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_seed_gives_a_program_the_same_frames_in_each_process() -> None:
+    one, other = life(1, "0"), life(1, "99")
+    assert one == other
+    assert one.count("60") > 100
+    assert one != life(2, "0")
+
+
+def test_a_chain_of_joints_is_made_ready_in_a_world() -> None:
+    world = ProgramWorld()
+    world.drive(3)
+
+    async def main() -> float:
+        async with open_master("virtual:can0") as master:
+            arm = master.load_chains(text="arm joint1 can0 3", settings=ChainSettings(cycle_time=0.01))["arm"]
+            await arm.initialise()
+            return arm.positions[0]
+
+    assert world.run(main) == world.nodes[3].values.store[0x606400]
+
+
+def test_tasks_that_wait_for_all_others_come_before_time_passes() -> None:
+    world = ProgramWorld()
+
+    async def main() -> list[float]:
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(trio.sleep, 5)
+            await trio.testing.wait_all_tasks_blocked()
+            seen = [trio.current_time()]
+            await trio.sleep(1.5)
+            await trio.testing.wait_all_tasks_blocked()
+            return [*seen, trio.current_time()]
+
+    assert world.run(main) == [0.0, 1.5]
+
+
+def test_threads_and_files_are_waited_for_in_earnest() -> None:
+    async def main() -> int:
+        return await trio.to_thread.run_sync(lambda: 5)
+
+    assert ProgramWorld().run(main) == 5
+
+
+# ---- asyncio ----
+
+
+def test_an_asyncio_program_runs_unchanged() -> None:
+    world = world_of()
+    world.nodes[5].set_value(0x1017, 0, 500, 0)
+
+    async def main() -> list[int]:
+        with can.Bus(interface="canopen_world", channel="can0", bitrate=500_000) as bus:
+            reader = can.AsyncBufferedReader()
+            notifier = can.Notifier(bus, [reader], loop=asyncio.get_running_loop())
+            ids = [(await reader.get_message()).arbitration_id for _ in range(3)]
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(asyncio.Event().wait(), 100)
+            notifier.stop()
+            return ids
+
+    assert world.run_asyncio(main) == [0x705] * 3
+    assert world.now > 100 * SECOND
+
+
+def test_a_master_for_asyncio() -> None:
+    world = world_of()
+
+    async def main() -> tuple[object, object]:
+        master = AsyncioMaster(world.master())
+        both = await asyncio.gather(master.read(5, "device_type"), master.read(5, (0x1018, 1)))
+        return tuple(both)
+
+    assert world.run_asyncio(main) == (0x0007_0191, 0xFFFF_FF01)
+
+
+# ---- python-can, blocking ----
+
+
+def test_a_blocking_program_waits_in_the_worlds_time() -> None:
+    world = world_of()
+    with WorldCanBus("can0", world=world) as bus:
+        bus.send(can.Message(arbitration_id=0, data=[1, 5], is_extended_id=False))
+        first = bus.recv(1)
+        assert first is not None
+        assert (first.arbitration_id, bytes(first.data)) == (0x705, b"\0")
+        second = bus.recv()
+        assert second is not None
+        assert second.arbitration_id == 0x185
+        before = world.now
+        assert bus.recv(0.05) is None
+        assert world.now == before + 50 * MILLISECOND
+        assert bus.recv(0) is None
+    assert [each.name for each in world.bus().participants] == ["node 5"]
+
+
+def test_a_bus_without_a_world_is_told() -> None:
+    with pytest.raises(LocalProtocolError, match="there is no world"):
+        present_world()
+
+
+# ---- bit timing ----
+
+
+def test_with_a_bit_rate_frames_take_the_time_of_their_bits_and_the_lowest_goes_first() -> None:
+    world = ProgramWorld()
+    bus = world.bus("can0", bitrate=125_000)
+    one, other = (world.listener(lambda frame, now: None, name=name) for name in ("one", "other"))
+    world.send(one, Frame.parse("300#0000000000000000"))
+    world.send(other, Frame.parse("100#FFFFFFFFFFFFFFFF"))
+    world.advance(SECOND)
+    assert [str(each.frame)[:3] for each in bus.trace] == ["100", "300"]
+    first, second = (each.time for each in bus.trace)
+    assert 111 * 8_000 - 24_000 <= first <= 135 * 8_000
+    assert 111 * 8_000 <= second - first <= 135 * 8_000
+    with pytest.raises(LocalProtocolError, match="there is a bus can0 already"):
+        world.bus("can0", bitrate=500_000)
+
+
+def test_a_master_works_on_a_bus_with_a_bit_rate() -> None:
+    world = ProgramWorld()
+    world.bus("can0", bitrate=125_000)
+    world.drive(5)
+    world.master().write(5, "producer_heartbeat_time", 100)
+    world.run_until(heartbeat(5))
+    world.run_until(heartbeat(5))
+    world.bus().saw(boot_up(5)).then(sdo_answer(5))
+
+
+# ---- what is told ----
+
+
+def test_a_wait_in_real_time_is_told() -> None:
+    async def main() -> None:
+        time.sleep(0.5)
+
+    with pytest.raises(WallClockWait, match=r"time.sleep\(0.5\) waits in real time"):
+        ProgramWorld().run(main)
+    with pytest.raises(WallClockWait):
+        ProgramWorld().run_asyncio(main)
+    time.sleep(0.0001)
+
+
+def test_a_program_that_waits_for_what_never_comes_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canopen_testing.program_world.IN_EARNEST", 0.05)
+
+    async def forever() -> None:
+        await trio.sleep_forever()
+
+    async def never() -> None:
+        await asyncio.Event().wait()
+
+    with pytest.raises(NotReached, match="waits for what never comes: at 0 s"):
+        ProgramWorld().run(forever)
+    with pytest.raises(NotReached, match="waits for what never comes: at 0 s"):
+        ProgramWorld().run_asyncio(never)
+    beating = ProgramWorld()
+    beating.drive(5).set_value(0x1017, 0, 1000, 0)
+    with pytest.raises(NotReached, match=r"has run for its limit, until 60.*s of the world.\n(.|\n)*705#7F"):
+        beating.run(forever, limit=60 * SECOND)
+
+
+def test_a_program_cannot_let_time_pass_without_awaiting() -> None:
+    world = ProgramWorld()
+
+    async def main() -> None:
+        world.advance(SECOND)
+
+    with pytest.raises(LocalProtocolError, match="await trio.sleep"):
+        world.run(main)
+    with pytest.raises(LocalProtocolError, match="await asyncio.sleep"):
+        world.run_asyncio(main)
+    world.advance(SECOND)
+
+
+def test_an_emergency_reaches_a_supervisor() -> None:
+    world = ProgramWorld()
+    drive = world.drive(5)
+
+    async def main() -> int:
+        async with open_master("virtual:can0") as master:
+            with master.events(EmcyReceived) as events:
+                await master.node(5).start()
+                drive.raise_fault(0x7300, world.now)
+                async for event in events:
+                    return event.code
+        raise AssertionError
+
+    assert world.run(main) == 0x7300
+    world.bus().saw(emcy(5, 0x7300)).within(100 * MILLISECOND)
