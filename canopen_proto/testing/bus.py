@@ -83,7 +83,7 @@ class WorldBus:
         self.names = names
         self.participants: list[Participant] = []
         self.trace: list[Passed] = []
-        self.observer = Judge(name, self.trace, clock, names)
+        self.observer = Judge(name, self.trace, clock, names, lambda: [sent.frame for sent in self._sent])
         self._clock = clock
         self._faults = faults
         self._on_sudden = on_sudden
@@ -150,11 +150,6 @@ class WorldBus:
         self._count += 1
         heapq.heappush(self._sent, _Sent(at, self._count, frame, sender))
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a frame that was sent is still on its way; those that a fault makes late do not count."""
-        return bool(self._sent) or (self._cable is not None and self._cable.next_output() < NEVER)
-
     def next_time(self) -> Time:
         """Return when the next frame comes; NEVER if none is under way."""
         due = self._sent[0].at if self._sent else NEVER
@@ -173,17 +168,17 @@ class WorldBus:
             return
         if self._sent and self._sent[0].at <= now:
             sent = heapq.heappop(self._sent)
-            self._arrive(sent.frame, sent.sender, now)
+            self.arrive(sent.frame, sent.sender, now)
             return
         if self._cable is not None:
             self._cable.handle_timeout(now - self._cable.time_of(1))
             deliveries, _ = self._cable.drain()
             senders = {member: participant for participant, member in self._members.items()}
             for each in deliveries:
-                self._arrive(each.frame, senders.get(each.senders[0]), now)
+                self.arrive(each.frame, senders.get(each.senders[0]), now)
 
-    def _arrive(self, frame: Frame, sender: Participant | None, now: Time) -> None:
-        """Carry a frame past the faults."""
+    def arrive(self, frame: Frame, sender: Participant | None, now: Time) -> None:
+        """Carry a frame past the faults, at the end of its transmission."""
         courses = [Course(frame, now)]
         moments, answers = [], []
         for armed in self._faults:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
+from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.observer.finding import BusFinding
 from canopen_proto.observer.observer import RULES, Observation, Observer
@@ -43,10 +44,13 @@ class Found(NamedTuple):
 
 
 class Judge:
-    """See this module's text; it is `bus.observer`."""
+    """See this module's text; it is `bus.observer`. under_way: returns the frames that were sent, and have not come yet."""
 
-    def __init__(self, name: str, trace: list[Passed], clock: Callable[[], Time], names: Names) -> None:
+    def __init__(
+        self, name: str, trace: list[Passed], clock: Callable[[], Time], names: Names, under_way: Callable[[], list[Frame]]
+    ) -> None:
         self.name = name
+        self.under_way = under_way
         self._trace = trace
         self._clock = clock
         self._names = names

@@ -30,12 +30,11 @@ class RunUntil(Protocol):
 class WorldMaster(Participant):
     """See this module's text; made by `World.master`. nmt: the NMT commands. events: what its network has reported, in order."""
 
-    def __init__(self, settle: Callable[[], None], run_until: RunUntil, clock: Callable[[], Time], names: Names) -> None:
+    def __init__(self, run_until: RunUntil, clock: Callable[[], Time], names: Names) -> None:
         self.runs = Network()
         super().__init__("master", network=self.runs, on_event=self._on_event)
         self.nmt = NmtMaster(self.runs.out)
         self.runs.attach(self.nmt)
-        self._settle = settle
         self._run_until = run_until
         self._clock = clock
         self._names = names
@@ -74,11 +73,9 @@ class WorldMaster(Participant):
     def run(self, procedure: Procedure[T], limit: Time = 3600 * SECOND) -> T:
         """Let the world run until a procedure is over; return its result, or raise its error.
 
-        What was sent before comes first: the boot-up of a device that was just switched on would end our requests to it.
         Raises NotReached, and cancels the procedure, if it takes longer than `limit` (ns).
         """
         __tracebackhide__ = True
-        self._settle()
         request_id = self.start(procedure)
         try:
             self._run_until(lambda: request_id in self._ended, limit)

@@ -94,6 +94,8 @@ def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int =
     lost = [each for each in looked if not each.passed.was_heard and pattern.fits(each.passed.frame, names)]
     if lost:
         told += ["It was sent, but a fault took it:", *(f"  {each}" for each in lost[:_NEAR])]
+    if any(pattern.fits(frame, names) for frame in judge.under_way()):
+        told.append("It was sent just now, and is on its way: let time pass before you look.")
     raise AssertionError("\n".join([*told, judge.tail(looked[-1].passed.time if looked else since)]))
 
 

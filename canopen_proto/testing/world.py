@@ -13,8 +13,8 @@ from one happening to the next: a frame that comes, a deadline of a participant,
 **The same seed gives the same frames**, in any process. The seed draws how long each frame takes on its way, which participant
 acts first where several would at one time, and what the faults hit. Nothing else is drawn, and no order comes from a hash.
 
-A device is on from the moment when it is made: its boot-up comes as soon as time passes. It has a host, which stores what it
-shall store (0x1010, LSS), in memory.
+A device is on from the moment when it is made, and its boot-up has been on the bus then: whoever joins later, as a rule a master,
+does not take it for a reset. It has a host, which stores what it shall store (0x1010, LSS), in memory.
 """
 
 from __future__ import annotations
@@ -122,6 +122,8 @@ class World:
         for each in self.buses.values():
             each.observer.forget()
         node.boot(self.now)
+        for frame in participant.drain(self.now):
+            self._guarded(partial(self.buses[bus].arrive, frame, participant, self.now))
         return node
 
     def drive(
@@ -143,7 +145,7 @@ class World:
 
     def master(self, bus: str = "can0") -> WorldMaster:
         """Return a master on a bus, for a test without async: its calls let the world run until they have their result."""
-        master = WorldMaster(self.settle, self.run_until, lambda: self.now, self._dictionary_of)
+        master = WorldMaster(self.run_until, lambda: self.now, self._dictionary_of)
         self._join(master, bus)
         return master
 
@@ -180,6 +182,10 @@ class World:
             if isinstance(fault, Sudden) and fault.on is None:
                 self._at(self.now if fault.at is None else fault.at, partial(self._happen, fault))
 
+    def after(self, duration: Time, act: Callable[[], object]) -> None:
+        """Call a function when so many ns have passed: `world.after(SECOND, lambda: drive.raise_fault(0x7300, world.now))`."""
+        self._at(self.now + duration, act)
+
     # ---- time ----
 
     def advance(self, duration: Time) -> None:
@@ -207,16 +213,6 @@ class World:
             tails = [bus.observer.tail(self.now) for bus in self.buses.values()]
             raise NotReached("\n".join([f"{_name(condition)} did not come true since {began / SECOND:.6f} s: {why}.", *tails]))
 
-    def settle(self, limit: Time = SECOND) -> None:
-        """Let the frames come that are on their way, such as the boot-up of a device that was just switched on.
-
-        Returns after `limit` (ns) at the latest: a bus may be busy all the time.
-        """
-        end = self.now + limit
-        self._pump()
-        while any(bus.is_busy for bus in self.buses.values()) and self.step(end):
-            pass
-
     def next_time(self) -> Time:
         """Return when the next thing happens; NEVER if nothing will."""
         self._pump()
@@ -235,15 +231,19 @@ class World:
         self._at_this_time += 1
         if self._at_this_time > MAX_STEPS:
             raise NotReached(f"more than {MAX_STEPS} things happen at {self.now / SECOND:.6f} s: some deadline does not move")
-        self._is_stepping = True
-        try:
-            self._step()
-        finally:
-            self._is_stepping = False
+        self._guarded(self._step)
         self._pump()
         return True
 
     # ---- inside ----
+
+    def _guarded(self, act: Callable[[], object]) -> None:
+        """Let something happen. What it calls cannot let time pass."""
+        self._is_stepping = True
+        try:
+            act()
+        finally:
+            self._is_stepping = False
 
     def _join(self, participant: P, bus: str) -> P:
         there = self.bus(bus)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import sniffio
 import trio
+import trio.testing
 
 from canopen_master import open_master
 from canopen_proto.datatypes import Value
@@ -94,6 +95,7 @@ async def _opened(arguments: Mapping[str, Any], world: ProgramWorld, in_trio: bo
         yield dict(arguments)
     elif in_trio:
         async with open_master("virtual:can0") as master:
+            await trio.testing.wait_all_tasks_blocked()  # then it hears the boot-up of a device that the test makes first
             yield {**arguments, **dict.fromkeys(wanted, master)}
     else:
         yield {**arguments, **dict.fromkeys(wanted, AsyncioMaster(world.master()))}

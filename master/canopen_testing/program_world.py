@@ -126,7 +126,6 @@ class ProgramWorld(World, trio.abc.Clock):
 
     def run_asyncio(self, main: Callable[..., Any], *args: object, limit: Time = DAY) -> Any:
         """Run an asyncio program to its end in this world; return its result, or raise its error. Raises NotReached as `run`."""
-        self.settle()
         self.limit, self._program = self.now + limit, "await asyncio.sleep"
         try:
             with present(self), asyncio.Runner(loop_factory=lambda: WorldLoop(self)) as runner:
@@ -153,12 +152,12 @@ class ProgramWorld(World, trio.abc.Clock):
         """
         if self.now >= self.limit:
             raise NotReached(f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}")
-        if self.step(end) or self.now < end < NEVER:
-            if self.next_time() > end:
-                self.now = max(self.now, min(end, self.limit)) if end < NEVER else self.now
+        latest = min(end, self.limit)
+        has_happened = self.step(latest)
+        if not has_happened and (end < NEVER or self.next_time() < NEVER):
+            self.now, has_happened = latest, True
+        if has_happened:
             self._left = IN_EARNEST
-            return 0.0
-        if end <= self.now:
             return 0.0
         self._left -= _LOOK
         if self._left > 0:
@@ -175,7 +174,6 @@ class ProgramWorld(World, trio.abc.Clock):
 
     def start_clock(self) -> None:
         """Let every bus of this run be one of the world."""
-        self.settle()  # else the program takes the boot-ups of devices that are there already for resets
         self._steps = _Steps()
         self._program = "await trio.sleep"
         trio.lowlevel.add_instrument(self._steps)

@@ -145,7 +145,9 @@ def test_run_until_a_frame_comes() -> None:
 def test_a_function_that_the_world_calls_cannot_let_time_pass() -> None:
     world = World()
     world.listener(lambda frame, now: world.advance(1))
-    world.drive(5)
+    with pytest.raises(LocalProtocolError, match="time is passing already"):
+        world.drive(5)
+    world.bus().send("705#7F")
     with pytest.raises(LocalProtocolError, match="time is passing already"):
         world.advance(SECOND)
 
@@ -334,6 +336,15 @@ def test_what_a_fault_took_is_told() -> None:
     bus = beating(Lose(boot_up(5))).bus()
     with pytest.raises(AssertionError, match=r"a fault took it:\n.*705#00.*\[lost\]"):
         bus.saw(boot_up(5))
+
+
+def test_what_is_still_on_its_way_is_told() -> None:
+    world = World()
+    world.bus().send("000#0105")
+    with pytest.raises(AssertionError, match="on its way: let time pass"):
+        world.bus().saw(nmt("start", 5))
+    world.advance(MILLISECOND)
+    world.bus().saw(nmt("start", 5))
 
 
 def test_too_late_too_often_and_never() -> None:

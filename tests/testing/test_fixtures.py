@@ -1,0 +1,259 @@
+"""Each fixture in a plain, a trio and an asyncio test; in any order, with xdist and without; and what a failure shows."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from pathlib import Path
+
+import pytest
+import trio
+
+from canopen_proto.machine import LocalProtocolError
+from canopen_testing import ProgramWorld
+from canopen_testing.async_tests import hosted
+
+pytest_plugins = "pytester"
+
+EACH = """
+import asyncio, time
+
+import pytest
+import trio
+
+from canopen_proto import MILLISECOND, SECOND, NmtCommand
+from canopen_proto.testing import Lose, World, heartbeat, nmt
+from canopen_testing import AsyncioMaster
+
+
+def test_canopen_world(canopen_world):
+    canopen_world.advance(3600 * SECOND)
+    assert canopen_world.now == 3600 * SECOND
+
+async def test_canopen_world_trio(canopen_world):
+    await trio.sleep(3600)
+    assert canopen_world.now == 3600 * SECOND
+
+@pytest.mark.asyncio
+async def test_canopen_world_asyncio(canopen_world):
+    await asyncio.sleep(3600)
+    assert canopen_world.now == 3600 * SECOND
+
+
+def beat(drive):
+    drive.set_value(0x1017, 0, 100, 0)
+
+def test_canopen_bus(canopen_bus, canopen_world, sim_drive):
+    beat(sim_drive(5))
+    canopen_world.advance(SECOND)
+    canopen_bus.saw(heartbeat(5)).times(10)
+
+async def test_canopen_bus_trio(canopen_bus, sim_drive):
+    beat(sim_drive(5))
+    await trio.sleep(1)
+    canopen_bus.saw(heartbeat(5)).times(10)
+
+@pytest.mark.asyncio
+async def test_canopen_bus_asyncio(canopen_bus, sim_drive):
+    beat(sim_drive(5))
+    await asyncio.sleep(1)
+    canopen_bus.saw(heartbeat(5)).times(10)
+
+
+def test_sim_node(sim_node, canopen_master):
+    sim_node("sample_io.eds", node_id=5)
+    assert canopen_master.read(5, "manufacturer_device_name") == "Sample I/O"
+    canopen_master.write(5, "producer_heartbeat_time", 250)
+
+async def test_sim_node_trio(sim_node, canopen_master):
+    sim_node("sample_io.eds", node_id=5)
+    node = canopen_master.node(5, "sample_io.eds")
+    assert await node.read_str("manufacturer_device_name") == "Sample I/O"
+    await node.write("producer_heartbeat_time", 250)
+
+@pytest.mark.asyncio
+async def test_sim_node_asyncio(sim_node, canopen_master):
+    sim_node("sample_io.eds", node_id=5)
+    assert isinstance(canopen_master, AsyncioMaster)
+    assert await canopen_master.read(5, "manufacturer_device_name") == "Sample I/O"
+    await canopen_master.write(5, "producer_heartbeat_time", 250)
+
+
+def test_sim_drive(sim_drive, canopen_world):
+    drive = sim_drive(3)
+    canopen_world.bus().send("000#0100")
+    canopen_world.advance(MILLISECOND)
+    assert drive.state == 5
+
+@pytest.mark.trio
+async def test_sim_drive_trio(sim_drive, canopen_master):
+    drive = sim_drive(3)
+    await canopen_master.node(3).start()
+    await trio.sleep(0.001)
+    assert drive.state == 5
+
+@pytest.mark.asyncio
+async def test_sim_drive_asyncio(sim_drive, canopen_master):
+    drive = sim_drive(3)
+    canopen_master.command(NmtCommand.START)
+    await asyncio.sleep(0.001)
+    assert drive.state == 5
+
+
+class TestMarked:
+    pytestmark = pytest.mark.canopen_faults(Lose(heartbeat(5), nth=1))
+
+    @pytest.mark.canopen_faults(Lose(heartbeat(5), nth=2), seed=77)
+    def test_faults(self, canopen_world, sim_drive):
+        beat(sim_drive(5))
+        canopen_world.advance(SECOND)
+        canopen_world.bus().saw(heartbeat(5)).times(8)
+        assert canopen_world.seed == 77
+
+    async def test_faults_trio(self, sim_drive, canopen_bus):
+        beat(sim_drive(5))
+        await trio.sleep(1)
+        canopen_bus.saw(heartbeat(5)).times(9)
+
+    @pytest.mark.asyncio
+    async def test_faults_asyncio(self, sim_drive, canopen_bus):
+        beat(sim_drive(5))
+        await asyncio.sleep(1)
+        canopen_bus.saw(heartbeat(5)).times(9)
+
+
+@pytest.mark.parametrize("kind", ["plain"])
+def test_a_wait_in_real_time(canopen_world, kind):
+    with pytest.raises(RuntimeError, match="waits in real time"):
+        time.sleep(1)
+"""
+COUNT = 16
+
+FAILING = """
+import pytest
+from canopen_proto import SECOND
+from canopen_proto.testing import emcy
+
+def test_it(canopen_world, sim_drive):
+    sim_drive(5).set_value(0x1017, 0, 100, 0)
+    canopen_world.advance(SECOND)
+    canopen_world.bus().send("705#00")
+    canopen_world.run_until(emcy(5), limit=SECOND)
+
+async def test_in_trio(sim_drive, canopen_bus):
+    sim_drive(5)
+    canopen_bus.saw(emcy(5))
+
+def test_in_a_fixture(broken):
+    pass
+
+@pytest.fixture
+def broken(canopen_bus):
+    canopen_bus.send("605#4000100000000000")
+    raise RuntimeError
+"""
+
+
+def traces(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_each_fixture_in_each_kind_of_test_in_any_order_with_xdist_too(suite: pytest.Pytester) -> None:
+    suite.makepyfile(EACH)
+    suite.runpytest("--canopen-trace", "plain").assert_outcomes(passed=COUNT)
+    plain = traces(suite.path / "plain")
+    assert len(plain) == COUNT
+    suite.makeconftest("def pytest_collection_modifyitems(items): items.reverse()")
+    suite.runpytest_subprocess("-p", "xdist", "-n2", "--canopen-trace", "other").assert_outcomes(passed=COUNT)
+    assert traces(suite.path / "other") == plain
+    order = random.Random(3).sample(range(COUNT), COUNT)
+    suite.makeconftest(f"def pytest_collection_modifyitems(items): items[:] = [items[place] for place in {order}]")
+    suite.runpytest("--canopen-trace", "third", "--canopen-seed", "0").assert_outcomes(passed=COUNT)
+    assert traces(suite.path / "third") == plain
+    suite.runpytest("--canopen-trace", "seeded", "--canopen-seed", "1").assert_outcomes(passed=COUNT)
+    assert traces(suite.path / "seeded") != plain
+
+
+def test_a_failure_ends_with_the_last_frames_and_what_was_wrong(suite: pytest.Pytester) -> None:
+    suite.makepyfile(FAILING)
+    run = suite.runpytest()
+    run.assert_outcomes(failed=2, errors=1)
+    text = run.stdout.str()
+    assert "NotReached: an emergency of node 5 did not come true since 1.000000 s: 1 s are over." in text
+    assert text.count("CANopen: the last frames on can0") == 3
+    assert "CANopen: what was wrong on can0" in text
+    assert "boot-up: node 5: it boots in the middle of operation" in text
+    assert "canopen_proto/testing/seen.py" not in text, "the inside of an assertion is not shown"
+
+
+def test_the_traffic_can_be_read_again(suite: pytest.Pytester) -> None:
+    suite.makepyfile("def test_it(canopen_world, sim_drive):\n    sim_drive(5)\n    canopen_world.drive(6, bus='can1')\n")
+    suite.runpytest("--canopen-trace", "deep/er").assert_outcomes(passed=1)
+    (path,) = (suite.path / "deep" / "er").iterdir()
+    assert path.read_text() == "(0000000000.000000) can0 705#00 R\n(0000000000.000000) can1 706#00 R\n"
+
+
+# ---- conformance ----
+
+DEVICE = """
+import pytest
+
+@pytest.fixture
+def canopen_device(sim_node):
+    return sim_node("sample_io.eds", node_id=5)
+
+def test_it(canopen_check):
+    canopen_check()
+"""
+
+
+def test_the_conformance_cases_of_a_simulated_device(suite: pytest.Pytester) -> None:
+    suite.makepyfile(DEVICE)
+    run = suite.runpytest("-k", "2.", "--junitxml", "report.xml")
+    counts = run.parseoutcomes()
+    assert counts["passed"] > 20
+    assert "failed" not in counts
+    report = (suite.path / "report.xml").read_text()
+    assert report.count("<testcase") == counts["passed"] + counts.get("skipped", 0)
+    assert 'name="test_it[2.1-' in report
+
+
+def test_a_device_that_does_wrong_fails_its_case(suite: pytest.Pytester) -> None:
+    fault = "@pytest.mark.canopen_faults(Replace(heartbeat(5), data=b'\\x33'))"
+    imports = "from canopen_proto.testing import Replace, heartbeat"
+    suite.makepyfile(f"{imports}\n{DEVICE}".replace("def test_it", f"{fault}\ndef test_it"))
+    run = suite.runpytest("-k", "heartbeat")
+    assert run.parseoutcomes()["failed"] > 0
+    assert "case " in run.stdout.str()
+
+
+def test_without_options_it_says_what_is_missing(suite: pytest.Pytester) -> None:
+    run = suite.runpytest("--pyargs", "canopen_testing.test_conformance", "-k", "2.1-", "--canopen-device", "5")
+    assert "which device is to be checked? --canopen-bus, --eds is missing" in run.stdout.str()
+
+
+# ---- what it costs others ----
+
+
+SPARING = """
+import sys
+
+def test_it():
+    print("loaded:", *sorted(name for name in sys.modules if name.partition(".")[0] in ("trio", "can") or "canopen" in name))
+"""
+
+
+def test_a_suite_that_does_not_use_it_loads_nothing_of_it(suite: pytest.Pytester) -> None:
+    suite.makepyfile(SPARING)
+    run = suite.runpytest_subprocess("-s", "-q")
+    assert "loaded: canopen_proto canopen_proto.lazy_names canopen_testing canopen_testing.plugin\n" in run.stdout.str()
+
+
+def test_there_is_no_world_in_real_time() -> None:
+    async def test() -> None:
+        raise AssertionError("it is not reached")
+
+    with pytest.raises(LocalProtocolError, match="this test runs in real time"):
+        trio.run(hosted(test, ProgramWorld()))
+    with pytest.raises(LocalProtocolError, match="this test runs in real time"):
+        asyncio.run(hosted(test, ProgramWorld())())  # type: ignore[arg-type]
