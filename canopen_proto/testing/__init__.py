@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from canopen_proto.testing.faults import Reset as Reset
     from canopen_proto.testing.faults import SecondMaster as SecondMaster
     from canopen_proto.testing.master import WorldMaster as WorldMaster
-    from canopen_proto.testing.participant import Participant as Participant
+    from canopen_proto.testing.member import WorldMember as WorldMember
     from canopen_proto.testing.patterns import Pattern as Pattern
     from canopen_proto.testing.patterns import any_frame as any_frame
     from canopen_proto.testing.patterns import boot_up as boot_up
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from canopen_proto.testing.patterns import sdo_write as sdo_write
     from canopen_proto.testing.patterns import sync as sync
     from canopen_proto.testing.patterns import tpdo as tpdo
-    from canopen_proto.testing.world import NotReached as NotReached
+    from canopen_proto.testing.world import DidNotHappen as DidNotHappen
     from canopen_proto.testing.world import World as World
 else:
     from canopen_proto.lazy_names import lazy_names
@@ -58,11 +58,11 @@ else:
                 "BusOff Copy Corrupt Delay Fault Lie Lose Pause Refuse Reorder Replace Reset SecondMaster"
             ),
             "canopen_proto.testing.master": "WorldMaster",
-            "canopen_proto.testing.participant": "Participant",
+            "canopen_proto.testing.member": "WorldMember",
             "canopen_proto.testing.patterns": (
                 "Pattern any_frame boot_up can_frame emcy heartbeat nmt rpdo sdo_abort sdo_answer sdo_read sdo_request "
                 "sdo_write sync tpdo"
             ),
-            "canopen_proto.testing.world": "NotReached World",
+            "canopen_proto.testing.world": "DidNotHappen World",
         },
     )

@@ -20,9 +20,9 @@ from canopen_proto.testing.armed_fault import ArmedFault, Course
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import FrameFault, Lie, Refuse, Sudden
 from canopen_proto.testing.judge import Judge
-from canopen_proto.testing.participant import Participant
+from canopen_proto.testing.member import WorldMember
 from canopen_proto.testing.patterns import Names, Pattern
-from canopen_proto.testing.seen import Seen, check_never, find
+from canopen_proto.testing.seen import SeenFrame, check_never, find
 from canopen_proto.testing.trace import Passed
 
 
@@ -55,14 +55,14 @@ class _Sent(NamedTuple):
     at: Time
     number: int
     frame: Frame
-    sender: Participant | None
+    sender: WorldMember | None
 
 
 class _Late(NamedTuple):
     at: Time
     number: int
     course: Course
-    sender: Participant | None
+    sender: WorldMember | None
 
 
 class WorldBus:
@@ -81,7 +81,7 @@ class WorldBus:
     ) -> None:
         self.name = name
         self.names = names
-        self.participants: list[Participant] = []
+        self.participants: list[WorldMember] = []
         self.trace: list[Passed] = []
         self.observer = Judge(name, self.trace, clock, names, lambda: [sent.frame for sent in self._sent])
         self._clock = clock
@@ -90,7 +90,7 @@ class WorldBus:
         self._draws = draws
         self._transmission = transmission
         self._cable = cable
-        self._members: dict[Participant, Any] = {}
+        self._members: dict[WorldMember, Any] = {}
         self._sent: list[_Sent] = []
         self._late: list[_Late] = []
         self._held: dict[tuple[int, int], Time] = {}  # until when frames wait behind a late one, by routing key and receiver
@@ -108,7 +108,7 @@ class WorldBus:
         """Let `saw` and `never` look only at what comes from now on."""
         self._since = self._clock()
 
-    def saw(self, pattern: Pattern, *, after: Time | None = None) -> Seen:
+    def saw(self, pattern: Pattern, *, after: Time | None = None) -> SeenFrame:
         """Return the first frame that fits, for more questions. after: only frames from this time on; default: since `mark`.
 
         Raises AssertionError, which says what came instead.
@@ -128,16 +128,16 @@ class WorldBus:
 
     # ---- for the world ----
 
-    def join(self, participant: Participant) -> None:
+    def join(self, participant: WorldMember) -> None:
         self.participants.append(participant)
         if self._cable is not None:
             self._members[participant] = self._cable.join(self._clock())
 
-    def leave(self, participant: Participant) -> None:
+    def leave(self, participant: WorldMember) -> None:
         """Take a participant off the bus: it hears nothing more. What it has sent arrives."""
         self.participants.remove(participant)
 
-    def put(self, frame: Frame, sender: Participant | None) -> None:
+    def put(self, frame: Frame, sender: WorldMember | None) -> None:
         """Take a frame for transmission. A controller that is bus-off loses it."""
         now = self._clock()
         if sender is not None and now < sender.off_until:
@@ -177,7 +177,7 @@ class WorldBus:
             for each in deliveries:
                 self.arrive(each.frame, senders.get(each.senders[0]), now)
 
-    def arrive(self, frame: Frame, sender: Participant | None, now: Time) -> None:
+    def arrive(self, frame: Frame, sender: WorldMember | None, now: Time) -> None:
         """Carry a frame past the faults, at the end of its transmission."""
         courses = [Course(frame, now)]
         moments, answers = [], []
@@ -199,7 +199,7 @@ class WorldBus:
         for moment in moments:
             self._on_sudden(moment)
 
-    def _forward(self, course: Course, sender: Participant | None, now: Time) -> None:
+    def _forward(self, course: Course, sender: WorldMember | None, now: Time) -> None:
         if course.fate == "lost":
             self._record(course, sender, now)
             return
@@ -215,7 +215,7 @@ class WorldBus:
             self._count += 1
             heapq.heappush(self._late, _Late(at, self._count, course, sender))
 
-    def _deliver(self, course: Course, sender: Participant | None, now: Time) -> None:
+    def _deliver(self, course: Course, sender: WorldMember | None, now: Time) -> None:
         self._record(course, sender, now)
         for participant in tuple(self.participants):
             if participant is sender:
@@ -224,6 +224,6 @@ class WorldBus:
             if course.only in (0, node_id) and node_id not in course.but:
                 participant.hear(course.frame, now)
 
-    def _record(self, course: Course, sender: Participant | None, now: Time) -> None:
+    def _record(self, course: Course, sender: WorldMember | None, now: Time) -> None:
         fate = f"{course.fate} at node {course.only}" if course.only and course.fate else course.fate
         self.trace.append(Passed(now, course.frame, "" if sender is None else sender.name, fate, course.only))

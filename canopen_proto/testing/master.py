@@ -14,7 +14,7 @@ from canopen_proto.procedures.objects import read, write
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
-from canopen_proto.testing.participant import Participant
+from canopen_proto.testing.member import WorldMember
 from canopen_proto.testing.patterns import Names
 
 T = TypeVar("T")
@@ -27,7 +27,7 @@ class RunUntil(Protocol):
         """See there."""
 
 
-class WorldMaster(Participant):
+class WorldMaster(WorldMember):
     """See this module's text; made by `World.master`. nmt: the NMT commands. events: what its network has reported, in order."""
 
     def __init__(self, run_until: RunUntil, clock: Callable[[], Time], names: Names) -> None:
@@ -73,7 +73,7 @@ class WorldMaster(Participant):
     def run(self, procedure: Procedure[T], limit: Time = 3600 * SECOND) -> T:
         """Let the world run until a procedure is over; return its result, or raise its error.
 
-        Raises NotReached, and cancels the procedure, if it takes longer than `limit` (ns).
+        Raises DidNotHappen, and cancels the procedure, if it takes longer than `limit` (ns).
         """
         __tracebackhide__ = True
         request_id = self.start(procedure)

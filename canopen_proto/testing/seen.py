@@ -26,7 +26,7 @@ _SERVICES: Final = {"tpdo": "TPDO", "rpdo": "RPDO", "sync": "SYNC", "nmt": "NMT"
 """The services of the observer, by those of patterns."""
 
 
-class Seen:
+class SeenFrame:
     """A frame that was seen; made by `WorldBus.saw`. time: ns. frame: itself. text: in words."""
 
     def __init__(self, pattern: Pattern, place: int, judge: Judge, names: Names, since: Time) -> None:
@@ -55,7 +55,7 @@ class Seen:
         """The frame in words, with its time and its sender."""
         return str(self._witnessed)
 
-    def within(self, limit: Time) -> Seen:
+    def within(self, limit: Time) -> SeenFrame:
         """Check that it came not later than so many ns behind the time from which was looked (`after`, `mark`, the start), or
         behind the frame before it (`then`). Raises AssertionError."""
         __tracebackhide__ = True
@@ -65,7 +65,7 @@ class Seen:
             raise AssertionError(f"{self._pattern} came {behind}.\n{self._judge.tail(self.time)}")
         return self
 
-    def times(self, count: int) -> Seen:
+    def times(self, count: int) -> SeenFrame:
         """Check that such frames came so many times, no more and no less. Raises AssertionError."""
         __tracebackhide__ = True
         found = list(_all(self._pattern, self._judge, self._names, self._since))
@@ -74,18 +74,18 @@ class Seen:
             raise AssertionError(f"{self._pattern} came {len(found)} times, not {count}:\n{lines}")
         return self
 
-    def then(self, pattern: Pattern) -> Seen:
+    def then(self, pattern: Pattern) -> SeenFrame:
         """Return the first frame behind this one that fits another pattern. Raises AssertionError if there is none."""
         __tracebackhide__ = True
         return find(pattern, self._judge, self._names, self.time, self._place + 1, f" behind {self._pattern}")
 
 
-def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int = 0, behind: str = "") -> Seen:
+def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int = 0, behind: str = "") -> SeenFrame:
     """Return the first frame that fits. Raises AssertionError, which says what came instead."""
     __tracebackhide__ = True
     place = next(_all(pattern, judge, names, since, first), None)
     if place is not None:
-        return Seen(pattern, place, judge, names, since)
+        return SeenFrame(pattern, place, judge, names, since)
     looked = [each for each in judge.witnessed()[first:] if each.passed.time >= since]
     near = _nearest(pattern, looked, names)
     told = [f"{judge.name} never saw {pattern}{behind} (looked at {len(looked)} frames from {since / SECOND:.6f} s on)."]

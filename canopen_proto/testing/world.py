@@ -41,10 +41,10 @@ from canopen_proto.testing.bus import Cable, WorldBus
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import BusOff, Fault, NodeFault, Pause, Reset, SecondMaster, Sudden
 from canopen_proto.testing.master import WorldMaster
-from canopen_proto.testing.participant import OnEvent, OnFrame, Participant
+from canopen_proto.testing.member import OnEvent, OnFrame, WorldMember
 from canopen_proto.testing.patterns import Pattern
 
-P = TypeVar("P", bound=Participant)
+P = TypeVar("P", bound=WorldMember)
 
 NodeMaker: TypeAlias = Callable[[Outbox], LocalNode]
 """Makes a device with the outbox of the network that it will be attached to."""
@@ -63,7 +63,7 @@ class _Moment(NamedTuple):
     act: Callable[[], object]
 
 
-class NotReached(AssertionError):
+class DidNotHappen(AssertionError):
     """What a test waited for did not happen in time. The text shows the last frames."""
 
 
@@ -84,7 +84,7 @@ class World:
         self._moments: list[_Moment] = []
         self._count = 0
         self._at_this_time = 0
-        self._participants: list[tuple[Participant, WorldBus]] = []
+        self._participants: list[tuple[WorldMember, WorldBus]] = []
         self._is_stepping = False
         self.add_faults(*faults)
 
@@ -115,7 +115,7 @@ class World:
             raise LocalProtocolError(f"there is a node {node.node_id} in this world already")
         network.attach(node)
         node.pdos.sends_on_start = True
-        participant = Participant(f"node {node.node_id}", network=network, device=node)
+        participant = WorldMember(f"node {node.node_id}", network=network, device=node)
         participant.on_event = partial(self._host, node)
         self.nodes[node.node_id] = node
         self._join(participant, bus)
@@ -151,15 +151,15 @@ class World:
 
     def host(
         self, network: Network, *, on_event: OnEvent = lambda event: None, name: str = "host", bus: str = "can0"
-    ) -> Participant:
+    ) -> WorldMember:
         """Run machines of your own on a bus: all those of a Network are one participant. on_event: called with its events."""
-        return self._join(Participant(name, network=network, on_event=on_event), bus)
+        return self._join(WorldMember(name, network=network, on_event=on_event), bus)
 
-    def listener(self, on_frame: OnFrame, *, name: str = "program", bus: str = "can0") -> Participant:
+    def listener(self, on_frame: OnFrame, *, name: str = "program", bus: str = "can0") -> WorldMember:
         """Join a bus with code that handles frames itself: on_frame(frame, now) gets all frames but its own; `send` sends."""
-        return self._join(Participant(name, on_frame=on_frame), bus)
+        return self._join(WorldMember(name, on_frame=on_frame), bus)
 
-    def send(self, sender: Participant, frame: Frame) -> None:
+    def send(self, sender: WorldMember, frame: Frame) -> None:
         """Put a frame of a participant on its bus."""
         for participant, bus in self._participants:
             if participant is sender:
@@ -167,7 +167,7 @@ class World:
                 return
         raise LocalProtocolError(f"{sender.name} is not in this world")
 
-    def leave(self, participant: Participant) -> None:
+    def leave(self, participant: WorldMember) -> None:
         """Take a participant out of the world."""
         for place, (each, bus) in enumerate(self._participants):
             if each is participant:
@@ -198,7 +198,7 @@ class World:
     def run_until(self, condition: Callable[[], object] | Pattern, limit: Time = LIMIT) -> None:
         """Let time pass until a condition holds, or until a frame comes that fits a pattern, on any bus.
 
-        Raises NotReached if that takes longer than `limit` (ns), or if nothing more will happen.
+        Raises DidNotHappen if that takes longer than `limit` (ns), or if nothing more will happen.
         """
         __tracebackhide__ = True
         met = self._comes(condition) if isinstance(condition, Pattern) else condition
@@ -211,7 +211,7 @@ class World:
             if self.next_time() < NEVER:
                 self.now, why = end, f"{limit / SECOND:g} s are over"
             tails = [bus.observer.tail(self.now) for bus in self.buses.values()]
-            raise NotReached("\n".join([f"{_name(condition)} did not come true since {began / SECOND:.6f} s: {why}.", *tails]))
+            raise DidNotHappen("\n".join([f"{_name(condition)} did not come true since {began / SECOND:.6f} s: {why}.", *tails]))
 
     def next_time(self) -> Time:
         """Return when the next thing happens; NEVER if nothing will."""
@@ -230,7 +230,7 @@ class World:
             self.now, self._at_this_time = due, 0
         self._at_this_time += 1
         if self._at_this_time > MAX_STEPS:
-            raise NotReached(f"more than {MAX_STEPS} things happen at {self.now / SECOND:.6f} s: some deadline does not move")
+            raise DidNotHappen(f"more than {MAX_STEPS} things happen at {self.now / SECOND:.6f} s: some deadline does not move")
         self._guarded(self._step)
         self._pump()
         return True
@@ -339,11 +339,11 @@ class World:
         else:
             raise LocalProtocolError(f"{fault} is no fault that a World knows")
 
-    def _resume(self, participant: Participant) -> None:
+    def _resume(self, participant: WorldMember) -> None:
         if self.now >= participant.paused_until:
             participant.wake(self.now)
 
-    def _recover(self, participant: Participant) -> None:
+    def _recover(self, participant: WorldMember) -> None:
         if self.now >= participant.off_until and participant.device is not None:
             participant.device.bus_recovered(self.now)
 

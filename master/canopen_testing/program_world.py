@@ -14,7 +14,7 @@ is drawn with the seed.
 channel="can0")` (can_bus.py), or by `World.listener`.
 
 **Waiting in earnest is an error.** `time.sleep` raises WallClockWait while a program runs (wall_clock.py). A program that waits
-for what never comes ends with NotReached, after `limit` of the world's time, or after IN_EARNEST if nothing more will happen.
+for what never comes ends with DidNotHappen, after `limit` of the world's time, or after IN_EARNEST if nothing more will happen.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from canopen_master.simulation.plant import DeviceEntry
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time
-from canopen_proto.testing import NotReached, World, WorldBus
+from canopen_proto.testing import DidNotHappen, World, WorldBus
 from canopen_proto.testing.world import LIMIT, NodeMaker
 from canopen_testing.present import present
 from canopen_testing.trio_order import seeded_order
@@ -76,7 +76,7 @@ class ProgramWorld(World, trio.abc.Clock):
     _left = IN_EARNEST
     _program = ""
     _scope: trio.CancelScope | None = None
-    _stuck: NotReached | None = None
+    _stuck: DidNotHappen | None = None
 
     # ---- what is in it ----
 
@@ -108,7 +108,7 @@ class ProgramWorld(World, trio.abc.Clock):
     def run(self, main: Callable[..., Awaitable[T]], *args: object, limit: Time = DAY) -> T:
         """Run a trio program to its end in this world; return its result, or raise its error.
 
-        Raises NotReached if it takes longer than `limit` (ns of the world), or waits for what never comes: it is cancelled first.
+        Raises DidNotHappen if it takes longer than `limit` (ns of the world), or waits for what never comes: it is cancelled.
         """
 
         async def within() -> T:
@@ -125,7 +125,7 @@ class ProgramWorld(World, trio.abc.Clock):
             self._scope, self._program, self.limit = None, "", DAY
 
     def run_asyncio(self, main: Callable[..., Any], *args: object, limit: Time = DAY) -> Any:
-        """Run an asyncio program to its end in this world; return its result, or raise its error. Raises NotReached as `run`."""
+        """Run an asyncio program to its end in this world; return its result, or raise its error. Raises as `run` does."""
         self.limit, self._program = self.now + limit, "await asyncio.sleep"
         try:
             with present(self), asyncio.Runner(loop_factory=lambda: WorldLoop(self)) as runner:
@@ -148,10 +148,10 @@ class ProgramWorld(World, trio.abc.Clock):
     def pass_time(self, end: Time) -> float:
         """Go to the next happening, or to `end` (ns) if nothing happens before. For the loops of programs.
 
-        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. Raises NotReached if that was too long.
+        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. Raises DidNotHappen if that was too long.
         """
         if self.now >= self.limit:
-            raise NotReached(f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}")
+            raise DidNotHappen(f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}")
         latest = min(end, self.limit)
         has_happened = self.step(latest)
         if not has_happened and (end < NEVER or self.next_time() < NEVER):
@@ -162,7 +162,7 @@ class ProgramWorld(World, trio.abc.Clock):
         self._left -= _LOOK
         if self._left > 0:
             return _LOOK
-        raise NotReached(
+        raise DidNotHappen(
             f"the program waits for what never comes: at {self.now / SECOND:g} s of the world nothing more will happen, and "
             f"nothing came from a thread or a file for {IN_EARNEST:g} s of real time.\n{self._tails()}"
         )
@@ -196,7 +196,7 @@ class ProgramWorld(World, trio.abc.Clock):
             return 0.0
         try:
             return self.pass_time(end)
-        except NotReached as stuck:
+        except DidNotHappen as stuck:
             if self._scope is None:
                 raise
             self._stuck = stuck

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
-from canopen_proto.testing import Participant, World
+from canopen_proto.testing import World, WorldMember
 from canopen_transports.virtual import VirtualLine, VirtualTransport
 
 
@@ -15,7 +15,7 @@ class WorldLine(VirtualLine):
         super().__init__()
         self._world = world
         self._name = name
-        self._participants: dict[VirtualTransport, Participant] = {}
+        self._participants: dict[VirtualTransport, WorldMember] = {}
 
     def join(self, member: VirtualTransport) -> None:
         super().join(member)

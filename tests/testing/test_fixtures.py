@@ -179,7 +179,7 @@ def test_a_failure_ends_with_the_last_frames_and_what_was_wrong(suite: pytest.Py
     run = suite.runpytest()
     run.assert_outcomes(failed=2, errors=1)
     text = run.stdout.str()
-    assert "NotReached: an emergency of node 5 did not come true since 1.000000 s: 1 s are over." in text
+    assert "DidNotHappen: an emergency of node 5 did not come true since 1.000000 s: 1 s are over." in text
     assert text.count("CANopen: the last frames on can0") == 3
     assert "CANopen: what was wrong on can0" in text
     assert "boot-up: node 5: it boots in the middle of operation" in text

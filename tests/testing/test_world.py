@@ -25,10 +25,10 @@ from canopen_proto.testing import (
     Copy,
     Corrupt,
     Delay,
+    DidNotHappen,
     Fault,
     Lie,
     Lose,
-    NotReached,
     Pause,
     Refuse,
     Reorder,
@@ -128,10 +128,10 @@ def test_at_one_time_the_seed_says_who_acts_first() -> None:
 
 def test_what_does_not_come_is_told_with_the_last_frames() -> None:
     world = beating()
-    with pytest.raises(NotReached, match=r"emergency of node 5 did not .*: 2 s are over.\n.*frames on can0(.|\n)*705#7F"):
+    with pytest.raises(DidNotHappen, match=r"emergency of node 5 did not .*: 2 s are over.\n.*frames on can0(.|\n)*705#7F"):
         world.run_until(emcy(5), limit=2 * SECOND)
     empty = World()
-    with pytest.raises(NotReached, match="nothing more will happen in this world"):
+    with pytest.raises(DidNotHappen, match="nothing more will happen in this world"):
         empty.run_until(lambda: False)
 
 
@@ -213,7 +213,7 @@ def test_a_node_id_is_given_once() -> None:
 def test_a_procedure_that_takes_too_long_is_cancelled() -> None:
     world = World()
     master = world.master()
-    with pytest.raises(NotReached, match="1 s are over"):
+    with pytest.raises(DidNotHappen, match="1 s are over"):
         master.run(sleep(2 * SECOND), limit=SECOND)
     world.advance(SECOND)
     assert not master.runs.runner.busy

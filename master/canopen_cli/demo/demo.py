@@ -13,7 +13,7 @@ from canopen_cli.motion.record_option import check_record, record_option, record
 from canopen_cli.plot.cycles import check_plot, write_plot
 from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import Duration, Fault, FiniteRange, Settings, common, enabling
+from canopen_cli.shared.options import Breakdown, Duration, FiniteRange, Settings, common, enabling
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
@@ -53,7 +53,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
     metavar="N",
     help="What real drives count in; 1000 for millidegrees.  [default: Schunk's by their vendor-ID]",
 )
-@click.option("--fault", type=Fault(), help="Show a breakdown: 5@2.0 lets simulated drive 5 fail after 2 s of moving.")
+@click.option("--fault", type=Breakdown(), help="Show a breakdown: 5@2.0 lets simulated drive 5 fail after 2 s of moving.")
 @click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
 @enabling
 @common

@@ -248,7 +248,7 @@ class Encoding(Kind):
         return str(value)
 
 
-class Fault(Kind):
+class Breakdown(Kind):
     """The simulated drive that breaks down, and when: "5@2.0"."""
 
     name = "node@seconds"

@@ -1,4 +1,4 @@
-"""`Participant`: one place on a bus of a World, with one CAN controller: a device, a master, a host, a program's adapter."""
+"""`WorldMember`: one place on a bus of a World, with one CAN controller: a device, a master, a host, a program's adapter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ OnFrame: TypeAlias = Callable[[Frame, Time], object]
 OnEvent: TypeAlias = Callable[[Event], object]
 
 
-class Participant:
+class WorldMember:
     """See this module's text; made by `World.host` and the like.
 
     name: for people. network: what it runs, if it is one of ours. device: if it is one. events: what its network has
