@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from canopen_proto.testing.patterns import sdo_write as sdo_write
     from canopen_proto.testing.patterns import sync as sync
     from canopen_proto.testing.patterns import tpdo as tpdo
-    from canopen_proto.testing.world import DidNotHappen as DidNotHappen
+    from canopen_proto.testing.world import DidNotHappenError as DidNotHappenError
     from canopen_proto.testing.world import World as World
 else:
     from canopen_proto.lazy_names import lazy_names
@@ -63,6 +63,6 @@ else:
                 "Pattern any_frame boot_up can_frame emcy heartbeat nmt rpdo sdo_abort sdo_answer sdo_read sdo_request "
                 "sdo_write sync tpdo"
             ),
-            "canopen_proto.testing.world": "DidNotHappen World",
+            "canopen_proto.testing.world": "DidNotHappenError World",
         },
     )

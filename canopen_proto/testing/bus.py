@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import NEVER, Time
+from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.testing.armed_fault import ArmedFault, Course
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import FrameFault, Lie, Refuse, Sudden
@@ -25,18 +25,18 @@ from canopen_proto.testing.patterns import Names, Pattern
 from canopen_proto.testing.seen import SeenFrame, check_never, find
 from canopen_proto.testing.trace import Passed
 
+MOST_WAITING: Final = 4096
+"""Frames of one member that wait for the bus: as a driver's queue holds. More are lost, and the trace says so."""
+
 
 class Cable(Protocol):
     """A bus with bit timing and arbitration, as canopen_transports.wire has one: `Wire`."""
 
-    def join(self, now: Time) -> Any:
-        """Add a member, and return it."""
+    def join(self, now: Time, *, queue_size: int) -> Any:
+        """Add a member, and return it. queue_size: how many of its frames can wait."""
 
     def send(self, member: Any, frame: Frame, now: Time) -> None:
         """Queue a frame."""
-
-    def bus_off(self, member: Any, now: Time) -> None:
-        """Take a member bus-off."""
 
     def next_output(self) -> Time:
         """Return when something comes out at the earliest."""
@@ -131,7 +131,7 @@ class WorldBus:
     def join(self, participant: WorldMember) -> None:
         self.participants.append(participant)
         if self._cable is not None:
-            self._members[participant] = self._cable.join(self._clock())
+            self._members[participant] = self._cable.join(self._clock(), queue_size=MOST_WAITING)
 
     def leave(self, participant: WorldMember) -> None:
         """Take a participant off the bus: it hears nothing more. What it has sent arrives."""
@@ -143,7 +143,10 @@ class WorldBus:
         if sender is not None and now < sender.off_until:
             return
         if self._cable is not None and sender is not None:
-            self._cable.send(self._members[sender], frame, now)
+            try:
+                self._cable.send(self._members[sender], frame, now)
+            except LocalProtocolError:
+                self._record(Course(frame, now, fate="lost"), sender, now)
             return
         least, most = self._transmission
         at = self._last_at = max(now, self._last_at) + (self._draws.between(least, most))

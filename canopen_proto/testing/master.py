@@ -57,12 +57,12 @@ class WorldMaster(WorldMember):
         return self._nodes[node_id]
 
     def read(self, node_id: int, key: Key) -> Value:
-        """Read an object by SDO; return its value. Raises SdoFailed, UnexpectedLength."""
+        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLength."""
         __tracebackhide__ = True
         return self.run(read(self.node(node_id), key))
 
     def write(self, node_id: int, key: Key, value: Value) -> None:
-        """Write an object by SDO. Raises SdoFailed."""
+        """Write an object by SDO. Raises SdoTransferError."""
         __tracebackhide__ = True
         self.run(write(self.node(node_id), key, value))
 
@@ -73,7 +73,7 @@ class WorldMaster(WorldMember):
     def run(self, procedure: Procedure[T], limit: Time = 3600 * SECOND) -> T:
         """Let the world run until a procedure is over; return its result, or raise its error.
 
-        Raises DidNotHappen, and cancels the procedure, if it takes longer than `limit` (ns).
+        Raises DidNotHappenError, and cancels the procedure, if it takes longer than `limit` (ns).
         """
         __tracebackhide__ = True
         request_id = self.start(procedure)

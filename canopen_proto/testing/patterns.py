@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 
 from canopen_proto.abort import text_of
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Key, ObjectDictionary, ObjectNotFound, Variable
+from canopen_proto.dictionary import Key, ObjectDictionary, ObjectNotFoundError, Variable
 from canopen_proto.dictionary.standard import STANDARD, find_standard
 from canopen_proto.frame import (
     EMCY,
@@ -76,7 +76,7 @@ class Pattern:
         return fits
 
     def variable(self, names: Names) -> Variable:
-        """Return the object that is meant. Raises ObjectNotFound for a name that nothing knows."""
+        """Return the object that is meant. Raises ObjectNotFoundError for a name that nothing knows."""
         assert self.key is not None
         return _variable(self.node_id, self.key, names)
 
@@ -319,7 +319,7 @@ def _variable(node_id: int, key: Key, names: Names) -> Variable:
     else:
         found = find_standard(*(key if isinstance(key, tuple) else place_of(key)))
     if found is None:
-        raise ObjectNotFound(
+        raise ObjectNotFoundError(
             f"{_key_text(key)} is no object of node {node_id} nor of CiA 301 and CiA 402: give (index, subindex)"
         )
     return found

@@ -25,7 +25,7 @@ from functools import partial
 from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.frame import Frame
+from canopen_proto.frame import UNCONFIGURED, Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.messages import OK
 from canopen_proto.lss.slave import LssStoreRequested
@@ -63,12 +63,13 @@ class _Moment(NamedTuple):
     act: Callable[[], object]
 
 
-class DidNotHappen(AssertionError):
+class DidNotHappenError(AssertionError):
     """What a test waited for did not happen in time. The text shows the last frames."""
 
 
 class World:
-    """See this module's text. now: ns since the world began. nodes: the devices, by the node-ID with which they were made.
+    """See this module's text. now: ns since the world began. nodes: the devices, by the node-ID with which they were made; those
+    without one (LSS) by 255, 256 ...
 
     faults: what goes wrong; more with `add_faults`. transmission: how long a frame takes on the bus, least and most, ns.
     """
@@ -111,13 +112,16 @@ class World:
         make = partial(LocalNode, node_id=node_id, dictionary=made_of) if isinstance(made_of, ObjectDictionary) else made_of
         network = Network()
         node = make(network.out)
-        if node.node_id in self.nodes:
+        place = node.node_id
+        while place >= UNCONFIGURED and place in self.nodes:
+            place += 1
+        if place in self.nodes:
             raise LocalProtocolError(f"there is a node {node.node_id} in this world already")
         network.attach(node)
         node.pdos.sends_on_start = True
         participant = WorldMember(f"node {node.node_id}", network=network, device=node)
         participant.on_event = partial(self._host, node)
-        self.nodes[node.node_id] = node
+        self.nodes[place] = node
         self._join(participant, bus)
         for each in self.buses.values():
             each.observer.forget()
@@ -198,7 +202,7 @@ class World:
     def run_until(self, condition: Callable[[], object] | Pattern, limit: Time = LIMIT) -> None:
         """Let time pass until a condition holds, or until a frame comes that fits a pattern, on any bus.
 
-        Raises DidNotHappen if that takes longer than `limit` (ns), or if nothing more will happen.
+        Raises DidNotHappenError if that takes longer than `limit` (ns), or if nothing more will happen.
         """
         __tracebackhide__ = True
         met = self._comes(condition) if isinstance(condition, Pattern) else condition
@@ -211,7 +215,9 @@ class World:
             if self.next_time() < NEVER:
                 self.now, why = end, f"{limit / SECOND:g} s are over"
             tails = [bus.observer.tail(self.now) for bus in self.buses.values()]
-            raise DidNotHappen("\n".join([f"{_name(condition)} did not come true since {began / SECOND:.6f} s: {why}.", *tails]))
+            raise DidNotHappenError(
+                "\n".join([f"{_name(condition)} did not come true since {began / SECOND:.6f} s: {why}.", *tails])
+            )
 
     def next_time(self) -> Time:
         """Return when the next thing happens; NEVER if nothing will."""
@@ -230,7 +236,9 @@ class World:
             self.now, self._at_this_time = due, 0
         self._at_this_time += 1
         if self._at_this_time > MAX_STEPS:
-            raise DidNotHappen(f"more than {MAX_STEPS} things happen at {self.now / SECOND:.6f} s: some deadline does not move")
+            raise DidNotHappenError(
+                f"more than {MAX_STEPS} things happen at {self.now / SECOND:.6f} s: some deadline does not move"
+            )
         self._guarded(self._step)
         self._pump()
         return True

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from canopen_testing.fixture_types import SimDrive as SimDrive
     from canopen_testing.fixture_types import SimNode as SimNode
     from canopen_testing.program_world import ProgramWorld as ProgramWorld
-    from canopen_testing.wall_clock import WallClockWait as WallClockWait
+    from canopen_testing.wall_clock import WallClockWaitError as WallClockWaitError
 else:
     from canopen_proto.lazy_names import lazy_names
 
@@ -29,6 +29,6 @@ else:
             "canopen_testing.conformance_fixture": "RunCase",
             "canopen_testing.fixture_types": "SimDrive SimNode",
             "canopen_testing.program_world": "ProgramWorld",
-            "canopen_testing.wall_clock": "WallClockWait",
+            "canopen_testing.wall_clock": "WallClockWaitError",
         },
     )

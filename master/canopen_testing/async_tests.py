@@ -40,11 +40,11 @@ class AsyncioMaster:
         self.master = master
 
     async def read(self, node_id: int, key: Key) -> Value:
-        """Read an object by SDO; return its value. Raises SdoFailed, UnexpectedLength."""
+        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLength."""
         return await self.run(read(self.master.node(node_id), key))
 
     async def write(self, node_id: int, key: Key, value: Value) -> None:
-        """Write an object by SDO. Raises SdoFailed."""
+        """Write an object by SDO. Raises SdoTransferError."""
         await self.run(write(self.master.node(node_id), key, value))
 
     def command(self, command: NmtCommand, node_id: int = 0) -> None:

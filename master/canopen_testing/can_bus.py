@@ -16,7 +16,7 @@ import can
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.testing import DidNotHappen, World
+from canopen_proto.testing import DidNotHappenError, World
 from canopen_testing.present import present_world
 from canopen_transports.messages import frame_of, message_of
 
@@ -48,7 +48,7 @@ class WorldCanBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Let the world run until a frame comes that passes the filters; return it, or None after `timeout` seconds of the world.
 
-        Raises DidNotHappen if nothing comes in FOREVER without a timeout.
+        Raises DidNotHappenError if nothing comes in FOREVER without a timeout.
         """
         end = self._world.now + round((FOREVER if timeout is None else timeout) * SECOND)
         while True:
@@ -61,7 +61,7 @@ class WorldCanBus(can.BusABC):
             else:
                 try:
                     self._world.run_until(lambda: self._frames, end - self._world.now)
-                except DidNotHappen:
+                except DidNotHappenError:
                     if timeout is None:
                         raise
 

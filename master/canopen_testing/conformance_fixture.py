@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -14,6 +15,7 @@ from canopen_check.case import Case
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import load_description
 from canopen_master import open_master
+from canopen_master.errors import MasterError
 from canopen_proto.dictionary import Variable
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
@@ -53,7 +55,7 @@ def run_case(request: pytest.FixtureRequest, device: RealDevice | LocalNode) -> 
 
     def run() -> Verdict:
         if isinstance(device, RealDevice):
-            verdict = trio.run(_on_bus, case, device)
+            verdict = trio.run(check_on_bus, case, device)
         else:
             verdict = _in_world(case, device, request)
         for remark in verdict.remarks:
@@ -68,11 +70,17 @@ def run_case(request: pytest.FixtureRequest, device: RealDevice | LocalNode) -> 
     return run
 
 
-async def _on_bus(case: Case, device: RealDevice) -> Verdict:
+async def check_on_bus(case: Case, device: RealDevice) -> Verdict:
+    """Run a case against a real device, and reset it behind that."""
     async with open_master(device.locator) as master:
         network = master.bus().network
         bench = Bench(network, device.node_id, device.description.dictionary, description=device.description)
-        verdict: Verdict = await master.run(case.run(bench))
+        try:
+            verdict: Verdict = await master.run(case.run(bench))
+        finally:
+            if case.uses_device:
+                with trio.CancelScope(shield=True), suppress(MasterError):
+                    await master.nmt_reset_node(device.node_id)
     return verdict
 
 

@@ -13,8 +13,9 @@ is drawn with the seed.
 **asyncio.** The loop (world_loop.py) does the same. Frames come by python-can: `can.Bus(interface="canopen_world",
 channel="can0")` (can_bus.py), or by `World.listener`.
 
-**Waiting in earnest is an error.** `time.sleep` raises WallClockWait while a program runs (wall_clock.py). A program that waits
-for what never comes ends with DidNotHappen, after `limit` of the world's time, or after IN_EARNEST if nothing more will happen.
+**Waiting in earnest is an error.** `time.sleep` raises WallClockWaitError while a program runs (wall_clock.py). A program that
+waits for what never comes ends with DidNotHappenError, after `limit` of the world's time, or after IN_EARNEST if nothing more
+will happen.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ from canopen_master.simulation.plant import DeviceEntry
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time
-from canopen_proto.testing import DidNotHappen, World, WorldBus
+from canopen_proto.testing import DidNotHappenError, World, WorldBus
 from canopen_proto.testing.world import LIMIT, NodeMaker
 from canopen_testing.present import present
-from canopen_testing.trio_order import seeded_order
+from canopen_testing.trio_order import seed_order
 from canopen_testing.world_line import WorldLine
 from canopen_testing.world_loop import WorldLoop
 from canopen_transports import virtual
@@ -53,9 +54,10 @@ _AT_ONCE: Final = 1e-9
 
 
 class _Steps(trio.abc.Instrument):
-    """Tells whether a task has run since the loop was last idle, and whether one runs now."""
+    """Tells whether a task has run since the loop was last idle, and whether one runs now. Keeps trio's order that of a seed."""
 
-    def __init__(self) -> None:
+    def __init__(self, seed: int) -> None:
+        self._give_back_order = seed_order(seed)
         self.is_idle = False
         self.in_task = False
 
@@ -65,6 +67,9 @@ class _Steps(trio.abc.Instrument):
 
     def after_task_step(self, task: trio.lowlevel.Task) -> None:
         self.in_task = False
+
+    def after_run(self) -> None:
+        self._give_back_order()
 
 
 class ProgramWorld(World, trio.abc.Clock):
@@ -76,7 +81,7 @@ class ProgramWorld(World, trio.abc.Clock):
     _left = IN_EARNEST
     _program = ""
     _scope: trio.CancelScope | None = None
-    _stuck: DidNotHappen | None = None
+    _stuck: DidNotHappenError | None = None
 
     # ---- what is in it ----
 
@@ -108,7 +113,8 @@ class ProgramWorld(World, trio.abc.Clock):
     def run(self, main: Callable[..., Awaitable[T]], *args: object, limit: Time = DAY) -> T:
         """Run a trio program to its end in this world; return its result, or raise its error.
 
-        Raises DidNotHappen if it takes longer than `limit` (ns of the world), or waits for what never comes: it is cancelled.
+        Raises DidNotHappenError if it takes longer than `limit` (ns of the world), or waits for what never comes; it is cancelled
+        then.
         """
 
         async def within() -> T:
@@ -119,7 +125,7 @@ class ProgramWorld(World, trio.abc.Clock):
 
         self.limit, self._stuck = self.now + limit, None
         try:
-            with present(self), seeded_order(self.seed):
+            with present(self):
                 return trio.run(within, clock=self)
         finally:
             self._scope, self._program, self.limit = None, "", DAY
@@ -148,10 +154,13 @@ class ProgramWorld(World, trio.abc.Clock):
     def pass_time(self, end: Time) -> float:
         """Go to the next happening, or to `end` (ns) if nothing happens before. For the loops of programs.
 
-        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. Raises DidNotHappen if that was too long.
+        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. Raises DidNotHappenError if that took too
+        long.
         """
         if self.now >= self.limit:
-            raise DidNotHappen(f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}")
+            raise DidNotHappenError(
+                f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}"
+            )
         latest = min(end, self.limit)
         has_happened = self.step(latest)
         if not has_happened and (end < NEVER or self.next_time() < NEVER):
@@ -162,7 +171,7 @@ class ProgramWorld(World, trio.abc.Clock):
         self._left -= _LOOK
         if self._left > 0:
             return _LOOK
-        raise DidNotHappen(
+        raise DidNotHappenError(
             f"the program waits for what never comes: at {self.now / SECOND:g} s of the world nothing more will happen, and "
             f"nothing came from a thread or a file for {IN_EARNEST:g} s of real time.\n{self._tails()}"
         )
@@ -174,7 +183,7 @@ class ProgramWorld(World, trio.abc.Clock):
 
     def start_clock(self) -> None:
         """Let every bus of this run be one of the world."""
-        self._steps = _Steps()
+        self._steps = _Steps(self.seed)
         self._program = "await trio.sleep"
         trio.lowlevel.add_instrument(self._steps)
         virtual.stand_in(lambda name: WorldLine(self, name))
@@ -196,7 +205,7 @@ class ProgramWorld(World, trio.abc.Clock):
             return 0.0
         try:
             return self.pass_time(end)
-        except DidNotHappen as stuck:
+        except DidNotHappenError as stuck:
             if self._scope is None:
                 raise
             self._stuck = stuck

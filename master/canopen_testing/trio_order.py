@@ -1,28 +1,27 @@
-"""`seeded_order`: trio's order of tasks, drawn with a seed.
+"""`seed_order`: trio's order of tasks, drawn with a seed.
 
 trio shuffles the tasks that are ready, by a generator of its own, so that nobody relies on an order. It has no public way to seed
-it. Hypothesis and pytest-trio use what is used here (`trio._core._run._hypothesis_plugin_setup`).
+it. Hypothesis uses what is used here, by the entry point that trio has for it (`trio._core._run._hypothesis_plugin_setup`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 from trio._core import _run
 
 
-@contextmanager
-def seeded_order(seed: int) -> Iterator[None]:
-    """Let each `trio.run` inside have the order of tasks of this seed. Afterwards trio's order is as it was."""
+def seed_order(seed: int) -> Callable[[], None]:
+    """Let trio have the order of tasks of this seed. Returns the function that gives it its own order back."""
     generator = getattr(_run, "_r", None)
     if generator is None or not hasattr(_run, "_ALLOW_DETERMINISTIC_SCHEDULING"):
         raise RuntimeError("this version of trio has another scheduler, whose order no seed decides: use trio 0.33 to 0.35")
     state, before = generator.getstate(), _run._ALLOW_DETERMINISTIC_SCHEDULING
     generator.seed(seed)
     _run._ALLOW_DETERMINISTIC_SCHEDULING = True  # type: ignore[misc]
-    try:
-        yield
-    finally:
+
+    def give_back() -> None:
         generator.setstate(state)
         _run._ALLOW_DETERMINISTIC_SCHEDULING = before  # type: ignore[misc]
+
+    return give_back

@@ -19,13 +19,13 @@ _in_earnest = time.sleep
 _HAS_EVENT = sys.version_info >= (3, 13)
 
 
-class WallClockWait(RuntimeError):
+class WallClockWaitError(RuntimeError):
     """Code under test waits in real time, in a world whose time is virtual."""
 
 
 @contextmanager
 def virtual_time() -> Iterator[None]:
-    """Let `time.sleep` in this thread raise WallClockWait."""
+    """Let `time.sleep` in this thread raise WallClockWaitError."""
     _watch()
     thread = threading.get_ident()
     _threads[thread] = _threads.get(thread, 0) + 1
@@ -59,7 +59,7 @@ def _sleep(seconds: float) -> None:
 
 def _refuse(seconds: float) -> None:
     if seconds > 0 and threading.get_ident() in _threads:
-        raise WallClockWait(
+        raise WallClockWaitError(
             f"time.sleep({seconds:g}) waits in real time, but the world of this test has its own: `world.advance(...)` in a "
             "test, `await trio.sleep(...)` or `await asyncio.sleep(...)` in a program"
         )

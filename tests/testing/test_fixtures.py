@@ -9,9 +9,14 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_proto.machine import LocalProtocolError
+from canopen_check.catalogue import BY_NUMBER
+from canopen_data.descriptions import load_description
+from canopen_proto.machine import MILLISECOND, LocalProtocolError
+from canopen_proto.testing import nmt
+from canopen_proto.verdict import Result
 from canopen_testing import ProgramWorld
 from canopen_testing.async_tests import hosted
+from canopen_testing.conformance_fixture import RealDevice, check_on_bus
 
 pytest_plugins = "pytester"
 
@@ -179,7 +184,7 @@ def test_a_failure_ends_with_the_last_frames_and_what_was_wrong(suite: pytest.Py
     run = suite.runpytest()
     run.assert_outcomes(failed=2, errors=1)
     text = run.stdout.str()
-    assert "DidNotHappen: an emergency of node 5 did not come true since 1.000000 s: 1 s are over." in text
+    assert "DidNotHappenError: an emergency of node 5 did not come true since 1.000000 s: 1 s are over." in text
     assert text.count("CANopen: the last frames on can0") == 3
     assert "CANopen: what was wrong on can0" in text
     assert "boot-up: node 5: it boots in the middle of operation" in text
@@ -225,6 +230,15 @@ def test_a_device_that_does_wrong_fails_its_case(suite: pytest.Pytester) -> None
     run = suite.runpytest("-k", "heartbeat")
     assert run.parseoutcomes()["failed"] > 0
     assert "case " in run.stdout.str()
+
+
+def test_a_device_on_a_bus_is_checked_and_reset() -> None:
+    world = ProgramWorld()
+    world.device("sample_io.eds", 5)
+    device = RealDevice("socketcan:can0", 5, load_description("sample_io.eds"))
+    assert world.run(check_on_bus, BY_NUMBER["2.1"], device).result is Result.PASSED
+    world.advance(MILLISECOND)
+    world.bus().saw(nmt("reset_node", 5)).times(2)
 
 
 def test_without_options_it_says_what_is_missing(suite: pytest.Pytester) -> None:

@@ -17,8 +17,8 @@ from canopen_master import ChainSettings, open_master
 from canopen_proto import EmcyReceived
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
-from canopen_proto.testing import DidNotHappen, Lose, boot_up, emcy, heartbeat, nmt, sdo_answer
-from canopen_testing import AsyncioMaster, ProgramWorld, WallClockWait, WorldCanBus
+from canopen_proto.testing import DidNotHappenError, Lose, boot_up, emcy, heartbeat, nmt, sdo_answer
+from canopen_testing import AsyncioMaster, ProgramWorld, WallClockWaitError, WorldCanBus
 from canopen_testing.present import present_world
 from canopen_transports import open_transport
 
@@ -239,9 +239,9 @@ def test_a_wait_in_real_time_is_told() -> None:
     async def main() -> None:
         time.sleep(0.5)
 
-    with pytest.raises(WallClockWait, match=r"time.sleep\(0.5\) waits in real time"):
+    with pytest.raises(WallClockWaitError, match=r"time.sleep\(0.5\) waits in real time"):
         ProgramWorld().run(main)
-    with pytest.raises(WallClockWait):
+    with pytest.raises(WallClockWaitError):
         ProgramWorld().run_asyncio(main)
     time.sleep(0.0001)
 
@@ -255,13 +255,13 @@ def test_a_program_that_waits_for_what_never_comes_is_told(monkeypatch: pytest.M
     async def never() -> None:
         await asyncio.Event().wait()
 
-    with pytest.raises(DidNotHappen, match="waits for what never comes: at 0 s"):
+    with pytest.raises(DidNotHappenError, match="waits for what never comes: at 0 s"):
         ProgramWorld().run(forever)
-    with pytest.raises(DidNotHappen, match="waits for what never comes: at 0 s"):
+    with pytest.raises(DidNotHappenError, match="waits for what never comes: at 0 s"):
         ProgramWorld().run_asyncio(never)
     beating = ProgramWorld()
     beating.drive(5).set_value(0x1017, 0, 1000, 0)
-    with pytest.raises(DidNotHappen, match=r"has run for its limit, until 60.*s of the world.\n(.|\n)*705#7F"):
+    with pytest.raises(DidNotHappenError, match=r"has run for its limit, until 60.*s of the world.\n(.|\n)*705#7F"):
         beating.run(forever, limit=60 * SECOND)
 
 

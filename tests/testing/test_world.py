@@ -16,7 +16,7 @@ from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Outbox
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtState
-from canopen_proto.procedures import SdoFailed, sleep
+from canopen_proto.procedures import SdoTransferError, sleep
 from canopen_proto.sdo.client import SdoClient
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import Shape
@@ -25,7 +25,7 @@ from canopen_proto.testing import (
     Copy,
     Corrupt,
     Delay,
-    DidNotHappen,
+    DidNotHappenError,
     Fault,
     Lie,
     Lose,
@@ -128,10 +128,10 @@ def test_at_one_time_the_seed_says_who_acts_first() -> None:
 
 def test_what_does_not_come_is_told_with_the_last_frames() -> None:
     world = beating()
-    with pytest.raises(DidNotHappen, match=r"emergency of node 5 did not .*: 2 s are over.\n.*frames on can0(.|\n)*705#7F"):
+    with pytest.raises(DidNotHappenError, match=r"emergency of node 5 did not .*: 2 s are over.\n.*frames on can0(.|\n)*705#7F"):
         world.run_until(emcy(5), limit=2 * SECOND)
     empty = World()
-    with pytest.raises(DidNotHappen, match="nothing more will happen in this world"):
+    with pytest.raises(DidNotHappenError, match="nothing more will happen in this world"):
         empty.run_until(lambda: False)
 
 
@@ -213,7 +213,7 @@ def test_a_node_id_is_given_once() -> None:
 def test_a_procedure_that_takes_too_long_is_cancelled() -> None:
     world = World()
     master = world.master()
-    with pytest.raises(DidNotHappen, match="1 s are over"):
+    with pytest.raises(DidNotHappenError, match="1 s are over"):
         master.run(sleep(2 * SECOND), limit=SECOND)
     world.advance(SECOND)
     assert not master.runs.runner.busy
@@ -271,7 +271,7 @@ def test_one_receiver_alone_misses_a_frame() -> None:
 def test_a_device_refuses_and_does_not_execute() -> None:
     world = World(faults=[Refuse(5, "producer_heartbeat_time", AbortCode.LOCAL_CONTROL, nth=1)])
     drive, master = world.drive(5), world.master()
-    with pytest.raises(SdoFailed, match="0x08000021"):
+    with pytest.raises(SdoTransferError, match="0x08000021"):
         master.write(5, "producer_heartbeat_time", 100)
     assert drive.values.store[0x101700] == 0
     master.write(5, "producer_heartbeat_time", 100)
@@ -289,7 +289,7 @@ def test_a_device_that_pauses_is_late_and_loses_nothing() -> None:
     assert times(world, "705#7F")[2:5] == [200, 450, 500]
     gone = beating(Pause(5, on=heartbeat(5), nth=3))
     assert times(gone, "705#7F") == [0, 100, 200]
-    with pytest.raises(SdoFailed, match="did not answer"):
+    with pytest.raises(SdoTransferError, match="did not answer"):
         gone.master().read(5, "device_type")
 
 
