@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import trio
 
-from canopen_check.catalogue import BY_NUMBER
+from canopen_check.catalogue import BY_NUMBER, CASES
 from canopen_data.descriptions import load_description
 from canopen_proto.machine import MILLISECOND, LocalProtocolError
 from canopen_proto.testing import nmt
@@ -17,6 +17,7 @@ from canopen_proto.verdict import Result
 from canopen_testing import ProgramWorld
 from canopen_testing.async_tests import hosted
 from canopen_testing.conformance_fixture import RealDevice, check_on_bus
+from tests.testing import typed_suite
 
 pytest_plugins = "pytester"
 
@@ -177,6 +178,12 @@ def test_each_fixture_in_each_kind_of_test_in_any_order_with_xdist_too(suite: py
     assert traces(suite.path / "third") == plain
     suite.runpytest("--canopen-trace", "seeded", "--canopen-seed", "1").assert_outcomes(passed=COUNT)
     assert traces(suite.path / "seeded") != plain
+
+
+def test_the_suite_with_types(suite: pytest.Pytester) -> None:
+    suite.makepyfile(Path(typed_suite.__file__).read_text(encoding="utf-8"))
+    run = suite.runpytest("-k", "not a_case or 2.1-")
+    run.assert_outcomes(passed=5, deselected=len(CASES) - 1)
 
 
 def test_a_failure_ends_with_the_last_frames_and_what_was_wrong(suite: pytest.Pytester) -> None:
