@@ -191,7 +191,8 @@ class WorldBus:
             if isinstance(fault, FrameFault):
                 courses = [bent for course in courses for bent in armed.bend(course)]
             elif isinstance(fault, Refuse | Lie):
-                courses = [course._replace(but=course.but | {fault.node_id}) for course in courses]
+                note = f"node {fault.node_id} answers otherwise"
+                courses = [course._replace(but=course.but | {fault.node_id}, fate=course.fate or note) for course in courses]
                 answers.append((armed.answer(frame, self.names), fault.node_id))
             elif isinstance(fault, Sudden):
                 moments.append(fault)

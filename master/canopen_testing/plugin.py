@@ -50,8 +50,10 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def canopen_world(request: pytest.FixtureRequest) -> Iterator[ProgramWorld]:
     """A world in virtual time: buses, devices, masters, programs. See canopen_testing.ProgramWorld."""
-    from canopen_testing import worlds
-
+    try:
+        from canopen_testing import worlds
+    except ModuleNotFoundError as error:
+        raise pytest.UsageError(f"canopen_world needs {error.name}: pip install 'canopen-proto[test-tools]'") from error
     markers = [*request.node.iter_markers("canopen_faults")]
     seed = next((mark.kwargs["seed"] for mark in markers if "seed" in mark.kwargs), request.config.getoption("canopen_seed"))
     world = request.node.stash[_WORLD] = worlds.ProgramWorld(seed, [fault for mark in markers for fault in mark.args])

@@ -14,9 +14,11 @@ import trio
 import trio.testing
 
 from canopen_master import ChainSettings, open_master
+from canopen_master.errors import DeviceRefusedError
 from canopen_proto import EmcyReceived
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.testing import DidNotHappenError, Lose, boot_up, emcy, heartbeat, nmt, sdo_answer
 from canopen_testing import AsyncioMaster, ProgramWorld, WallClockWaitError, WorldCanBus
 from canopen_testing.present import present_world
@@ -50,6 +52,13 @@ def test_a_trio_program_runs_unchanged() -> None:
     world.bus().observer.clean()
 
 
+def test_the_file_of_a_drive_makes_a_drive_that_moves() -> None:
+    world = ProgramWorld()
+    assert isinstance(world.device("sample_drive.eds", 5), DriveNode)
+    with pytest.raises(DeviceRefusedError, match="which node-ID"):
+        world.device("sample_drive.eds")
+
+
 def test_whatever_bus_it_opens_is_that_of_the_world() -> None:
     world = world_of()
     assert world.run(configure, "socketcan:can0") == "Sample I/O"
@@ -77,6 +86,7 @@ def test_two_participants_of_a_program_meet_in_the_world() -> None:
 LIFE = """
 import trio
 from canopen_master import open_master
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.testing import Lose, sdo_answer
 from canopen_testing import ProgramWorld
 

@@ -276,6 +276,7 @@ def test_a_device_refuses_and_does_not_execute() -> None:
     assert drive.values.store[0x101700] == 0
     master.write(5, "producer_heartbeat_time", 100)
     world.bus().saw(sdo_abort(5, AbortCode.LOCAL_CONTROL)).times(1)
+    assert "[node 5 answers otherwise]" in world.bus().saw(sdo_write(5, "producer_heartbeat_time", 100)).text
 
 
 def test_a_device_lies_about_its_identity() -> None:
