@@ -149,7 +149,7 @@ class WorldBus:
                 self._record(Course(frame, now, fate="lost"), sender, now)
             return
         least, most = self._transmission
-        at = self._last_at = max(now, self._last_at) + (self._draws.between(least, most))
+        at = self._last_at = max(now, self._last_at) + self._draws.between(least, most)
         self._count += 1
         heapq.heappush(self._sent, _Sent(at, self._count, frame, sender))
 
@@ -165,15 +165,13 @@ class WorldBus:
 
     def step(self, now: Time) -> None:
         """Let the frames come that are due."""
-        while self._late and self._late[0].at <= now:
+        if self._late and self._late[0].at <= now:
             late = heapq.heappop(self._late)
             self._deliver(late.course, late.sender, now)
-            return
-        if self._sent and self._sent[0].at <= now:
+        elif self._sent and self._sent[0].at <= now:
             sent = heapq.heappop(self._sent)
             self.arrive(sent.frame, sent.sender, now)
-            return
-        if self._cable is not None:
+        elif self._cable is not None:
             self._cable.handle_timeout(now - self._cable.time_of(1))
             deliveries, _ = self._cable.drain()
             senders = {member: participant for participant, member in self._members.items()}

@@ -69,7 +69,8 @@ def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[.
         in_trio = sniffio.current_async_library() == "trio"
         _check_time(world, in_trio)
         async with _opened(arguments, world, in_trio) as opened:
-            return await test(**opened)
+            started = functools.partial(test, **opened)
+            return await (world.watched(started) if in_trio else started())
 
     return run
 

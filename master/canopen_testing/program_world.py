@@ -23,6 +23,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from functools import partial
 from os import PathLike
 from typing import Any, Final, TypeVar
 
@@ -56,8 +57,9 @@ _AT_ONCE: Final = 1e-9
 class _Steps(trio.abc.Instrument):
     """Tells whether a task has run since the loop was last idle, and whether one runs now. Keeps trio's order that of a seed."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, on_end: Callable[[], None]) -> None:
         self._give_back_order = seed_order(seed)
+        self._on_end = on_end
         self.is_idle = False
         self.in_task = False
 
@@ -70,14 +72,14 @@ class _Steps(trio.abc.Instrument):
 
     def after_run(self) -> None:
         self._give_back_order()
+        self._on_end()
 
 
 class ProgramWorld(World, trio.abc.Clock):
-    """See this module's text. limit: how long a program may run, in ns of the world."""
-
-    limit: Time = DAY
+    """See this module's text."""
 
     _steps: _Steps
+    _limit: Time = 0  # until when the program may run
     _left = IN_EARNEST
     _program = ""
     _scope: trio.CancelScope | None = None
@@ -116,28 +118,39 @@ class ProgramWorld(World, trio.abc.Clock):
         Raises DidNotHappenError if it takes longer than `limit` (ns of the world), or waits for what never comes; it is cancelled
         then.
         """
-
-        async def within() -> T:
-            with trio.CancelScope() as self._scope:
-                return await main(*args)
-            assert self._stuck is not None
-            raise self._stuck
-
-        self.limit, self._stuck = self.now + limit, None
+        self._begin("await trio.sleep", limit)
         try:
             with present(self):
-                return trio.run(within, clock=self)
+                return trio.run(partial(self.watched, main, *args), clock=self)
         finally:
-            self._scope, self._program, self.limit = None, "", DAY
+            self._end()
+
+    async def watched(self, main: Callable[..., Awaitable[T]], *args: object) -> T:
+        """Await a trio program within a `trio.run` whose clock is this world; return its result, or raise its error.
+
+        Raises DidNotHappenError as `run` does. Without this, the error comes out of trio's loop, as a TrioInternalError.
+        """
+        with trio.CancelScope() as self._scope:
+            return await main(*args)
+        assert self._stuck is not None
+        raise self._stuck
 
     def run_asyncio(self, main: Callable[..., Any], *args: object, limit: Time = DAY) -> Any:
         """Run an asyncio program to its end in this world; return its result, or raise its error. Raises as `run` does."""
-        self.limit, self._program = self.now + limit, "await asyncio.sleep"
+        self._begin("await asyncio.sleep", limit)
         try:
             with present(self), asyncio.Runner(loop_factory=lambda: WorldLoop(self)) as runner:
                 return runner.run(main(*args))
         finally:
-            self._program, self.limit = "", DAY
+            self._end()
+
+    def _begin(self, program: str, limit: Time) -> None:
+        """A program begins. program: how it lets time pass."""
+        self._program, self._limit = program, self.now + limit
+        self._stuck, self._left = None, IN_EARNEST
+
+    def _end(self) -> None:
+        self._scope, self._program = None, ""
 
     def advance(self, duration: Time) -> None:
         self._check_no_program()
@@ -157,11 +170,11 @@ class ProgramWorld(World, trio.abc.Clock):
         Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. Raises DidNotHappenError if that took too
         long.
         """
-        if self.now >= self.limit:
+        if self.now >= self._limit:
             raise DidNotHappenError(
                 f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}"
             )
-        latest = min(end, self.limit)
+        latest = min(end, self._limit)
         has_happened = self.step(latest)
         if not has_happened and (end < NEVER or self.next_time() < NEVER):
             self.now, has_happened = latest, True
@@ -183,8 +196,9 @@ class ProgramWorld(World, trio.abc.Clock):
 
     def start_clock(self) -> None:
         """Let every bus of this run be one of the world."""
-        self._steps = _Steps(self.seed)
-        self._program = "await trio.sleep"
+        self._steps = _Steps(self.seed, self._end)
+        if not self._program:  # by `trio.run`, not by `run`
+            self._begin("await trio.sleep", DAY)
         trio.lowlevel.add_instrument(self._steps)
         virtual.stand_in(lambda name: WorldLine(self, name))
 

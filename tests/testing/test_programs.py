@@ -64,7 +64,9 @@ def test_whatever_bus_it_opens_is_that_of_the_world() -> None:
     assert world.run(configure, "socketcan:can0") == "Sample I/O"
     other = ProgramWorld()
     other.device("sample_io.eds", 5, bus="PCAN_USBBUS1")
+    other.advance(48 * 3600 * SECOND)
     assert trio.run(configure, "pcan:PCAN_USBBUS1@500k", clock=other) == "Sample I/O"
+    other.advance(SECOND)
 
 
 def test_two_participants_of_a_program_meet_in_the_world() -> None:
@@ -86,7 +88,6 @@ def test_two_participants_of_a_program_meet_in_the_world() -> None:
 LIFE = """
 import trio
 from canopen_master import open_master
-from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.testing import Lose, sdo_answer
 from canopen_testing import ProgramWorld
 
