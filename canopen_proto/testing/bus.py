@@ -45,7 +45,7 @@ class Cable(Protocol):
         """Do what is due."""
 
     def drain(self) -> tuple[Sequence[Any], Sequence[Any]]:
-        """Return the frames that came out, with `at`, `frame`, `senders` and `receivers`, and the reports."""
+        """Return the frames that came out, with `frame` and `senders`, and the reports, with `member` and perhaps `state`."""
 
     def time_of(self, bits: int) -> Time:
         """Return the time of so many bits."""
@@ -173,10 +173,14 @@ class WorldBus:
             self.arrive(sent.frame, sent.sender, now)
         elif self._cable is not None:
             self._cable.handle_timeout(now - self._cable.time_of(1))
-            deliveries, _ = self._cable.drain()
-            senders = {member: participant for participant, member in self._members.items()}
+            deliveries, reports = self._cable.drain()
+            owners = {member: participant for participant, member in self._members.items()}
             for each in deliveries:
-                self.arrive(each.frame, senders.get(each.senders[0]), now)
+                self.arrive(each.frame, owners.get(each.senders[0]), now)
+            for report in reports:
+                state, participant = getattr(report, "state", None), owners.get(report.member)
+                if state is not None and participant is not None:
+                    participant.controller_is(state.value == "bus-off", now)
 
     def arrive(self, frame: Frame, sender: WorldMember | None, now: Time) -> None:
         """Carry a frame past the faults, at the end of its transmission."""

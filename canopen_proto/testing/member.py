@@ -40,6 +40,7 @@ class WorldMember:
         self.paused_until: Time = -NEVER
         self.off_until: Time = -NEVER
         self._held: list[Frame] = []
+        self._is_off = False
 
     @property
     def node_id(self) -> int:
@@ -56,6 +57,13 @@ class WorldMember:
             self.on_frame(frame, now)
         else:
             self.network.receive(frame, now, now)
+
+    def controller_is(self, off: bool, now: Time) -> None:
+        """Take the state of its controller on a cable: a device is told when it goes bus-off, and when it is back."""
+        if off is not self._is_off:
+            self._is_off = off
+            if self.device is not None:
+                (self.device.bus_off if off else self.device.bus_recovered)(now)
 
     def next_deadline(self) -> Time:
         """Return when it wants to be woken; NEVER if nothing waits."""

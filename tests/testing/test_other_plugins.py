@@ -1,6 +1,6 @@
 """Async tests of a user's who has pytest-trio, pytest-asyncio or anyio: their runner or ours, the time is the world's.
 
-These packages are not among ours: `pip install pytest-trio pytest-asyncio anyio` in an environment of its own, then this file runs.
+These packages are not among ours. Install them in an environment of its own, and this file runs.
 """
 
 from __future__ import annotations

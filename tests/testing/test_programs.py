@@ -233,6 +233,19 @@ def test_with_a_bit_rate_frames_take_the_time_of_their_bits_and_the_lowest_goes_
         world.bus("can0", bitrate=500_000)
 
 
+def test_two_nodes_with_one_id_drive_each_other_off_the_bus() -> None:
+    world = ProgramWorld()
+    bus = world.bus("can0", bitrate=125_000)
+    drive = world.drive(5)
+    rival = world.listener(lambda frame, now: None)
+    drive.set_value(0x1017, 0, 100, 0)
+    world.advance(99 * MILLISECOND)
+    for _ in range(40):
+        world.send(rival, Frame.parse("705#05"))
+    world.advance(SECOND)
+    bus.saw(emcy(5, 0x8140))
+
+
 def test_a_master_works_on_a_bus_with_a_bit_rate() -> None:
     world = ProgramWorld()
     world.bus("can0", bitrate=125_000)
