@@ -18,7 +18,8 @@ from canopen_proto.heartbeat import HeartbeatLost, NmtStateReported, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Time
 from canopen_proto.multiplexer import Mux, mux
 from canopen_proto.nmt import NmtCommand
-from tests.drives.watchdog_world import NODE, World, without
+from canopen_proto.testing import Lose, Pause, boot_up
+from tests.drives.watchdog_world import NODE, HeldDrive, without
 
 FASTEST: Final = 25_000
 """0x607F: no mode goes faster, torque control neither."""
@@ -71,16 +72,16 @@ class Cell:
     def __init__(
         self, name: str, dictionary: ObjectDictionary | None = None, watchdog: Watchdog | None = DEFAULT_WATCHDOG
     ) -> None:
-        self.world = world = World(dictionary)
-        self.bus, self.motion = world.bus, MOTIONS[name]
+        self.world = world = HeldDrive(dictionary)
+        self.bus, self.motion = world.bus(), MOTIONS[name]
         self.bus.send(f"000#01{NODE:02X}")
-        self.bus.run(MILLISECOND)
+        self.world.advance(MILLISECOND)
         self.gap = world.take_hold(watchdog) if watchdog else ""
         for key, value in (RATES | self.motion.before).items():
             if key in world.store:
                 world.put(key, value)
-        world.node.set_value(0x1017, 0, 50, self.bus.now)
-        world.remote.heartbeat.set_timeout(150 * MILLISECOND, self.bus.now)
+        world.node.set_value(0x1017, 0, 50, self.world.now)
+        world.remote.heartbeat.set_timeout(150 * MILLISECOND, self.world.now)
         world.put(mux(0x6060), self.motion.mode)
         self.feeds = self.syncs = bool(self.motion.each_cycle)
         self.set_point = 0
@@ -90,12 +91,12 @@ class Cell:
         self.run(SECOND // 2)
         assert world.node.drive.state is State.OPERATION_ENABLED
         assert SPEED * 0.8 <= self.speed() <= FASTEST
-        self.bus.events.clear()
+        world.holder.events.clear()
 
     def run(self, duration: Time) -> None:
         """Let time pass; in each cycle the master gives a set-point, and then a SYNC."""
         if not self.syncs:
-            self.bus.run(duration)
+            self.world.advance(duration)
             return
         for _ in range(duration // CYCLE):
             if self.feeds and self.motion.each_cycle:
@@ -103,19 +104,19 @@ class Cell:
                 self.set_point += step
                 self.world.put(key, self.set_point if step else self.motion.before[key])
             self.bus.send("080#")
-            self.bus.run(CYCLE)
+            self.world.advance(CYCLE)
 
     def speed(self) -> float:
-        self.world.node.drive.refresh(self.bus.now)
+        self.world.node.drive.refresh(self.world.now)
         servo = self.world.node.drive._servo
         return max(abs(servo.velocity), abs(servo.demand_velocity))
 
     def time_to_stand(self, limit: Time = 3 * SECOND) -> Time:
         """ns until it stands; `limit` if it does not."""
-        began = self.bus.now
-        while self.speed() >= 1.0 and self.bus.now < began + limit:
+        began = self.world.now
+        while self.speed() >= 1.0 and self.world.now < began + limit:
             self.run(CYCLE if self.syncs else LOOK)
-        return self.bus.now - began
+        return self.world.now - began
 
 
 def ramp(rate: int) -> Time:
@@ -134,23 +135,21 @@ def kill_master_but_not_its_sync(cell: Cell) -> None:
 
 
 def cut_bus(cell: Cell) -> None:
-    cell.bus.disturb(delay=(100_000, 100_000), loss=1.0)
+    cell.world.add_faults(Lose())
     cell.feeds = cell.syncs = False
 
 
 def reset_joint(cell: Cell) -> None:
-    cell.world.node.execute(NmtCommand.RESET_NODE, cell.bus.now)
+    cell.world.node.execute(NmtCommand.RESET_NODE, cell.world.now)
 
 
 def reset_communication(cell: Cell) -> None:
-    cell.world.node.execute(NmtCommand.RESET_COMMUNICATION, cell.bus.now)
+    cell.world.node.execute(NmtCommand.RESET_COMMUNICATION, cell.world.now)
 
 
 def take_power(cell: Cell) -> None:
-    device = cell.bus.machines[0]
-    cell.world.node.execute(NmtCommand.RESET_NODE, cell.bus.now)
-    device.out.frames.clear()
-    cell.bus.detach(device)
+    cell.world.add_faults(Lose(boot_up(NODE)), Pause(NODE, on=boot_up(NODE)))
+    cell.world.node.execute(NmtCommand.RESET_NODE, cell.world.now)
 
 
 def stop_node(cell: Cell) -> None:
@@ -196,7 +195,7 @@ def test_it_stands_within_the_detection_time_and_its_ramp(motion: str, name: str
     assert cell.speed() < 1.0
     assert cell.world.node.drive._servo.position == pytest.approx(stood, abs=30)
     assert cell.world.node.drive.state is State.SWITCH_ON_DISABLED
-    assert kill.told is None or any(isinstance(event, kill.told) and event.node_id == NODE for event in cell.bus.events)
+    assert kill.told is None or any(isinstance(event, kill.told) and event.node_id == NODE for event in cell.world.holder.events)
 
 
 SYNC_TIME = 100 * MILLISECOND
@@ -221,7 +220,7 @@ def test_each_reaction_that_a_watchdog_may_ask_for(name: str, option: int, rate:
     assert cell.gap == ""
     kill_master(cell)
     assert cell.time_to_stand() <= allowed(Kill(kill_master, CONSUMER_TIME, rate))
-    cell.bus.run(SECOND)
+    cell.world.advance(SECOND)
     assert cell.world.node.drive.state is state
 
 
@@ -234,4 +233,4 @@ def test_a_drive_that_cannot_notice_it_is_named_before_it_moves(name: str, lacks
     kill_master(cell)
     assert (cell.time_to_stand() < 3 * SECOND) is (name in BY_SYNC)
     with pytest.raises(NotHeldError, match=f"would not stop by itself .*0x{lacks:04X}"):
-        World(without(lacks)).take_hold(Watchdog(required=True))
+        HeldDrive(without(lacks)).take_hold(Watchdog(required=True))

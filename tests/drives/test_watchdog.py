@@ -23,7 +23,8 @@ from canopen_proto.procedures.steps import SdoTransferError
 from canopen_proto.sdo.server import Pending
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import Shape
-from tests.drives.watchdog_world import World, without
+from canopen_proto.testing import Pause
+from tests.drives.watchdog_world import NODE, HeldDrive, without
 from tests.examples import examples
 from tests.vendor_files import needs_vendor_files, path_of
 
@@ -31,7 +32,7 @@ ENTRY = 127 << 16 | 500
 CONSUMERS, REACTION = mux(0x1016, 1), mux(0x6007)
 
 
-def ramp_time(world: World, speed: int) -> Time:
+def ramp_time(world: HeldDrive, speed: int) -> Time:
     return round(speed / world.node.drive._servo.rate(objects.QUICK_STOP_DECELERATION) * SECOND)
 
 
@@ -40,7 +41,7 @@ def ramp_time(world: World, speed: int) -> Time:
 
 @pytest.mark.parametrize("mode", [1, 3])
 def test_a_drive_whose_master_dies_stands_within_the_timeout_and_its_ramp(mode: int) -> None:
-    world = World()
+    world = HeldDrive()
     assert world.take_hold() == ""
     assert (world.store[CONSUMERS], world.store[REACTION]) == (ENTRY, 3)
     world.move(mode)
@@ -50,10 +51,10 @@ def test_a_drive_whose_master_dies_stands_within_the_timeout_and_its_ramp(mode: 
 
 
 def test_a_drive_whose_master_lives_goes_on() -> None:
-    world = World()
+    world = HeldDrive()
     world.take_hold()
     world.move(3)
-    world.bus.run(60 * SECOND)
+    world.advance(60 * SECOND)
     assert world.speed() == 20_000
 
 
@@ -64,7 +65,7 @@ def test_a_drive_whose_master_lives_goes_on() -> None:
     wanted=st.sampled_from([2, 3]),
 )
 def test_whatever_was_there_is_there_again_after_release(entries: list[int], reaction: int, wanted: int) -> None:
-    world = World()
+    world = HeldDrive()
     for place, entry in enumerate(entries, start=1):
         if all(not entry & 0xFFFF or entry >> 16 != other >> 16 for other in entries[: place - 1]):  # else the drive refuses it
             world.put(mux(0x1016, place), entry)
@@ -77,7 +78,7 @@ def test_whatever_was_there_is_there_again_after_release(entries: list[int], rea
     assert {key: world.store[key] for key in others} == others
     if not gap:
         assert [world.store[mux(0x1016, place)] for place in range(1, 5)].count(ENTRY) == 1
-    world.run(release(world.hold))
+    world.holder.run(release(world.hold))
     assert {key: world.store[key] for key in (REACTION, *range(CONSUMERS, CONSUMERS + 4))} == {
         key: before[key] for key in (REACTION, *range(CONSUMERS, CONSUMERS + 4))
     }
@@ -89,30 +90,30 @@ def entry_of_others(entry: object) -> bool:
 
 
 def test_an_entry_that_a_dead_master_left_is_used_and_becomes_free() -> None:
-    world = World()
+    world = HeldDrive()
     world.put(mux(0x1016, 2), ENTRY)
     assert world.take_hold() == ""
     assert world.store[CONSUMERS] == 0
     assert world.store[mux(0x1016, 2)] == ENTRY
-    world.run(release(world.hold))
+    world.holder.run(release(world.hold))
     assert world.store[mux(0x1016, 2)] == 0
 
 
 def test_taking_hold_twice_keeps_what_was_there_first() -> None:
-    world = World()
+    world = HeldDrive()
     world.put(REACTION, 1)
     world.take_hold()
     world.take_hold()
-    world.run(release(world.hold))
+    world.holder.run(release(world.hold))
     assert (world.store[CONSUMERS], world.store[REACTION]) == (0, 1)
 
 
 def test_a_drive_that_booted_is_not_held_and_nothing_is_put_back() -> None:
-    world = World()
+    world = HeldDrive()
     world.take_hold()
     world.hold.forget()
     assert not world.hold.is_taken
-    world.run(release(world.hold))
+    world.holder.run(release(world.hold))
     assert world.store[CONSUMERS] == ENTRY
 
 
@@ -120,22 +121,22 @@ def test_a_drive_that_booted_is_not_held_and_nothing_is_put_back() -> None:
 
 
 def test_without_heartbeat_consumers_it_is_guarded() -> None:
-    world = World(without(0x1016, more=(0x100C, 0x100D)))
+    world = HeldDrive(without(0x1016, more=(0x100C, 0x100D)))
     world.put(mux(0x1017), 200)
     assert world.take_hold() == ""
     assert (world.store[mux(0x1017)], world.store[mux(0x100C)], world.store[mux(0x100D)]) == (0, 100, 5)
     world.move(3)
-    world.bus.run(30 * SECOND)
+    world.advance(30 * SECOND)
     assert world.speed() == 20_000
     world.kill_master()
     assert world.time_to_stand(5 * SECOND) <= DEFAULT_WATCHDOG.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND
-    world.heartbeat.start(DEFAULT_WATCHDOG.period, world.bus.now)
-    world.run(release(world.hold))
+    world.heartbeat.start(DEFAULT_WATCHDOG.period, world.now)
+    world.holder.run(release(world.hold))
     assert (world.store[mux(0x1017)], world.store[mux(0x100C)], world.store[mux(0x100D)]) == (200, 0, 0)
 
 
 def test_a_drive_that_does_not_answer_guarding_has_its_heartbeat_again() -> None:
-    world = World(without(0x1016, more=(0x100C, 0x100D)))
+    world = HeldDrive(without(0x1016, more=(0x100C, 0x100D)))
     world.put(mux(0x1017), 200)
     world.node._members.detach(world.node.communication.guarding)
     assert world.take_hold() == (
@@ -150,7 +151,7 @@ def test_a_drive_that_does_not_answer_guarding_has_its_heartbeat_again() -> None
 def test_a_life_time_is_never_longer_than_the_timeout_nor_its_factor_below_3(period: int, more: int) -> None:
     timeout = min(2 * period + more, 65_535)
     watchdog = Watchdog(period=period * MILLISECOND, timeout=timeout * MILLISECOND)
-    world = World(without(0x1016, more=(0x100C, 0x100D)))
+    world = HeldDrive(without(0x1016, more=(0x100C, 0x100D)))
     gap = world.take_hold(watchdog)
     guard_time, factor = world.store[mux(0x100C)], world.store[mux(0x100D)]
     assert isinstance(guard_time, int)
@@ -175,8 +176,8 @@ def test_a_life_time_is_never_longer_than_the_timeout_nor_its_factor_below_3(per
     ],
 )
 def test_what_a_drive_lacks_is_told_and_only_an_error_where_asked_for(missing: tuple[int, ...], gap: str) -> None:
-    assert World(without(*missing)).take_hold() == gap
-    world = World(without(*missing))
+    assert HeldDrive(without(*missing)).take_hold() == gap
+    world = HeldDrive(without(*missing))
     with pytest.raises(NotHeldError, match="would not stop by itself"):
         world.take_hold(Watchdog(required=True))
     assert not world.hold.is_taken
@@ -205,12 +206,12 @@ def test_a_drive_that_refuses_or_shows_something_else_is_told(at: int, what: Abo
     class Kind(Refusing):
         index, answer = at, what
 
-    assert World(kind=Kind).take_hold().startswith(gap)
+    assert HeldDrive(kind=Kind).take_hold().startswith(gap)
 
 
 def test_a_drive_that_does_not_answer_fails() -> None:
-    world = World()
-    world.bus.machines.remove(world.bus.machines[0])
+    world = HeldDrive()
+    world.add_faults(Pause(NODE))
     with pytest.raises(SdoTransferError):
         world.take_hold()
 
@@ -250,16 +251,16 @@ def dictionary_of(name: str) -> ObjectDictionary:
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_drives_made_of_files(name: str) -> None:
     notices, gap = FILES[name]
-    world = World(dictionary_of(name))
+    world = HeldDrive(dictionary_of(name))
     before = dict(world.store)
     assert world.take_hold() == gap
-    world.bus.run(5 * SECOND)
-    assert not any("#3081" in line for line in world.bus.trace())  # it hears us
-    world.run(release(world.hold))
+    world.advance(5 * SECOND)
+    assert not any("#3081" in str(each.frame) for each in world.bus().trace)  # it hears us
+    world.holder.run(release(world.hold))
     touched = (0x1016, 0x1017, 0x100C, 0x100D, 0x6007)
     assert {key for key in before if key >> 8 in touched and before[key] != world.store[key]} == set()
 
-    world = World(dictionary_of(name))
+    world = HeldDrive(dictionary_of(name))
     world.take_hold()
     if objects.SUPPORTED_DRIVE_MODES in before:  # else the simulated drive has no mode to move in
         world.move(1)
@@ -267,8 +268,8 @@ def test_drives_made_of_files(name: str) -> None:
         time = world.time_to_stand(5 * SECOND)
         assert (time <= DEFAULT_WATCHDOG.timeout + ramp_time(world, 20_000) + 5 * MILLISECOND) is (gap == "")
     world.kill_master()
-    world.bus.run(SECOND)
-    assert any("#3081" in line for line in world.bus.trace()) is notices
+    world.advance(SECOND)
+    assert any("#3081" in str(each.frame) for each in world.bus().trace) is notices
 
 
 # ---- our own heartbeat ----

@@ -7,65 +7,40 @@ from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Hold, Watchdog, take_hold
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.heartbeat import OwnHeartbeat
-from canopen_proto.machine import MILLISECOND, SECOND, Time
-from canopen_proto.network import Network
-from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
-from canopen_proto.procedures.steps import Procedure
-from canopen_proto.remote_node import RemoteNode
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
-from tests.core.bus import Bus
+from canopen_proto.testing import World
 
 NODE = 5
+FRAME = 100 * MICROSECOND
 SETTINGS = DriveSettings(position=0, lag=0, track=Track(negative_limit=-1e9, positive_limit=1e9))
 
 
-class World:
+class HeldDrive(World):
     """A simulated drive, and a master with its own heartbeat, which can be killed: it sends nothing from then on."""
 
-    def __init__(
-        self,
-        dictionary: ObjectDictionary | None = None,
-        kind: type[DriveNode] = DriveNode,
-    ) -> None:
-        self.bus = Bus()
-        device = self.bus.attach(Network())
-        self.node = kind(device.out, NODE, SETTINGS, dictionary or drive_dictionary())
-        device.attach(self.node)
-        self.master = self.bus.attach(Network())
-        self.remote = RemoteNode(self.master.out, NODE, self.node.dictionary)
-        self.heartbeat = OwnHeartbeat(self.master.out, DEFAULT_WATCHDOG.node_id)
-        for machine in (self.remote, self.heartbeat):
-            self.master.attach(machine)
+    def __init__(self, dictionary: ObjectDictionary | None = None, kind: type[DriveNode] = DriveNode) -> None:
+        super().__init__(transmission=(FRAME, FRAME))
+        self.node = self.device(lambda out: kind(out, NODE, SETTINGS, dictionary or drive_dictionary()))
+        self.holder = self.master()
+        self.remote = self.holder.node(NODE)
+        self.heartbeat = OwnHeartbeat(self.holder.runs.out, DEFAULT_WATCHDOG.node_id)
+        self.holder.runs.attach(self.heartbeat)
         self.hold = Hold(self.remote)
-        self.node.boot(0)
-        self.bus.run(MILLISECOND)
         self.store = self.node.values.store
 
-    def run(self, procedure: Procedure[None]) -> None:
-        ended: list[ProcedureFinished | ProcedureFailed] = []
-        request_id = self.master.run(procedure, self.bus.now)
-
-        def has_ended() -> bool:
-            kinds = ProcedureFinished | ProcedureFailed
-            ended.extend(each for each in self.bus.events if isinstance(each, kinds) and each.request_id == request_id)
-            return bool(ended)
-
-        self.bus.run_until(has_ended, 10 * SECOND)
-        if isinstance(ended[0], ProcedureFailed):
-            raise ended[0].error
-
     def take_hold(self, watchdog: Watchdog = DEFAULT_WATCHDOG) -> str:
-        self.heartbeat.start(watchdog.period, self.bus.now)
-        self.run(take_hold(self.hold, watchdog))
-        self.bus.run(self.heartbeat.deadline - self.bus.now)
+        self.heartbeat.start(watchdog.period, self.now)
+        self.holder.run(take_hold(self.hold, watchdog))
+        self.advance(self.heartbeat.deadline - self.now)
         return self.hold.gap
 
     def put(self, key: int, value: int) -> None:
         """As if a client had written it."""
-        self.node.set_value(key >> 8, key & 0xFF, value, self.bus.now)
-        self.node.drive.written(key >> 8, key & 0xFF, self.bus.now)
+        self.node.set_value(key >> 8, key & 0xFF, value, self.now)
+        self.node.drive.written(key >> 8, key & 0xFF, self.now)
 
     def move(self, mode: int) -> None:
         """Set it in motion by pp or pv, at 20000 units/s."""
@@ -80,26 +55,26 @@ class World:
             self.put(objects.CONTROLWORD, 0x1F)
         else:
             self.put(objects.TARGET_VELOCITY, 20_000)
-        self.bus.run(2 * SECOND)
+        self.advance(2 * SECOND)
         assert self.speed() == 20_000
 
     def speed(self) -> int:
-        self.node.drive.refresh(self.bus.now)
+        self.node.drive.refresh(self.now)
         found = self.store[objects.VELOCITY_DEMAND_VALUE]
         assert isinstance(found, int)
         return abs(found)
 
     def kill_master(self) -> None:
-        self.heartbeat.stop(self.bus.now)
+        self.heartbeat.stop(self.now)
         if self.remote.guarding.guard_time:
             self.remote.stop_guarding()
 
     def time_to_stand(self, limit: Time) -> Time:
         """ns until it stands; `limit` if it does not."""
-        began = self.bus.now
-        while self.speed() and self.bus.now < began + limit:
-            self.bus.run(5 * MILLISECOND)
-        return self.bus.now - began
+        began = self.now
+        while self.speed() and self.now < began + limit:
+            self.advance(5 * MILLISECOND)
+        return self.now - began
 
 
 def without(*indices: int, more: tuple[int, ...] = ()) -> ObjectDictionary:
