@@ -113,17 +113,43 @@ for each in world.bus().trace:
 """
 
 
-def life(seed: int, hash_seed: str) -> str:
+LIFE_IN_ASYNCIO = """
+import asyncio
+from canopen_proto.testing import Lose, sdo_answer
+from canopen_testing import AsyncioMaster, ProgramWorld
+
+async def main():
+    master = AsyncioMaster(world.master())
+    async def work(node_id):
+        for number in range(20):
+            try:
+                await master.write(node_id, "producer_heartbeat_time", 100 + number)
+            except Exception as error:
+                print(error)
+            await asyncio.sleep(0.01)
+    await asyncio.gather(*map(work, (5, 6, 7)))
+
+world = ProgramWorld({seed}, [Lose(sdo_answer(), chance=0.1)])
+for node_id in (5, 6, 7):
+    world.drive(node_id)
+world.run_asyncio(main)
+for each in world.bus().trace:
+    print(*each)
+"""
+
+
+def life(program: str, seed: int, hash_seed: str) -> str:
     environment = {**os.environ, "PYTHONHASHSEED": hash_seed, "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-c", LIFE.format(seed=seed)]
+    command = [sys.executable, "-c", program.format(seed=seed)]
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 
 
-def test_a_seed_gives_a_program_the_same_frames_in_each_process() -> None:
-    one, other = life(1, "0"), life(1, "99")
+@pytest.mark.parametrize("program", [LIFE, LIFE_IN_ASYNCIO], ids=["trio", "asyncio"])
+def test_a_seed_gives_a_program_the_same_frames_in_each_process(program: str) -> None:
+    one, other = life(program, 1, "0"), life(program, 1, "99")
     assert one == other
     assert one.count("60") > 100
-    assert one != life(2, "0")
+    assert one != life(program, 2, "0")
 
 
 def test_a_chain_of_joints_is_made_ready_in_a_world() -> None:
