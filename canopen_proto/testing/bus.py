@@ -18,7 +18,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
 from canopen_proto.testing.armed_fault import ArmedFault, Course
 from canopen_proto.testing.draws import Draws
-from canopen_proto.testing.faults import FrameFault, Lie, Refuse, Sudden
+from canopen_proto.testing.faults import FrameFault, Lie, Refuse, SecondMaster, Sudden
 from canopen_proto.testing.judge import Judge
 from canopen_proto.testing.member import WorldMember
 from canopen_proto.testing.patterns import Names, Pattern
@@ -95,6 +95,7 @@ class WorldBus:
         self._late: list[_Late] = []
         self._held: dict[tuple[int, int], Time] = {}  # until when frames wait behind a late one, by routing key and receiver
         self._last_at: Time = 0
+        self._second_master = WorldMember("2nd master")
         self._count = 0
         self._since: Time = 0
 
@@ -128,6 +129,10 @@ class WorldBus:
 
     # ---- for the world ----
 
+    def intrude(self, text: str) -> None:
+        """Put a frame on the bus, as a second master."""
+        self.put(Frame.parse(text), self._second_master)
+
     def join(self, participant: WorldMember) -> None:
         self.participants.append(participant)
         if self._cable is not None:
@@ -142,7 +147,7 @@ class WorldBus:
         now = self._clock()
         if sender is not None and now < sender.off_until:
             return
-        if self._cable is not None and sender is not None:
+        if self._cable is not None and sender in self._members:
             try:
                 self._cable.send(self._members[sender], frame, now)
             except LocalProtocolError:
@@ -187,6 +192,8 @@ class WorldBus:
         courses = [Course(frame, now)]
         moments, answers = [], []
         for armed in self._faults:
+            if sender is self._second_master and isinstance(armed.fault, SecondMaster):
+                continue  # it does not answer itself
             if not armed.meets(frame, self.name, now, self.names):
                 continue
             fault = armed.fault

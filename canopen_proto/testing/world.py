@@ -325,7 +325,7 @@ class World:
         """Let a sudden fault happen now."""
         if isinstance(fault, SecondMaster):
             for number, text in enumerate(fault.frames):
-                self._at(self.now + number * fault.apart, partial(self.bus(fault.bus or "can0").send, text))
+                self._at(self.now + number * fault.apart, partial(self.bus(fault.bus or "can0").intrude, text))
             return
         assert isinstance(fault, NodeFault)
         participant = next((each for each, _ in self._participants if each.node_id == fault.node_id), None)

@@ -36,6 +36,7 @@ from canopen_proto.testing import (
     Reset,
     SecondMaster,
     World,
+    any_frame,
     boot_up,
     can_frame,
     emcy,
@@ -304,6 +305,8 @@ def test_a_second_master_stops_all() -> None:
     world = beating(SecondMaster(("000#0200", "000#0100"), at=500 * MILLISECOND, apart=100 * MILLISECOND))
     world.bus().saw(nmt("stop")).then(nmt("start")).then(tpdo(5))
     assert world.bus().saw(can_frame("000#02")).frame == Frame.parse("000#0200")
+    echo = beating(SecondMaster(("080#",), on=any_frame()))
+    assert [each.sender for each in echo.bus().trace].count("2nd master") == len(echo.bus().trace) // 2
 
 
 def test_faults_that_make_no_sense() -> None:
