@@ -147,9 +147,12 @@ class World:
         assert isinstance(node, DriveNode)
         return node
 
-    def master(self, bus: str = "can0") -> WorldMaster:
-        """Return a master on a bus, for a test without async: its calls let the world run until they have their result."""
-        master = WorldMaster(self.run_until, lambda: self.now, self._dictionary_of)
+    def master(self, bus: str = "can0", *, network: Network | None = None) -> WorldMaster:
+        """Return a master on a bus, for a test without async: its calls let the world run until they have their result.
+
+        network: that it runs; by default one of its own.
+        """
+        master = WorldMaster(self.run_until, lambda: self.now, self._dictionary_of, network)
         self._join(master, bus)
         return master
 

@@ -19,13 +19,12 @@ from canopen_data.description import DeviceDescription
 from canopen_proto.dictionary import ObjectDictionary, Variable
 from canopen_proto.frame import KEY_REMOTE, Frame
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
+from canopen_proto.machine import MICROSECOND, MILLISECOND, Event, Outbox, Time
 from canopen_proto.network import Network
-from canopen_proto.procedures.runner import ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.events import ObjectAccessPending
+from canopen_proto.testing import World
 from canopen_proto.verdict import Result, Verdict
-from tests.core.bus import Bus
 from tests.core.full_device import NODE_ID, full_device
 
 T = TypeVar("T")
@@ -50,6 +49,7 @@ class Fault:
     strict: bool = False
 
 
+FRAME = 100 * MICROSECOND
 EVERYTHING = (*range(0x800), *(key | KEY_REMOTE for key in range(0x800)))
 
 
@@ -101,23 +101,23 @@ class Site:
         strict: bool = False,
         master: Network | None = None,
     ) -> None:
-        self.bus = Bus()
+        self.world = World(transmission=(FRAME, FRAME))
         fault = fault or Fault("none")
         truth = truth or (full_device() if description is None else description.dictionary)
-        self.master = self.bus.attach(master or Network())
-        self.device = self.bus.attach(Wire(fault))
-        self.node = fault.node(self.device.out, NODE_ID, fault.dictionary or truth)
-        self.device.attach(self.node)
+        self.tester = self.world.master(network=master)
+        self.network = Wire(fault)
+        self.node = fault.node(self.network.out, NODE_ID, fault.dictionary or truth)
+        self.network.attach(self.node)
+        self.device = self.world.host(self.network, on_event=self.serve)
         change = self.change if stimulus else None
-        self.bench = Bench(self.master, NODE_ID, truth, description=description, stimulus=change, strict=strict)
-        self.bus.on_event = self.serve
-        self.node.boot(self.bus.now)
-        self.bus.run(MILLISECOND)
+        self.bench = Bench(self.tester.runs, NODE_ID, truth, description=description, stimulus=change, strict=strict)
+        self.node.boot(self.world.now)
+        self.world.advance(MILLISECOND)
 
     def serve(self, report: Event) -> None:
         """The device's host: it stores at once."""
         if isinstance(report, ObjectAccessPending):
-            self.node.complete(report.access_id, None, self.bus.now)
+            self.node.complete(report.access_id, None, self.world.now)
 
     def change(self, variable: Variable, now: Time) -> None:
         """The device's process changes a value."""
@@ -125,28 +125,17 @@ class Site:
         assert isinstance(value, int)
         self.node.set_value(variable.index, variable.subindex, value ^ 1, now)
 
+    def frames(self) -> list[str]:
+        """The frames so far, as candump writes them."""
+        return [str(each.frame) for each in self.world.bus().trace]
+
     def run(self, case: Case) -> Verdict:
         """The verdict of a case."""
         return self.result_of(case.run)
 
     def result_of(self, procedure: Callable[[Bench], Procedure[T]]) -> T:
         """What a procedure on this bench comes to."""
-        request_id = self.master.run(procedure(self.bench), self.bus.now)
-        ended: list[Event] = []
-
-        def has_ended() -> bool:
-            ended.extend(each for each in self.bus.events if isinstance(each, ProcedureFinished | ProcedureFailed))
-            self.bus.events.clear()
-            return bool(ended)
-
-        self.bus.run_until(has_ended, 3600 * SECOND)
-        (outcome,) = ended
-        if isinstance(outcome, ProcedureFailed):
-            raise outcome.error
-        assert isinstance(outcome, ProcedureFinished)
-        assert outcome.request_id == request_id
-        result: T = outcome.result
-        return result
+        return self.tester.run(procedure(self.bench))
 
 
 def verdict_of(

@@ -76,11 +76,11 @@ def test_without_a_file() -> None:
 
 def test_the_file_is_checked_without_the_device() -> None:
     site = Site(description=load_description(SAMPLE))
-    site.bus.detach(site.device)
-    sent = len(site.bus.sent)
+    site.world.leave(site.device)
+    sent = len(site.world.bus().trace)
     ((_, verdict),) = site.result_of(lambda bench: run_all(bench, [BY_NUMBER["1.0"]]))
     assert verdict.result is Result.PASSED
-    assert len(site.bus.sent) == sent
+    assert len(site.world.bus().trace) == sent
 
 
 @pytest.mark.parametrize("name", [SAMPLE, "sample_drive.eds"])

@@ -42,7 +42,7 @@ def test_what_stores_says_so() -> None:
     assert stored == {"2.30", "6.8", "6.10", *(f"8.{number}" for number in range(1, 10))}
     site = Site()
     site.result_of(lambda bench: run_all(bench, [case for case in CASES if not case.stores]))
-    written = [str(frame) for _, frame in site.bus.sent if re.match("605#(2.|C.)1[01]10(?!00)", str(frame))]
+    written = [text for text in site.frames() if re.match("605#(2.|C.)1[01]10(?!00)", text)]
     assert written == []
 
 
@@ -74,7 +74,7 @@ def test_a_case_needs_its_objects() -> None:
 
 def test_a_device_that_is_not_there() -> None:
     site = Site()
-    site.bus.detach(site.device)
+    site.world.leave(site.device)
     assert "boot-up" in site.run(ends(None)).reason
 
 

@@ -76,8 +76,8 @@ class Halting(Network):
 
 def verdict_with(pauses: Pauses, number: str, fault: Fault | None = None) -> Verdict:
     site = Site(fault, master=Halting())
-    assert isinstance(site.master, Halting)
-    site.master.pauses = pauses
+    assert isinstance(site.tester.runs, Halting)
+    site.tester.runs.pauses = pauses
     return site.run(BY_NUMBER[number])
 
 
@@ -161,8 +161,8 @@ def wrong_and(look: str) -> Case:
 def test_two_failures_at_once(look: str, fault: Fault, said: str, excuse: int, certain: bool, stands: int) -> None:
     """Our lateness never takes away what is certain, and excuses a wait only if it is of the order of that wait."""
     site = Site(fault, master=Halting())
-    assert isinstance(site.master, Halting)
-    site.master.pauses = [(50, stands)] if stands else []
+    assert isinstance(site.tester.runs, Halting)
+    site.tester.runs.pauses = [(50, stands)] if stands else []
     verdict = site.run(wrong_and(f"wrong, {look}" if certain else look))
     is_excused = stands > excuse
     assert ("0x2000:00 was not refused" in verdict.failures) is certain

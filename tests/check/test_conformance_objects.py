@@ -108,7 +108,7 @@ def test_what_a_download_leaves_alone_is_not_written_back(number: str, of_the_ar
     entries = {key: replace(each, object_flags=not of_the_array) for key, each in array.variables.items()}
     site = Site(truth=full_device(replace(array, variables=entries, object_flags=of_the_array)))
     assert site.run(BY_NUMBER[number]).result is Result.PASSED
-    assert [str(frame) for _, frame in site.bus.sent if re.match("605#2.042001", str(frame))] == []
+    assert [text for text in site.frames() if re.match("605#2.042001", text)] == []
 
 
 def test_structure_of_a_record() -> None:
