@@ -28,7 +28,10 @@ class RunUntil(Protocol):
 
 
 class WorldMaster(WorldMember):
-    """See this module's text; made by `World.master`. runs: its network. nmt: the NMT commands. events: what its network has reported, in order."""
+    """See this module's text; made by `World.master`. runs: its network. nmt: the NMT commands.
+
+    events: what its network has reported, in order.
+    """
 
     def __init__(self, run_until: RunUntil, clock: Callable[[], Time], names: Names, network: Network | None = None) -> None:
         self.runs = Network() if network is None else network
