@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import can
 import pytest
@@ -67,6 +68,19 @@ def test_whatever_bus_it_opens_is_that_of_the_world() -> None:
     other.device("sample_io.eds", 5, bus="PCAN_USBBUS1")
     assert trio.run(configure, "pcan:PCAN_USBBUS1@500k", clock=other) == "Sample I/O"
     other.advance(SECOND)
+
+
+def test_a_recording_is_still_a_recording(tmp_path: Path) -> None:
+    path = tmp_path / "bus.log"
+    path.write_text("(0000000000.000000) can0 705#00\n")
+
+    async def main() -> str:
+        async with await open_transport(f"file:{path}") as bus:
+            received = await bus.receive()
+            assert isinstance(received, tuple)
+            return str(received[0])
+
+    assert ProgramWorld().run(main) == "705#00"
 
 
 def test_two_participants_of_a_program_meet_in_the_world() -> None:

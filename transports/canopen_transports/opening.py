@@ -58,7 +58,7 @@ async def open_transport(locator: str) -> OpenTransport | TracingTransport:
 
 
 async def _open(parsed: Locator) -> OpenTransport:
-    if has_stand_in():
+    if has_stand_in() and parsed.interface != "file":
         await trio.lowlevel.checkpoint()
         return VirtualTransport(parsed.channel)
     if parsed.own:

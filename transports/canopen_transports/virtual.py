@@ -150,7 +150,8 @@ async def open_virtual(
 
 
 def stand_in(line: Callable[[str], VirtualLine]) -> None:
-    """Let every bus that is opened from now on in this `trio.run`, whatever its locator, be one in this process, of such lines.
+    """Let every bus that is opened from now on in this `trio.run`, whatever its locator, be one in this process, of such lines;
+    but not a recording (`file:`).
 
     For simulations of the world around a program: no adapter is touched. line: makes the line of a bus by its name, which is the
     channel of its locator.
