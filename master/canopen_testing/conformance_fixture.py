@@ -19,6 +19,7 @@ from canopen_master.errors import MasterError
 from canopen_proto.dictionary import Variable
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Time
+from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.verdict import Result, Verdict
 
 RunCase: TypeAlias = Callable[[], Verdict]
@@ -93,6 +94,7 @@ def _in_world(case: Case, device: LocalNode, request: pytest.FixtureRequest) -> 
         if isinstance(value, int):
             device.set_value(variable.index, variable.subindex, value ^ 1, now)
 
-    bench = Bench(master.runs, device.node_id, device.dictionary, stimulus=change)
+    stimulus = None if isinstance(device, DriveNode) else change  # a drive changes its values itself
+    bench = Bench(master.runs, device.node_id, device.dictionary, stimulus=stimulus)
     verdict: Verdict = master.run(case.run(bench))
     return verdict

@@ -230,6 +230,11 @@ def test_the_conformance_cases_of_a_simulated_device(suite: pytest.Pytester) -> 
     assert 'name="test_it[2.1-' in report
 
 
+def test_a_drive_changes_its_values_itself(suite: pytest.Pytester) -> None:
+    suite.makepyfile(DEVICE.replace("sample_io", "sample_drive"))
+    suite.runpytest("-k", "3.7-").assert_outcomes(passed=1, deselected=len(CASES) - 1)
+
+
 def test_a_device_that_does_wrong_fails_its_case(suite: pytest.Pytester) -> None:
     fault = "@pytest.mark.canopen_faults(Replace(heartbeat(5), data=b'\\x33'))"
     imports = "from canopen_proto.testing import Replace, heartbeat"
