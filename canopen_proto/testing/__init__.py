@@ -50,19 +50,4 @@ if TYPE_CHECKING:
 else:
     from canopen_proto.lazy_names import lazy_names
 
-    __getattr__, __dir__, __all__ = lazy_names(
-        globals(),
-        {
-            "canopen_proto.testing.bus": "WorldBus",
-            "canopen_proto.testing.faults": (
-                "BusOff Copy Corrupt Delay Fault Lie Lose Pause Refuse Reorder Replace Reset SecondMaster"
-            ),
-            "canopen_proto.testing.master": "WorldMaster",
-            "canopen_proto.testing.member": "WorldMember",
-            "canopen_proto.testing.patterns": (
-                "Pattern any_frame boot_up can_frame emcy heartbeat nmt rpdo sdo_abort sdo_answer sdo_read sdo_request "
-                "sdo_write sync tpdo"
-            ),
-            "canopen_proto.testing.world": "DidNotHappenError World",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(globals())

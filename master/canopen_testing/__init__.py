@@ -21,14 +21,4 @@ if TYPE_CHECKING:
 else:
     from canopen_proto.lazy_names import lazy_names
 
-    __getattr__, __dir__, __all__ = lazy_names(
-        globals(),
-        {
-            "canopen_testing.async_tests": "AsyncioMaster",
-            "canopen_testing.can_bus": "WorldCanBus",
-            "canopen_testing.conformance_fixture": "RunCase",
-            "canopen_testing.fixture_types": "SimDrive SimNode",
-            "canopen_testing.program_world": "ProgramWorld",
-            "canopen_testing.wall_clock": "WallClockWaitError",
-        },
-    )
+    __getattr__, __dir__ = lazy_names(globals())
