@@ -26,8 +26,8 @@ MODULES = [".".join(path.relative_to(ROOT.parent).with_suffix("").parts).removes
 
 ALLOWED = {
     "__future__", "abc", "binascii", "bisect", "collections", "collections.abc", "csv", "dataclasses", "datetime", "difflib",
-    "enum", "functools", "heapq", "importlib", "importlib.machinery", "io", "itertools", "math", "operator", "re", "reprlib", "string", "struct",
-    "tomllib", "types", "typing", "xml.parsers", "xml.parsers.expat",
+    "enum", "functools", "heapq", "importlib", "importlib.machinery", "io", "itertools", "math", "operator", "re", "reprlib",
+    "string", "struct", "tomllib", "types", "typing", "xml.parsers", "xml.parsers.expat",
 }  # fmt: skip
 FORBIDDEN = {
     "asyncio", "can", "canopen", "click", "concurrent", "http", "logging", "matplotlib", "msgpack", "multiprocessing", "numpy",
