@@ -294,7 +294,7 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
         (TakesWhatIsImpossible, "impossible_frames", "was accepted \\(identifier too high\\)"),
         (SendsThoughCancelled, "cancelled_send", "surplus \\[0"),
         (SendsThoughCancelled, "storm_on_send", "surplus"),
-        (ReceivesThoughCancelled, "cancelled_receive", "then nothing more"),
+        (ReceivesThoughCancelled, "cancelled_receive", "did not come"),
         (ReceivesThoughCancelled, "storm_on_receive", "a frame that was sent has not come|missing"),
         (NeverYields, "others_run", "without letting another task run"),
         (DropsSilently, "burst_that_nobody_takes", "reported lost"),
