@@ -8,6 +8,7 @@ The tests of each file in an order drawn from a number, files too: `pytest --shu
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import random
@@ -128,9 +129,15 @@ def pytest_collection() -> Iterator[None]:
         return (yield)
     finally:
         gc.enable()
-        gc.collect()
         gc.freeze()
         gc.set_threshold(100_000, 20, 50)  # simulated drives make many rings of objects: a tenth of the time
+
+
+def pytest_unconfigure() -> None:
+    """pytest collects five times at the end, so that what was left open is told: the first time finds it."""
+    gc.collect()
+    gc.freeze()
+    atexit.register(gc.unfreeze)  # else nanobind tells of what Python did not clear
 
 
 @pytest.hookimpl(wrapper=True)

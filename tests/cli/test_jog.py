@@ -83,9 +83,10 @@ def test_a_joint_moves_while_its_key_is_held(jogged: Jog, simulations: list[Simu
     assert max(velocities) < 3.5
 
 
-@pytest.mark.parametrize("key", [RIGHT, LEFT, "+", "-", "x", "\x1bOA"])
-def test_a_tap_moves_nothing(jogged: Jog, simulations: list[SimulatedDevices], key: str) -> None:
-    assert jogged((0.1, key), (1.5, key), (1.5, "q")).status == 0
+@pytest.mark.parametrize("keys", [(RIGHT, "+", "x"), (LEFT, "-", "\x1bOA")])  # not both ways in one run: it might come back
+def test_a_tap_moves_nothing(jogged: Jog, simulations: list[SimulatedDevices], keys: tuple[str, ...]) -> None:
+    taps = [(1.5, key) for key in keys for _ in range(2)]
+    assert jogged(*taps, (1.5, "q")).status == 0
     assert degrees(simulations) == [-14, 9, 21, -7, 16, -22]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from binascii import crc_hqx
 
 import pytest
@@ -18,7 +19,6 @@ from tests.core.block_pair import BY_HOST, INDEX, BlockPair, pattern
 from tests.core.bus import Bus
 from tests.examples import examples
 
-MEBIBYTE = pattern(1 << 20)
 LIMITS = {"max_upload": 1 << 21}, {"max_download": 1 << 21}
 
 
@@ -30,6 +30,11 @@ def least_frames(size: int) -> tuple[int, int]:
     segments = max(1, -(-size // SEGMENT_SIZE))
     download = 4 + segments + -(-segments // MAX_BLOCK_SIZE)
     return download, download + 1
+
+
+@functools.cache
+def mebibyte() -> bytes:
+    return pattern(1 << 20)
 
 
 def big_pair(content: bytes = b"") -> BlockPair:
@@ -50,21 +55,21 @@ def frames_by_the_standard(size: int) -> int:
 
 def test_a_mebibyte_down_takes_the_least_number_of_frames() -> None:
     pair = big_pair()
-    pair.download(MEBIBYTE)
+    pair.download(mebibyte())
     pair.bus.settle()
     assert isinstance(pair.outcomes[-1], SdoDownloaded)
-    assert pair.store.written == [MEBIBYTE]
+    assert pair.store.written == [mebibyte()]
     assert len(pair.bus.sent) == frames_by_the_standard(1 << 20) == 150_981
     assert least_frames(1 << 20) == (150_981, 150_982)
 
 
 def test_a_mebibyte_up_takes_the_least_number_of_frames() -> None:
-    pair = big_pair(MEBIBYTE)
+    pair = big_pair(mebibyte())
     pair.upload()
     pair.bus.settle()
     (outcome,) = pair.outcomes
     assert isinstance(outcome, SdoUploaded)
-    assert outcome.data == MEBIBYTE
+    assert outcome.data == mebibyte()
     assert len(pair.bus.sent) == frames_by_the_standard(1 << 20) + 1  # and the start
 
 
