@@ -9,18 +9,24 @@ The tests of each file in an order drawn from a number, files too: `pytest --shu
 from __future__ import annotations
 
 import atexit
+import compileall
 import gc
 import os
 import random
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
 import pytest
+from _pytest.runner import runtestprotocol
 from hypothesis.internal.conjecture import providers
+
+try:  # these are pytest's own: without them each worker compiles for itself
+    from _pytest.assertion.rewrite import PYC_TAIL, _rewrite_test, _write_pyc, assertstate_key, get_cache_dir, try_makedirs
+except ImportError:
+    PYC_TAIL = ""
 
 # On a build server hypothesis takes its own profile `ci` for the parent of what is registered, and that one never looks further
 everyday = hypothesis.settings.get_profile("default")
@@ -36,7 +42,7 @@ if hasattr(providers, "_get_local_constants"):  # there is no setting for it
 
 
 FEW = 10
-"""So many new files are read in by each worker sooner than by a process that does nothing else."""
+"""So many new files are compiled by each worker sooner than by a process that does nothing else."""
 MEASURED = 0.2
 """Seconds of the processor for which coverage looks at a test. It then takes four times as long, and what a long test does
 later it has mostly done before."""
@@ -71,25 +77,55 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Read in what is new before the workers start: else each of them, beside the others, reads all of it."""
-    if hasattr(session.config, "workerinput") or len(session.config.getoption("tx", None) or ()) < 2:
+    """Compile what is new before the workers start: else each of them, beside the others, compiles all of it."""
+    config = session.config
+    is_worker_or_alone = hasattr(config, "workerinput") or len(config.getoption("tx", None) or ()) < 2
+    if is_worker_or_alone or not PYC_TAIL or not hasattr(os, "fork"):
         return
-    tail = f".{sys.implementation.cache_tag}-pytest-{pytest.__version__}.pyc"
     new = []
-    for argument in session.config.args:
+    for argument in config.args:
         path = Path(argument.partition("::")[0])
         for source in sorted(path.rglob("test_*.py")) if path.is_dir() else [path]:
-            made = source.parent / "__pycache__" / (source.stem + tail)
+            made = get_cache_dir(source) / (source.stem + PYC_TAIL)
             if not made.exists() or made.stat().st_mtime < source.stat().st_mtime:
-                new.append(str(source))
-    command = [sys.executable, "-m", "pytest", "-q", "--collect-only", "--numprocesses=0"]
+                new.append((source, made))
     count = min(processors(), len(new) // FEW)
-    readers = [
-        subprocess.Popen([*command, *new[first::count]], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        for first in range(count)
-    ]
-    for reader in readers:
-        reader.wait()  # what is wrong with a file, the workers tell
+    children = []
+    for first in range(count):
+        child = os.fork()
+        if not child:
+            try:
+                if first == 0:
+                    for package in ("canopen_proto", "transports", "master", "data"):
+                        compileall.compile_dir(config.rootpath / package, quiet=2)
+                compile_tests(config, new[first::count])
+            finally:
+                os._exit(0)  # what is wrong with a file, the workers tell
+        children.append(child)
+    for child in children:
+        os.waitpid(child, 0)
+
+
+def compile_tests(config: pytest.Config, files: list[tuple[Path, Path]]) -> None:
+    """Compile test files, with their assertions rewritten, to where pytest looks for them: pairs of a source and a target."""
+    for source, made in files:
+        try_makedirs(made.parent)
+        stamp, code = _rewrite_test(source, config)
+        _write_pyc(config.stash[assertstate_key], code, stamp, made)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """A worker tells of a test's set-up and tear-down only where they did not pass: half of what it has to say."""
+    if not hasattr(item.config, "workerinput"):
+        return None
+    hook = item.ihook
+    hook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for report in runtestprotocol(item, nextitem=nextitem, log=False):
+        if report.when == "call" or not report.passed:
+            hook.pytest_runtest_logreport(report=report)
+    hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
 
 
 @pytest.hookimpl(trylast=True)
@@ -140,8 +176,8 @@ def pytest_unconfigure() -> None:
     atexit.register(gc.unfreeze)  # else nanobind tells of what Python did not clear
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol() -> Iterator[None]:
+@pytest.hookimpl(wrapper=True, specname="pytest_runtest_protocol")
+def measure() -> Iterator[None]:
     """Measure the first MEASURED seconds of each test, where this run is measured (.ci/run)."""
     coverage = sys.modules.get("coverage")
     measured = coverage and coverage.Coverage.current()

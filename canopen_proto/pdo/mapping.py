@@ -292,7 +292,10 @@ class Mapping:
 
 def _labels(components: Sequence[MappedEntry]) -> tuple[str, ...]:
     """Return the labels of the components; see `Mapping`."""
-    shared = Counter(entry.name for entry in components)
+    names = tuple(entry.name for entry in components)
+    if len(set(names)) == len(names):
+        return names
+    shared = Counter(names)
     labels: dict[str, None] = {}
     for entry in components:
         place = f"{entry.index:04X}:{entry.subindex:02X}"
