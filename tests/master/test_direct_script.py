@@ -1,22 +1,44 @@
-"""Scripts that end without closing their connection: a real interpreter each, and its drive must be halted before it is gone."""
+"""Scripts that end without closing their connection: a real process each, and its drive must be halted before it is gone."""
 
+import json
 import os
 import subprocess
 import sys
-import textwrap
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-LIMIT = 60.0
-AT_ONCE = 2
+LIMIT = 100.0
 
-SCRIPT = """
-import os, signal, sys, threading, time
+SCRIPTS = """
+import json, os, signal, sys, threading, time
 import can
+import canopen_master.simulation.host, canopen_proto.simulation.drive.node, canopen_transports.python_can
 from canopen_master import direct as canopen
+
+AT_ONCE = 4  # they wait most of the time, but a computer is small
+children, ended = {}, {}
+
+def wait_for_one():
+    child, status = os.wait()
+    ended[children[child]] = os.waitstatus_to_exitcode(status)
+
+for name, end in json.loads(sys.argv[1]).items():
+    if len(children) - len(ended) == AT_ONCE:
+        wait_for_one()
+    child = os.fork()
+    if not child:
+        for stream, number in (("out", 1), ("err", 2)):
+            os.dup2(os.open(f"{name}.{stream}", os.O_CREAT | os.O_WRONLY, 0o600), number)
+        break
+    children[child] = name
+else:  # the one that read in the modules, once for all
+    while len(ended) < len(children):
+        wait_for_one()
+    print(json.dumps(ended))
+    sys.exit()
+
 BUS = "pythoncan:virtual:script"
 
 homes = threading.Event()
@@ -78,18 +100,15 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join([*paths, os.environ.get("PYTHONPATH", "")]), "PYTHONUNBUFFERED": "1"}
 
 
-def run(name: str) -> tuple[int, str, str]:
-    """Exit status, output and errors of a script."""
-    command = [sys.executable, "-c", textwrap.dedent(SCRIPT) + ENDS[name][0]]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=LIMIT)
-    return done.returncode, done.stdout, done.stderr
-
-
 @pytest.fixture(scope="module")
-def endings() -> dict[str, tuple[int, str, str]]:
-    """What became of each script. Not all run at once: a computer is small."""
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        return dict(zip(ENDS, pool.map(run, ENDS), strict=True))
+def endings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str, str]]:
+    """Exit status, output and errors of each script."""
+    folder = tmp_path_factory.mktemp("scripts")
+    ends = json.dumps({name: end for name, (end, *_) in ENDS.items()})
+    command = [sys.executable, "-c", f"{SCRIPTS}exec(end)\n", ends]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, env=environment(), cwd=folder, timeout=LIMIT, check=True)
+    texts = {name: [(folder / f"{name}.{stream}").read_text(encoding="utf-8") for stream in ("out", "err")] for name in ENDS}
+    return {name: (status, *texts[name]) for name, status in json.loads(done.stdout).items()}
 
 
 @pytest.mark.parametrize("name", ENDS)

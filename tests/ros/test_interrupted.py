@@ -43,7 +43,7 @@ STARTS = {"init": moving, "home": moving, "recover": fault, "IPmode": halted, "h
 def test_a_service_that_is_interrupted_at_any_step_leaves_all_joints_at_rest(service: str, how: str) -> None:
     number, was_over = 0, False
     while not was_over:
-        number += 1 + (number // 2 if number < 4 or takes_all() else number)  # the many behind wait for joints that brake
+        number += 1 + (number // 2 if number < 4 or takes_all() else 2 * number)  # the many behind wait for joints that brake
         was_over = interrupted(service, how, number)
     assert number > 3  # it had some steps
 
