@@ -13,7 +13,12 @@ from canopen_cli.shared.importing import LibraryMissingError, importing
 from canopen_cli.shared.lazy import LazyGroup
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import NO_ROOM, CommandError, ExitCode, usage
-from canopen_cli.shared.streams import open_closed_streams, put_lost_terminal_to_rest, put_to_rest
+from canopen_cli.shared.streams import (
+    open_closed_streams,
+    put_closed_pipes_to_rest,
+    put_lost_terminal_to_rest,
+    put_to_rest,
+)
 
 if TYPE_CHECKING:
     import trio
@@ -91,7 +96,7 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
         )
         sys.stdout.flush()
     except BrokenPipeError:
-        put_to_rest(sys.stdout)
+        put_closed_pipes_to_rest()
         return CLOSED_PIPE
     except SystemExit as ended:  # click met a closed pipe, and has silenced stdout; or it completed words for a shell (0)
         return CLOSED_PIPE if ended.code else ExitCode.OK
@@ -135,7 +140,7 @@ def _last_words(settings: Settings, speak: Callable[[Screen], None], status: int
     try:
         speak(settings.screen())
     except BrokenPipeError:  # it may have been the problem itself
-        put_to_rest(sys.stderr)
+        put_closed_pipes_to_rest()
         return CLOSED_PIPE
     except OSError as error:
         if error.errno != errno.EIO:

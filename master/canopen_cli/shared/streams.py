@@ -22,6 +22,15 @@ def put_to_rest(stream: IO[str]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
+def put_closed_pipes_to_rest() -> None:
+    """Throw away what is still to be written to readers that have gone, of stdout and of stderr: perhaps both have."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            put_to_rest(stream)
+
+
 def put_lost_terminal_to_rest() -> None:
     """Throw away what is written to a terminal that is gone: each write would fail."""
     for stream in (sys.stdout, sys.stderr):
