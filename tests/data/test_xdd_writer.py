@@ -1,0 +1,89 @@
+"""What we write as XDD or XDC is read back as what it was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+
+from canopen_data.checks import check
+from canopen_data.describing import lists_of
+from canopen_data.description import Commissioning, DeviceDescription, DeviceInfo, FileInfo, FileKind
+from canopen_data.descriptions import load_description
+from canopen_data.xdd import read_xdd
+from canopen_data.xdd.writer import write_xdd
+from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
+from canopen_proto.machine import LocalProtocolError
+from tests.core.generated_dictionaries import descriptions
+from tests.examples import examples
+
+
+def expressible(description: DeviceDescription) -> DeviceDescription:
+    """What CiA 311 can say of a description."""
+
+    def variable(each: Variable) -> Variable:
+        return replace(each, upload_file="", download_file="", not_read="")
+
+    def whole(each: Object) -> Object:
+        variables = MappingProxyType({subindex: variable(one) for subindex, one in each.variables.items()})
+        return replace(each, variables=variables)
+
+    dictionary = ObjectDictionary([whole(each) for each in description.dictionary.objects.values()])
+    mandatory, optional, manufacturer = lists_of(dictionary.objects)
+    commissioning = description.commissioning and replace(description.commissioning, lss_serial_number=None)
+    return DeviceDescription(
+        dictionary,
+        FileKind.XDD if commissioning is None else FileKind.XDC,
+        file_info=replace(description.file_info, eds_version="", last_eds=""),
+        device_info=replace(description.device_info, revision_number=None, compact_pdo=0),
+        commissioning=commissioning,
+        dummies=description.dummies,
+        mandatory=mandatory,
+        optional=optional,
+        manufacturer=manufacturer,
+        dynamic_channels=description.dynamic_channels,
+    )
+
+
+@given(descriptions())
+@examples(60)
+def test_what_is_written_is_read(described: DeviceDescription) -> None:
+    wanted = expressible(described)
+    text = write_xdd(described, wanted.kind)
+    ElementTree.fromstring(text.encode())
+    found = read_xdd(text.encode())
+    assert found.dictionary.objects == wanted.dictionary.objects
+    assert replace(found, dictionary=wanted.dictionary, document=None) == wanted
+    assert found.findings == ()
+
+
+@pytest.mark.parametrize("name", ["sample_io.eds", "sample_drive.eds"])
+def test_an_eds_becomes_an_xdd(name: str) -> None:
+    description = load_description(name)
+    found = read_xdd(write_xdd(description).encode(), "new.xdd", strict=True)
+    assert found.kind is FileKind.XDD
+    assert found.dictionary.objects == description.dictionary.objects
+    assert (found.file_info.creation_date, found.file_info.creation_time) == ("2026-11-21", "12:00:00")
+    assert check(found) == check(description) == []
+
+
+def test_a_dcf_becomes_an_xdc_or_an_xdd_without_its_settings() -> None:
+    description = replace(load_description("sample_io.xdc"), commissioning=Commissioning(5, "station", 500))
+    assert read_xdd(write_xdd(description).encode()).commissioning == Commissioning(5, "station", 500)
+    plain = read_xdd(write_xdd(description, FileKind.XDD).encode())
+    assert plain.kind is FileKind.XDD
+    assert plain.commissioning is None
+    with pytest.raises(LocalProtocolError, match="no EDS"):
+        write_xdd(description, FileKind.EDS)
+
+
+def test_characters_that_xml_cannot_have() -> None:
+    variable = Variable(0x2000, 0, 'a "b" <c> & d\x01\ne', 0x05, Access.RO)  # type: ignore[arg-type]
+    description = DeviceDescription(ObjectDictionary([Object.of(variable.name, [variable], ObjectType.VAR)]), FileKind.EDS)
+    found = read_xdd(write_xdd(description, file_info=FileInfo(created_by="me")).encode())
+    assert found.dictionary.at(0x2000, 0).name == 'a "b" <c> & d? e'
+    assert found.file_info.created_by == "me"
+    assert found.device_info == DeviceInfo()
