@@ -17,7 +17,7 @@ from canopen_proto.machine import Time
 class Application(Protocol):
     """The work of a device apart from communication. It shares the node's values.
 
-    It must also be a Machine, made with the node's `inner` outbox, so that time drives it.
+    It must also be a Machine, made with the node's `inner` outbox, so that time drives it: see `LocalNode.set_application`.
     """
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
@@ -26,8 +26,12 @@ class Application(Protocol):
     def written(self, index: int, subindex: int, now: Time) -> None:
         """Act on a value that was stored, by SDO or PDO (perhaps the same as before)."""
 
-    def refresh(self, now: Time) -> None:
-        """Update the values: they are about to be read."""
+    def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> AbortCode | None:
+        """Update the values: they are about to be read. index, subindex: of the one that a client reads; None: those that a PDO
+        may carry.
+
+        Returns the abort code with which the read of that one is refused, or None.
+        """
 
     def on_sync(self, now: Time) -> None:
         """Act on a SYNC; the synchronous RPDOs were taken before."""
@@ -50,7 +54,7 @@ class PlainMemory:
 
     def written(self, index: int, subindex: int, now: Time) -> None: ...
 
-    def refresh(self, now: Time) -> None: ...
+    def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> None: ...
 
     def on_sync(self, now: Time) -> None: ...
 

@@ -171,6 +171,13 @@ class LocalNode(Group):
         """The description of the device."""
         return self.values.dictionary
 
+    def set_application(self, application: Application) -> None:
+        """Let an application do the device's own work, before `boot`. It was made with `inner`; if it is a Machine, time drives
+        it."""
+        self.application = application
+        if isinstance(application, Machine):
+            self._members.attach(application)
+
     @property
     def state(self) -> NmtState:
         """The node's NMT state."""
@@ -179,9 +186,11 @@ class LocalNode(Group):
     def boot(self, now: Time) -> None:
         """Power on: send the boot-up frame and enter pre-operational. Raises LocalProtocolError if the node is on already.
 
-        CiA 301 v4.2.0, 7.3.2.2.1 and 7.2.8.3.3
+        The application starts first. CiA 301 v4.2.0, 7.3.2.2.1 and 7.2.8.3.3
         """
         with self._settling(now):
+            if self.state is NmtState.INITIALISING:  # else boot does nothing, and the application goes on
+                self.application.reset(now)
             self._start(now)
 
     def take_stored(self, stored: LssConfiguration) -> None:
@@ -282,11 +291,8 @@ class LocalNode(Group):
             variable = self._store.readable(index, subindex)
             return variable if isinstance(variable, AbortCode) else PENDING
         owner = self._owners.get(index)
-        if owner is None:
-            self.application.refresh(now)
-        elif (refusal := owner.refresh(index, subindex)) is not None:
-            return refusal
-        return self._store.read(index, subindex, now)
+        refusal = self.application.refresh(now, index, subindex) if owner is None else owner.refresh(index, subindex)
+        return self._store.read(index, subindex, now) if refusal is None else refusal
 
     def check_write(self, index: int, subindex: int, size: int | None) -> AbortCode | Pending | None:
         """Return the abort code that forbids a download (access, announced length), PENDING if the host takes pieces, or None.

@@ -38,7 +38,7 @@ class Recorder(Machine):
     def written(self, index: int, subindex: int, now: Time) -> None:
         self.log.append(f"written {index:04X}:{subindex:02X} = {self.node.values.store[index << 8 | subindex]!r}")
 
-    def refresh(self, now: Time) -> None:
+    def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> None:
         self.node.values.store[INPUT << 8] = now // MILLISECOND % 1000
 
     def on_sync(self, now: Time) -> None:

@@ -208,7 +208,7 @@ class Clock(Machine):
         super().__init__(out)
         self.node = node
 
-    def refresh(self, now: Time) -> None:
+    def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> None:
         self.node.values.store[INPUT << 8] = now // MS
 
     def check_write(self, index: int, subindex: int, value: Value) -> None:

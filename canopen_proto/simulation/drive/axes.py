@@ -89,7 +89,7 @@ class Axes:
         self.drives[axis].written(*place, now)
         self.show(axis)
 
-    def refresh(self, now: Time) -> None:
+    def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> None:
         for drive in self.drives:
             drive.refresh(now)
             self.show(drive.axis)

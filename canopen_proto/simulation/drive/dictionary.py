@@ -36,12 +36,13 @@ from typing import Final, NamedTuple
 from canopen_proto import indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Access, Object, ObjectDictionary
-from canopen_proto.dictionary.standard import find_standard, standard_object, standard_variable
+from canopen_proto.dictionary.pdo_records import pdo_records
+from canopen_proto.dictionary.standard import standard_object, standard_variable
 from canopen_proto.drives.cia402 import objects, positioning
 from canopen_proto.drives.cia402.axes import PDOS_PER_AXIS, moved, with_names_of_axes
 from canopen_proto.drives.cia402.option_codes import OPTION_CODES
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR, RPDO1, TPDO1
-from canopen_proto.multiplexer import Mux, index_of, mapping_entry, split_mux, subindex_of
+from canopen_proto.multiplexer import Mux, index_of, split_mux, subindex_of
 from canopen_proto.simulation.drive.fallbacks import FALLBACKS
 from canopen_proto.simulation.drive.homing import METHODS
 from canopen_proto.simulation.drive.inputs import FUNCTIONS
@@ -51,7 +52,6 @@ from canopen_proto.simulation.drive.smooth_motion import JERK_LIMITED
 
 _EVENT_DRIVEN: Final = 255
 _EACH_SYNC: Final = 1
-_MAPPED_OBJECTS: Final = 8  # entries of a mapping record: as many as there are bytes in a frame
 _CHANNEL: Final = 0x100  # from one PDO's CAN-IDs to the next one's
 _DEVICE_TYPE: Final = 0x0002_0192  # servo drive by CiA 402
 _SEVERAL_DEVICES: Final = 0xFFFF_0192  # several logical devices, the first one by CiA 402
@@ -213,25 +213,8 @@ def _pdos_of_axis(axis: int) -> list[Object]:
 def _pdo(index: int, cob_id: int, subindices: tuple[int, ...], pdo: _Pdo) -> list[Object]:
     """Return the communication and the mapping record of one PDO."""
     cob_id |= 0 if pdo.is_valid else COB_ID_INVALID
-    fields = [standard_variable(index, subindex) for subindex in subindices]
-    fields[0] = replace(fields[0], default=cob_id, adds_node_id=True)
-    fields[1] = replace(fields[1], default=pdo.transmission_type)
-    communication = standard_object(index, highest=2)
-    count = replace(communication.variables[0], default=subindices[-1])
-    entries: dict[int, Value] = {0: len(pdo.entries)}
-    for place, key in enumerate(pdo.entries, start=1):
-        entries[place] = mapping_entry(key, _bit_length(key))
-    return [
-        Object.of(communication.name, [count, *fields], communication.object_type),
-        standard_object(index + 0x200, highest=_MAPPED_OBJECTS, defaults=entries),
-    ]
-
-
-def _bit_length(key: Mux) -> int:
-    variable = find_standard(*split_mux(key))
-    assert variable is not None
-    assert variable.bit_length is not None
-    return variable.bit_length
+    fields: dict[int, Value | None] = dict.fromkeys(subindices[1:]) | {2: pdo.transmission_type}
+    return pdo_records(index, cob_id, fields, [standard_variable(*split_mux(key)) for key in pdo.entries])
 
 
 def _profile(shape: Shape) -> list[Object]:

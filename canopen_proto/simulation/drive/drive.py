@@ -215,7 +215,7 @@ class Drive(Machine):
             self._mode.on_sync()
         self._show(2 * STEP)  # the next SYNC most likely comes earlier and checks, too
 
-    def refresh(self, now: Time) -> None:
+    def refresh(self, now: Time, index: int | None = None, subindex: int = 0) -> None:
         """Bring statusword and actual values in the store up to `now`. Called before a TPDO is built, or an SDO reads."""
         if now > self._servo.time and self.deadline != NEVER:
             self._advance(now)

@@ -21,7 +21,6 @@ from canopen_proto.drives.cia402.objects import CONTROLWORD, MODES_OF_OPERATION_
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import Outbox, Time
 from canopen_proto.multiplexer import Mux, mux
-from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoOverdue
 from canopen_proto.sdo.server import PENDING, ObjectAccessPending, Pending
 from canopen_proto.simulation.drive.answers import Answer, AnswerDue, DelayedAnswers
@@ -84,11 +83,6 @@ class DriveNode(LocalNode):
         zeros = frozenset(key for key in UNSET_BY_ZERO if values.store.get(key) == 0)
         kind = LateDrive if settings.reaction else Drive
         return kind(self.inner, self.node_id, values, replace(settings, unset=settings.unset | zeros), axis)
-
-    def boot(self, now: Time) -> None:
-        if self.state is NmtState.INITIALISING:  # else boot does nothing, and the drives stay as they are
-            self.application.reset(now)
-        super().boot(now)
 
     def _take_node_id(self, node_id: int) -> None:
         super()._take_node_id(node_id)
