@@ -57,8 +57,9 @@ COMMANDS: Final = {
     "log": ("live.log", "Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng."),
     "sim": (
         "simulation.sim",
-        "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.",
+        "Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, written in Python, or drives of our own.",
     ),
+    "device": ("device.group", "Devices of one's own, written in Python: make one, write its file."),
     "plan": (
         "machine.network_plan:plan",
         "Does this network fit? Load, worst latency of each PDO, margins, the shortest cycle that fits.",

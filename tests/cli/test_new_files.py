@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from canopen_cli.device.new import skeleton
 from canopen_cli.shared.problem import ExitCode
 from canopen_data.descriptions import load_description
 from canopen_master.whole_file import whole_file
@@ -28,6 +29,7 @@ COMMANDS = {
     "read": ("read", "5", "2003", "-e", "device.eds", *DEMO, "-o", "OUT.bin"),
     "trace": ("read", "5", "1000", *DEMO, "--trace", "OUT.log"),
     "to-dcf": ("eds", "to-dcf", "device.eds", "--id", "5", "-o", "OUT.dcf"),
+    "describe": ("device", "describe", "device.py", "-o", "OUT.eds"),
     "to-cdcf": ("eds", "to-cdcf", "device.eds", "--id", "5", "-o", "OUT.bin"),
     "doc": ("eds", "doc", "device.eds", "-o", "OUT.html"),
     "fix": ("eds", "fix", "device.eds", "-o", "OUT.eds"),
@@ -44,6 +46,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
     Path("in.log").write_text("(1.000000) can0 705#05\n")
+    Path("device.py").write_text(skeleton("device", "Device", "Device"))
     return lasting_device(monkeypatch)
 
 
@@ -99,7 +102,7 @@ def test_a_pipe_is_written_to(run: Run, world: Lasting, name: str) -> None:
     finally:
         os.close(reader)
     assert target.is_fifo()
-    assert names() == {"device.eds", "in.log", target.name}
+    assert names() == {"device.eds", "device.py", "in.log", target.name}
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege")
@@ -119,7 +122,7 @@ def test_a_link_leads_to_what_is_written(run: Run, world: Lasting, name: str) ->
     assert kept.read_bytes() != OLD.encode()
     assert stat.S_IMODE(kept.stat().st_mode) == 0o640
     assert (own.read_text(), Path(f"{target.name}.part").read_text()) == (OLD, OLD)
-    assert names() == {"device.eds", "in.log", "kept", target.name, f"{target.name}.part"}
+    assert names() == {"device.eds", "device.py", "in.log", "kept", target.name, f"{target.name}.part"}
     assert names("kept") == {kept.name, own.name}
 
 

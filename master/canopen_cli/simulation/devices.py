@@ -135,7 +135,7 @@ def _tell_model(screen: Screen, made: ModelMade) -> None:
     model = made.model
     node = model(Outbox())
     counts = f"objects: {len(model.dictionary)}, TPDOs: {len(node.pdos.producers)}, RPDOs: {len(node.pdos.consumers)}"
-    kind = "a simulated drive" if model.drive is not None else "plain memory"
+    kind = "a simulated drive" if model.drive is not None else "plain memory" if model.code is None else model.code.__name__
     what = f"{kind}{' with a script' if model.script is not None else ''}; {counts}"
     screen.say(f"{node_text(model.node_id)}  {escape(made.file)}: {what}")
     reason = [f"no drive moves behind it: {made.obstacle}"] if made.obstacle else []

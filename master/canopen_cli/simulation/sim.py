@@ -31,6 +31,7 @@ from canopen_master.simulation.serving import (
     simulated_devices,
     simulated_drives,
 )
+from canopen_proto.declared import DeviceCodeFailed
 from canopen_proto.error_codes import error_text
 from canopen_proto.lss.messages import UNCONFIGURED
 from canopen_proto.lss.slave import LssNodeIdSet
@@ -93,7 +94,7 @@ def sim(
     erase_time: Time | None,
     seconds: float | None,
 ) -> None:
-    """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, or drives of our own.
+    """Serve simulated devices on a bus until Ctrl-C: of any EDS, DCF, XDD or XDC, written in Python, or drives of our own.
 
     Two terminals without hardware meet on udp_multicast:
 
@@ -103,6 +104,7 @@ def sim(
 
     \b
     canopen sim drive.eds --id 5 -b can0
+    canopen sim station.py --id 5 -b can0  a device of one's own: see canopen device new
     canopen sim 5=drive.eds 6,7=io.eds --script animate.py -b can0
     canopen sim --id 255,255,255 -b tcp    three drives that wait for their node-IDs: see canopen lss
     canopen sim 5 --boot-loader -b can0    a device that `canopen flash` writes programs into
@@ -200,6 +202,9 @@ def _event_teller(screen: Screen) -> Callable[[Event], None]:
                 screen.say(f"{node_text(node_id)}  runs the program 0x{identification:08X}")
             case DriveStateChanged(node_id=node_id, state=state):
                 screen.say(f"{node_text(node_id)}  {state}")
+            case DeviceCodeFailed(node_id=node_id, function=function, error=error):
+                what = escape(f"{function}: {type(error).__name__}: {error}")
+                screen.say(f"{node_text(node_id)}  [red]its code failed in {what}[/]")
             case DriveFault(node_id=node_id, error_code=code):
                 screen.say(f"{node_text(node_id)}  [red]fault 0x{code:04X} {error_text(code)}[/]")
 

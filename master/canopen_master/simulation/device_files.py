@@ -1,4 +1,5 @@
-"""Simulated devices made of real devices' own files (EDS, DCF, XDD, XDC), as the entries of a plant file name them.
+"""Simulated devices made of real devices' own files (EDS, DCF, XDD, XDC), or written in Python, as the entries of a plant file
+name them.
 
     plant = read_plant(Path("plant.toml"))
     async with simulated_devices({"virtual:bus": list(models_of(plant.devices))}):
@@ -16,6 +17,7 @@ from typing import Any, TypeAlias
 
 from canopen_data import load_dictionary
 from canopen_data.configured import configure, without_configured_values
+from canopen_data.declared import describe_device
 from canopen_data.describing import identified
 from canopen_data.description import DeviceDescription
 from canopen_data.descriptions import with_names
@@ -24,12 +26,14 @@ from canopen_data.findings import Finding
 from canopen_data.named_files import DescriptionFile, open_description, read_text
 from canopen_data.overlay import lay_over
 from canopen_master.errors import DeviceRefusedError, NoDriveInFileError
+from canopen_master.simulation.device_code import SUFFIX, load_device
 from canopen_master.simulation.hooks import Script
 from canopen_master.simulation.host import DeviceModel
 from canopen_master.simulation.plant import AUTOMATIC, DRIVE, DeviceEntry, PlantFile, parse_plant
 from canopen_master.simulation.serving import SERIAL, with_serial
 from canopen_proto import indices
 from canopen_proto.datatypes import Value, ValueRangeError
+from canopen_proto.declared import DeclaredDevice
 from canopen_proto.dictionary import NotInDictionaryError, ObjectDictionary, Variable
 from canopen_proto.drives.cia402.names import is_drive, with_drive_names
 from canopen_proto.frame import MAX_NODE_ID
@@ -89,7 +93,7 @@ def read_plant(path: Path) -> PlantFile:
 
 
 def models_of(entries: Iterable[DeviceEntry], tell: Callable[[MakingEvent], object] = lambda event: None) -> list[DeviceModel]:
-    """Make the models of devices, one for each node-ID of an entry. tell: is called with what is found.
+    """Make the models of devices, one for each node-ID of an entry. tell: is called with what is found. A Python file is run.
 
     A device without a node-ID (255) gets a serial number of its own, by which LSS finds it. Raises DeviceRefusedError for an
     entry that cannot be served, NoDriveInFileError, DataError, DictionaryError, ScriptError.
@@ -97,7 +101,8 @@ def models_of(entries: Iterable[DeviceEntry], tell: Callable[[MakingEvent], obje
     names, _ = load_dictionary()
     made: list[DeviceModel] = []
     for entry in entries:
-        description = _load(entry, names, tell)
+        code = load_device(entry.file) if entry.file.endswith(SUFFIX) else None
+        description = _load(entry, names, tell) if code is None else _laid_over(entry, describe_device(code), tell)
         script = Script(read_text(Path(entry.script)), entry.script) if entry.script else None
         for node_id in _node_ids(entry, description):
             if node_id != UNCONFIGURED and any(model.node_id == node_id for model in made):
@@ -106,7 +111,7 @@ def models_of(entries: Iterable[DeviceEntry], tell: Callable[[MakingEvent], obje
                 )
             if node_id == UNCONFIGURED:
                 description = _with_own_serial(entry, description, len(made))
-            made.append(_model(entry, description, node_id, script, tell))
+            made.append(_model(entry, description, node_id, script, tell, code))
     return made
 
 
@@ -127,6 +132,11 @@ def _load(entry: DeviceEntry, names: ObjectDictionary, tell: Callable[[MakingEve
     dictionary = with_drive_names(identified(description))
     if entry.defaults:
         dictionary = without_configured_values(dictionary)
+    return _laid_over(entry, replace(description, dictionary=dictionary), tell)
+
+
+def _laid_over(entry: DeviceEntry, description: DeviceDescription, tell: Callable[[MakingEvent], object]) -> DeviceDescription:
+    dictionary = description.dictionary
     for path in entry.overlays:
         dictionary, findings = lay_over(dictionary, read_text(Path(path)), path)
         for finding in findings:
@@ -151,10 +161,11 @@ def _model(
     node_id: int,
     script: Script | None,
     tell: Callable[[MakingEvent], object],
+    code: type[DeclaredDevice] | None,
 ) -> DeviceModel:
     dictionary = _with_values(description.dictionary, entry.values, node_id, entry.file)
     drive, obstacle = None, ""
-    if entry.profile == DRIVE or (entry.profile == AUTOMATIC and is_drive(dictionary)):
+    if code is None and (entry.profile == DRIVE or (entry.profile == AUTOMATIC and is_drive(dictionary))):
         obstacle = drive_obstacle(dictionary)
         if obstacle and entry.profile == DRIVE:
             raise NoDriveInFileError(f"{entry.file} cannot be a simulated drive: {obstacle}", 'profile = "none"')
@@ -165,7 +176,7 @@ def _model(
             drive = DriveSettings(shape=shape, stops_at_switches=False)  # a file does not tell where its switches are
             for variable in filled:
                 tell(ValueFilled(node_id, before.variable((variable.index, variable.subindex)), variable))
-    model = DeviceModel(dictionary, node_id, drive, script)
+    model = DeviceModel(dictionary, node_id, drive, script, code)
     tell(ModelMade(model, entry.file, obstacle))
     return model
 

@@ -106,13 +106,18 @@ class Script:
             message = error.msg if isinstance(error, SyntaxError) else str(error)
             raise ScriptError(f"{self.path}:{line}" if line else self.path, str(message)) from None
 
-    def load(self) -> dict[str, Any]:
+    def run(self) -> dict[str, Any]:
         """Run the script, and return its names. Raises ScriptError for every error in it."""
         names: dict[str, Any] = {"__name__": Path(self.path).stem, "__file__": self.path}
         try:
             exec(self._code, names)
         except Exception as error:
             raise ScriptError(*self.describe(error)) from error
+        return names
+
+    def load(self) -> dict[str, Any]:
+        """Run the script, and return its names. Raises ScriptError also for a function with other arguments than FUNCTIONS."""
+        names = self.run()
         for name, count in FUNCTIONS.items():
             function = names.get(name)
             if function is not None and not _takes(function, count):

@@ -25,6 +25,7 @@ from canopen_master.participant.pump import Pump
 from canopen_master.simulation.hooks import Hooks, Script
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
 from canopen_proto.abort import AbortCode
+from canopen_proto.declared import DeclaredDevice
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.lss.messages import OK, UNCONFIGURED
@@ -58,16 +59,19 @@ def patient_cycles(cycle_time: float) -> int:
 class DeviceModel:
     """Makes a device of a dictionary: a DeviceMaker.
 
-    drive: the drive behind it, which must suit the dictionary (`drive_obstacle`); None: its objects are plain memory. script:
-    animates it.
+    drive: the drive behind it, which must suit the dictionary (`drive_obstacle`); code: the device written in Python, whose
+    dictionary it is. Without both, its objects are plain memory. script: animates it.
     """
 
     dictionary: ObjectDictionary
     node_id: int
     drive: DriveSettings | None = None
     script: Script | None = None
+    code: type[DeclaredDevice] | None = None
 
     def __call__(self, out: Outbox) -> LocalNode:
+        if self.code is not None:
+            return self.code(out, self.node_id, self.dictionary).node
         if self.drive is None:
             return LocalNode(out, self.node_id, self.dictionary)
         return DriveNode(out, self.node_id, self.drive, self.dictionary)

@@ -4,7 +4,7 @@
     state = "state.json"            # stored parameters outlive the simulation
 
     [[device]]
-    file = "drive.eds"              # EDS, DCF, XDD or XDC; paths are relative to this file
+    file = "drive.eds"              # EDS, DCF, XDD or XDC, or a device in Python; paths are relative to this file
     id = 5                          # or [5, 6, 7]; by default the node-ID of a DCF
     profile = "402"                 # a simulated drive; "none": plain memory; by default the device type decides
     shape = "standard"              # of this drive, or "schunk"

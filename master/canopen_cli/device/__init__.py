@@ -1,0 +1,1 @@
+"""`canopen device`: devices of one's own, written in Python."""
