@@ -12,7 +12,7 @@ from typing import Final, NewType
 Mux = NewType("Mux", int)
 """Index << 8 | subindex: 0x604100 is object 0x6041, subindex 0."""
 
-_FIRST_MUX: Final = 0x100000
+FIRST_MUX: Final = 0x100000
 
 AXIS_STEP: Final = 0x800
 """From the index of an object of a logical device (an axis, if the node is a drive) to that of the next one."""
@@ -43,7 +43,7 @@ def place_of(number: int) -> tuple[int, int]:
 
     A number of six hexadecimal digits is a multiplexer. No device has an object to read or write below index 0x1000.
     """
-    return (number, 0) if number < _FIRST_MUX else (number >> 8, number & 0xFF)
+    return (number, 0) if number < FIRST_MUX else (number >> 8, number & 0xFF)
 
 
 def mux_text(multiplexer: Mux) -> str:

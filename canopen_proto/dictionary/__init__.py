@@ -15,4 +15,7 @@ from canopen_proto.dictionary.model import ObjectType as ObjectType
 from canopen_proto.dictionary.model import PdoDescription as PdoDescription
 from canopen_proto.dictionary.model import PdoNotFoundError as PdoNotFoundError
 from canopen_proto.dictionary.model import Variable as Variable
+from canopen_proto.dictionary.typed import ReadOnly as ReadOnly
+from canopen_proto.dictionary.typed import ReadWrite as ReadWrite
+from canopen_proto.dictionary.typed import WriteOnly as WriteOnly
 from canopen_proto.dictionary.values import Values as Values

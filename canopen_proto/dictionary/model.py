@@ -34,7 +34,7 @@ from canopen_proto.dictionary.objects import Object as Object
 from canopen_proto.dictionary.objects import ObjectType as ObjectType
 from canopen_proto.dictionary.objects import Variable as Variable
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.multiplexer import Mux, index_of, mux, place_of
+from canopen_proto.multiplexer import FIRST_MUX, Mux, index_of, mux, place_of
 
 
 @mypyc_attr(native_class=False)
@@ -214,7 +214,8 @@ class ObjectDictionary:
         if isinstance(key, Variable):
             return key
         if isinstance(key, int):
-            return self.at(*place_of(key))
+            named = self._by_mux.get(key) if key >= FIRST_MUX else None  # type: ignore[call-overload]
+            return self.at(*place_of(key)) if named is None else named
         return self.at(*key)
 
     def _by_text(self, text: str, names: _NameIndex) -> Variable:

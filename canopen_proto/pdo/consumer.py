@@ -28,14 +28,17 @@ Left out: the inhibit time of an RPDO, to which the standard gives no meaning.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final
+from typing import Any, Final, TypeVar, overload
 
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, PdoDescription
+from canopen_proto.dictionary.typed import Readable
 from canopen_proto.frame import REMOTE, Frame, RoutingKey, routing_key
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.mapping import Mapping
+
+T = TypeVar("T", bound=Value)
 
 LAST_SYNCHRONOUS: Final = 240
 """Transmission types 0..240 go by SYNC."""
@@ -81,7 +84,11 @@ class PdoReceived(Event):
         """The values by `mapping.labels`: the names of the objects, or "6401:01" if several have the same name."""
         return dict(zip(self.mapping.labels, self.components, strict=True))
 
-    def get(self, key: Key) -> Value | None:
+    @overload
+    def get(self, key: Readable[T]) -> T | None: ...
+    @overload
+    def get(self, key: Key) -> Value | None: ...
+    def get(self, key: Any) -> Any:
         """Return the value of one object; None if the PDO does not carry it. key, errors: as in `Mapping.find_component`."""
         position = self.mapping.position_of(key)
         return None if position is None else self.components[position]

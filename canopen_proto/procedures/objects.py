@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from typing import Any, Final, Protocol, TypeVar, overload
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import Key, ObjectDictionary, ObjectNotFoundError, Variable
+from canopen_proto.dictionary.typed import Readable, Writable
 from canopen_proto.machine import Outbox, Outcome, RequestId, Time
 from canopen_proto.procedures.steps import Procedure, ProcedureError, Request, SdoTransferError
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
+
+T = TypeVar("T", bound=Value)
 
 ABSENT: Final = (AbortCode.NO_SUCH_OBJECT, AbortCode.NO_SUCH_SUBINDEX)
 """The abort codes of a device that does not have an object."""
@@ -42,9 +45,13 @@ class UnexpectedLengthError(ProcedureError):
     """A node sent an object whose length does not fit its type."""
 
 
-def read(node: ObjectAccess, key: Key) -> Procedure[Value]:
+@overload
+def read(node: ObjectAccess, key: Readable[T]) -> Procedure[T]: ...
+@overload
+def read(node: ObjectAccess, key: Key) -> Procedure[Value]: ...
+def read(node: ObjectAccess, key: Any) -> Procedure[Any]:
     """Read an object by SDO; return its value, and keep it in `node.values`. Raises SdoTransferError, UnexpectedLengthError. key:
-    see `Key`."""
+    see `Key`, or a typed one (dictionary/typed.py)."""
     variable = node.dictionary.variable(key)
     outcome: Outcome = yield Request(node, lambda now, urgent: node.read(variable, now, urgent=urgent))
     if isinstance(outcome, SdoUploaded):
@@ -83,9 +90,13 @@ def read_if_present(node: ObjectAccess, key: Key) -> Procedure[Value | None]:
         raise
 
 
-def write(node: ObjectAccess, key: Key, value: Value, *, urgent: bool = False) -> Procedure[None]:
-    """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoTransferError. key: see
-    `Key`.
+@overload
+def write(node: ObjectAccess, key: Writable[T], value: T, *, urgent: bool = False) -> Procedure[None]: ...
+@overload
+def write(node: ObjectAccess, key: Key, value: Value, *, urgent: bool = False) -> Procedure[None]: ...
+def write(node: ObjectAccess, key: Any, value: Value, *, urgent: bool = False) -> Procedure[None]:
+    """Write a value, or a constant by its name, by SDO; returns when the node has confirmed it. Raises SdoTransferError. key: as
+    of `read`.
 
     urgent: it goes before all queued requests of the node, and does not wait for a late answer; the writes of a clean-up always
     do. Raises LocalProtocolError or ValueRangeError, with nothing sent, if the dictionary forbids the write.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar, overload
 
 import trio
 from trio.lowlevel import enable_ki_protection
@@ -21,6 +21,7 @@ from canopen_master.streams import Pieces, ReadStream, write_stream
 from canopen_master.watchdog import Watchdogs
 from canopen_proto.datatypes import DataType, Value, ValueRangeError, is_integer
 from canopen_proto.dictionary import Key, Message, ObjectDictionary, Variable
+from canopen_proto.dictionary.typed import Readable, Writable
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.watchdog import NotHeldError
 from canopen_proto.drives.cia402.axes import axes_of, axis_of, swapped
@@ -36,6 +37,7 @@ from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
 
 E = TypeVar("E", bound=Event)
+T = TypeVar("T", bound=Value)
 
 MAX_SHOWN = 16
 """Bytes of what was to be written that an error shows."""
@@ -47,9 +49,10 @@ class Node(Peer):
     """A device as its master sees it. remote: the core's view of it, with all known values (`remote.values`). axes: its drives
     that this master has used so far (`Master.device`), by number.
 
-    Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00". Reading and writing use SDO. If
-    the task is cancelled, the transfer is aborted on the bus. Raises ObjectNotFoundError for an unknown name, SdoTimeoutError,
-    SdoRefusedError, SdoGivenUpError, SdoNotConfirmedError (of writes), BusError, MasterClosedError.
+    Keys are names or numbers: "statusword", "record:field", 0x6041, (0x60C1, 1), "6041:00"; or those of `canopen eds stubs`, by
+    which a type checker knows the type of the value. Reading and writing use SDO. If the task is cancelled, the transfer is
+    aborted on the bus. Raises ObjectNotFoundError for an unknown name, SdoTimeoutError, SdoRefusedError, SdoGivenUpError,
+    SdoNotConfirmedError (of writes), BusError, MasterClosedError.
 
     block: whether to use block transfer: False; True (the transfer fails if the device has none); or "auto", if it pays and the
     device has it.
@@ -99,7 +102,11 @@ class Node(Peer):
 
     # ---- objects ----
 
-    async def read(self, key: Key, *, block: Block = False) -> Value:
+    @overload
+    async def read(self, key: Readable[T], *, block: Block = False) -> T: ...
+    @overload
+    async def read(self, key: Key, *, block: Block = False) -> Value: ...
+    async def read(self, key: Any, *, block: Block = False) -> Any:
         """Read the value of an object. Raises UnexpectedAnswerError if its length is not that of the object's type."""
         variable = self.dictionary.variable(key)
         uploaded = await self._upload(lambda now: self.remote.read(variable, now, block=block))
@@ -125,7 +132,11 @@ class Node(Peer):
             constants = names_in_mode(constants, await self._active_mode(axis))
         return replace(message, timestamp=self.remote.heard_at.get(variable.mux), constants=constants)
 
-    async def write(self, key: Key, value: Value, *, block: Block = False) -> None:
+    @overload
+    async def write(self, key: Writable[T], value: T, *, block: Block = False) -> None: ...
+    @overload
+    async def write(self, key: Key, value: Value, *, block: Block = False) -> None: ...
+    async def write(self, key: Any, value: Value, *, block: Block = False) -> None:
         """Write a value, or a constant by its name; return when the device has confirmed it.
 
         Raises ValueRangeError, ConstantNotFoundError, LocalProtocolError (read-only), with nothing sent, if the dictionary

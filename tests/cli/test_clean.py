@@ -208,6 +208,8 @@ COMMANDS = [
     ("eds", "diff", "device.eds", "device.dcf"),
     ("eds", "doc", "odd.eds"),
     ("eds", "doc", "device.dcf", "--form", "md"),
+    ("eds", "stubs", NAMED_EDS, "-o", f"{EVIL[:-3]}.py"),
+    ("eds", "stubs", "odd.eds", "-o", "odd_stubs.py", "--class", EVIL),
     ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"2300={EVIL[:4]}", "-o", "new.dcf"),
     ("eds", "to-dcf", "device.eds", "--id", "5", "--set", f"{EVIL}=1", "-o", "new.dcf"),
     ("eds", "to-cdcf", NAMED_DCF, "-o", f"{EVIL[:-3]}.bin", "-v"),

@@ -130,7 +130,7 @@ def test_the_rules_are_listed(run: Run) -> None:
 def test_the_group_tells_its_commands(run: Run) -> None:
     outcome = run("eds", "--help")
     assert outcome.status == 0
-    assert all(name in outcome.out for name in ("lint", "show", "diff", "fix", "doc", "to-dcf", "to-cdcf"))
+    assert all(name in outcome.out for name in ("lint", "show", "diff", "fix", "doc", "stubs", "to-dcf", "to-cdcf"))
     assert run("eds", "nonsense").status == 2
 
 

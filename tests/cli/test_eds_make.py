@@ -223,3 +223,33 @@ def test_what_a_concise_dcf_leaves_out_is_told(run: Run) -> None:
     talk = run("eds", "to-cdcf", "odd.dcf", "-o", "odd.cdcf", "-v", "--force").err
     assert "left out: 2002:00" in talk
     assert "nothing is configured" in talk
+
+
+# ---- stubs ----
+
+
+def test_stubs_tell_the_names_that_are_shared(run: Run) -> None:
+    twice = several(with_variable(replace(GAIN, index=0x2010)), with_variable(replace(GAIN, index=0x2011, name="class")))
+    Path("twice.eds").write_text(write_eds(twice(clean())))
+    made = run("eds", "stubs", "twice.eds", "-o", "my-drive.py")
+    assert made.status == 0
+    assert "several objects are called gain: 0x2000:00 gain_2000, 0x2010:00 gain_2010" in made.err
+    text = Path("my-drive.py").read_text()
+    assert "class MyDrive:" in text
+    assert "class_ = ReadWrite[int](0x2011_00)" in text
+    told = run("eds", "stubs", "twice.eds", "-o", "other.py", "--class", "Axis", "--json").json
+    assert (told["class"], told["keys"]) == ("Axis", text.count("(0x"))
+    assert told["collisions"] == [{"name": "gain", "names": {"0x2000:00": "gain_2000", "0x2010:00": "gain_2010"}}]
+
+
+def test_stubs_know_the_units_of_a_side_file(run: Run) -> None:
+    Path("units.toml").write_text('[objects.2000]\nunit = "V"\nfactor = 0.1\n')
+    assert run("eds", "stubs", "drive.eds", "-o", "drive.py", "--overlay", "units.toml").status == 0
+    assert '"""0x2000:00 Gain, UNSIGNED16, 0.1 V, 0..100, default 5, PDO"""' in Path("drive.py").read_text()
+
+
+@pytest.mark.parametrize("name", ["2nd", "a b", "class", "", "int"])
+def test_a_class_needs_a_name_of_python(run: Run, name: str) -> None:
+    refused = run("eds", "stubs", "drive.eds", "-o", "x.py", "--class", name)
+    assert (refused.status, "CO001" in refused.err) == (2, True)
+    assert not Path("x.py").exists()

@@ -28,6 +28,7 @@ COMMANDS = {
     "dump": ("dump", "5", "-e", "device.eds", *DEMO, "-o", "OUT.json"),
     "read": ("read", "5", "2003", "-e", "device.eds", *DEMO, "-o", "OUT.bin"),
     "trace": ("read", "5", "1000", *DEMO, "--trace", "OUT.log"),
+    "stubs": ("eds", "stubs", "device.eds", "-o", "OUT.py"),
     "to-dcf": ("eds", "to-dcf", "device.eds", "--id", "5", "-o", "OUT.dcf"),
     "describe": ("device", "describe", "device.py", "-o", "OUT.eds"),
     "to-cdcf": ("eds", "to-cdcf", "device.eds", "--id", "5", "-o", "OUT.bin"),

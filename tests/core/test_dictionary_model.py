@@ -362,3 +362,15 @@ def test_with_names_of_leaves_out_pdos_that_the_device_cannot_have(dictionary: O
     bare = ObjectDictionary([Object.of("cw", [narrow])])
     assert bare.with_names_of(dictionary).pdos == ()
     assert bare.with_names_of(bare).variable("cw").name == "cw"
+
+
+def test_a_number_is_a_multiplexer_only_if_it_has_six_digits() -> None:
+    """The mux of the data type at 0x0010 is 0x1000, which as a number means the device type."""
+    objects = [
+        Object.of(name, [Variable(index, 0, name, DataType.UNSIGNED32)])
+        for index, name in ((0x10, "INTEGER24"), (0x1000, "type"))
+    ]
+    dictionary = ObjectDictionary(objects)
+    assert dictionary.variable(0x1000).name == dictionary.variable(0x1000_00).name == "type"
+    with pytest.raises(ObjectNotFoundError, match="0x2000:01 is not"):
+        dictionary.variable(0x2000_01)

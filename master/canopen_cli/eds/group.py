@@ -14,6 +14,7 @@ COMMANDS: Final = {
     "diff": ("eds.diff", "Compare two device descriptions by meaning: EDS, DCF, XDD, XDC, in any mixture."),
     "fix": ("eds.fix", "Repair an EDS or DCF: counts and lists, missing types, forms of numbers, duplicate sections, encoding."),
     "doc": ("eds.doc", "Make one readable page of a device description: HTML that needs nothing else, or Markdown."),
+    "stubs": ("eds.stubs", "Write a typed view of a device: a Python file with a key for each object."),
     "to-dcf": ("eds.dcf", "Make a DCF: this device, with this node-ID and these settings."),
     "to-cdcf": ("eds.dcf", "Make a concise DCF: the bytes that object 0x1F22 of a configuration manager takes."),
 }
