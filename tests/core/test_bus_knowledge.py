@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 
 from canopen_proto.bus_knowledge import COPY_TIME, MAX_LATENESS, SLOTS, HeardService, NodeHeard
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoClient
+from canopen_proto.testing.strategies import frames, random_frames
 from tests.builds import takes_any_type
 
 TIMEOUT = 500 * MILLISECOND
@@ -221,12 +222,7 @@ def test_other_frames_that_a_machine_ignores_are_no_answers(frame: str) -> None:
 # ---- any bus ----
 
 
-@given(
-    st.lists(
-        st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=8), st.sampled_from([0, 0, 0, REMOTE, EXTENDED])),
-        max_size=60,
-    )
-)
+@given(st.lists(frames() | random_frames(), max_size=60))
 def test_whatever_is_heard(frames: list[Frame]) -> None:
     network = Network()
     for node_id in (1, 5):

@@ -19,15 +19,7 @@ from canopen_proto.frame import (
     frame_for_key,
     key_of_cob_id,
 )
-
-
-@st.composite
-def frames(draw: st.DrawFn) -> Frame:
-    flags = draw(st.integers(0, 3))
-    can_id = draw(st.integers(0, 0x1FFFFFFF if flags & EXTENDED else 0x7FF))
-    if flags & REMOTE:
-        return Frame(can_id, b"", flags, draw(st.integers(0, 8)))
-    return Frame(can_id, draw(st.binary(max_size=8)), flags)
+from canopen_proto.testing.strategies import random_frames
 
 
 @pytest.mark.parametrize(
@@ -91,7 +83,7 @@ def test_can_fd_is_refused_as_such() -> None:
         Frame.parse("123##100112233")
 
 
-@given(frames())
+@given(random_frames())
 def test_every_frame_survives_its_text(frame: Frame) -> None:
     again = Frame.parse(str(frame))
     assert again == frame
@@ -105,7 +97,7 @@ def test_no_text_raises_anything_but_value_error(text: str) -> None:
         Frame.parse(text)
 
 
-@given(frames(), frames())
+@given(random_frames(), random_frames())
 def test_frames_with_one_key_have_one_identifier_and_kind(first: Frame, second: Frame) -> None:
     same = (first.can_id, first.flags) == (second.can_id, second.flags)
     assert (first.key == second.key) == same

@@ -14,6 +14,7 @@ from canopen_proto.datatypes import DataType, Value, ValueRangeError, bit_length
 from canopen_proto.dictionary import Access, Direction, Filler, Object, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.pdo.mapping import MappedEntry, Mapping, MappingError, may_have_width
+from canopen_proto.testing.strategies import pdo_mappings
 
 U8, U16, U32, U64 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32, DataType.UNSIGNED64
 I8, I16, I24, I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER24, DataType.INTEGER32
@@ -336,22 +337,6 @@ def test_more_entries_than_a_pdo_has_and_multiplexed_pdos_are_no_mapping(count: 
 # ---- against a reference model that goes bit by bit
 
 
-@st.composite
-def mappings(draw: st.DrawFn) -> Mapping:
-    entries: list[MappedEntry] = []
-    free = 64
-    while free and draw(st.booleans() if entries else st.just(True)):
-        data_type = draw(st.sampled_from([each for each in DataType if "TIME" not in each.name]))
-        widths = [bits for bits in range(1, free + 1) if may_have_width(data_type, bits)]
-        if not widths:
-            continue
-        fixed = bit_length_of(data_type) is not None
-        index = int(data_type) if fixed and draw(st.integers(0, 4)) == 0 else 0x2000 + len(entries)
-        entries.append(entry(index, 0, draw(st.sampled_from(widths)), data_type, f"v{len(entries)}"))
-        free -= entries[-1].bit_length
-    return Mapping(entries)
-
-
 def bits_of(data: bytes) -> list[int]:
     """First bit first."""
     return [byte >> n & 1 for byte in data for n in range(8)]
@@ -385,7 +370,7 @@ def same(left: object, right: object) -> bool:
     return type(left) is type(right) and left == right
 
 
-@given(mappings(), st.binary(min_size=8, max_size=8))
+@given(pdo_mappings(), st.binary(min_size=8, max_size=8))
 def test_unpack_is_what_the_model_says(pdo: Mapping, data: bytes) -> None:
     bits = bits_of(data)
     expected = []
@@ -399,7 +384,7 @@ def test_unpack_is_what_the_model_says(pdo: Mapping, data: bytes) -> None:
     assert pdo.unpack(data[: pdo.byte_length]) == values or any(value != value for value in values)
 
 
-@given(mappings(), st.binary(min_size=8, max_size=8))
+@given(pdo_mappings(), st.binary(min_size=8, max_size=8))
 def test_pack_gives_back_what_was_unpacked(pdo: Mapping, data: bytes) -> None:
     values = pdo.unpack(data)
     assume(all(value == value for value in values))  # a NaN may change its payload on the way
@@ -432,7 +417,7 @@ def test_whatever_the_names_no_two_components_collide(pdo: Mapping) -> None:
     assert [pdo.position_of(label) for label in pdo.labels] == list(range(len(pdo.components)))
 
 
-@given(mappings(), st.data())
+@given(pdo_mappings(), st.data())
 def test_pack_takes_the_lowest_bits(pdo: Mapping, draw: st.DataObject) -> None:
     assume(all(is_integer(each.data_type) for each in pdo.components))
     values = []

@@ -17,7 +17,7 @@ from canopen_data.eds.writer_sections import sections_of
 from canopen_data.xdd.reader import read_xdd
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
-from tests.core.generated_dictionaries import descriptions, values_of
+from canopen_proto.testing.strategies import damaged_texts, device_descriptions, values
 from tests.data.test_eds_writer import SAMPLE
 from tests.examples import examples
 from tests.vendor_files import INI_NAMES, XDD_NAMES, load, needs_vendor_files
@@ -29,7 +29,7 @@ def facts(description: DeviceDescription) -> dict[str, Any]:
     return {name: getattr(description, name) for name in names} | {"objects": dict(description.dictionary.objects)}
 
 
-@given(descriptions())
+@given(device_descriptions())
 @examples(25)
 def test_a_generated_description(described: DeviceDescription) -> None:
     written = write_eds(described)
@@ -38,7 +38,7 @@ def test_a_generated_description(described: DeviceDescription) -> None:
     assert write_eds(again) == written
 
 
-@given(descriptions(FileKind.DCF), descriptions(FileKind.DCF))
+@given(device_descriptions(FileKind.DCF), device_descriptions(FileKind.DCF))
 @examples(15)
 def test_one_description_in_the_form_of_another(described: DeviceDescription, other: DeviceDescription) -> None:
     """A file that has nothing to do with what it is to say: then everything changes, and nothing is lost."""
@@ -52,38 +52,20 @@ def test_one_description_in_the_form_of_another(described: DeviceDescription, ot
 @st.composite
 def _settings_of(draw: st.DrawFn, dictionary: ObjectDictionary) -> dict[int, Value]:
     chosen = draw(st.lists(st.sampled_from(list(dictionary)), max_size=4)) if len(dictionary) else []
-    return {variable.mux: draw(values_of(variable.data_type)) for variable in chosen}
+    return {variable.mux: draw(values(variable.data_type, in_file=True)) for variable in chosen}
 
 
 @given(st.data())
 @examples(15)
 def test_a_dcf_of_a_generated_eds(data: st.DataObject) -> None:
-    eds = read_eds(write_eds(data.draw(descriptions(FileKind.EDS))))
+    eds = read_eds(write_eds(data.draw(device_descriptions(FileKind.EDS))))
     dcf = with_configured(eds, data.draw(_settings_of(eds.dictionary)), Commissioning(node_id=7))
     again = read_eds(write_eds(dcf))
     assert facts(again) == facts(dcf)
     assert facts(read_eds(write_eds(again, FileKind.EDS))) == facts(eds)
 
 
-@st.composite
-def _damaged(draw: st.DrawFn) -> str:
-    """A file in which lines are lost, doubled, cut off, swapped, or have other characters."""
-    lines = SAMPLE.split("\n")
-    place = st.integers(0, len(lines) - 1)
-    for at, other, what in draw(st.lists(st.tuples(place, place, st.integers(0, 5)), min_size=1, max_size=8)):
-        line = lines[at]
-        lines[at] = (
-            "",
-            f"{line}\n{lines[other]}",
-            line.upper(),
-            line[: len(line) // 2],
-            line.replace("=", "= $", 1),
-            line.replace("0", "x", 1),
-        )[what]
-    return "\n".join(lines)
-
-
-@given(_damaged(), st.data())
+@given(damaged_texts(SAMPLE), st.data())
 @examples(40)
 def test_a_damaged_file(text: str, data: st.DataObject) -> None:
     """Faults that nobody touched stay; what is set besides is read again."""

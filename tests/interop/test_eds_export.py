@@ -18,7 +18,7 @@ from canopen_proto.datatypes import DataType, Value, is_integer, is_signed
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import Shape
-from tests.core.generated_dictionaries import descriptions
+from canopen_proto.testing.strategies import device_descriptions
 from tests.examples import examples
 
 NODE_ID = 5
@@ -76,7 +76,7 @@ def test_the_product_s_csv_files() -> None:
     compare_all(describe(dictionary))
 
 
-@given(descriptions())
+@given(device_descriptions())
 @examples(15)
 def test_generated_descriptions(described: DeviceDescription) -> None:
     described = DeviceDescription(

@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.dictionary import ObjectDictionary
-from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.observer import RULES, Observer
+from canopen_proto.testing.strategies import near_valid_frames, random_frames
 from tests.examples import examples
 from tests.interop.recorded import load, needs_recordings
 from tests.observer.test_decoding import DICTIONARY, U8, U32, obj
@@ -218,15 +219,7 @@ def test_recorded_sessions(name: str, expected: list[str]) -> None:
         assert found[0][0].text.startswith("084#3081")
 
 
-FRAMES = st.builds(
-    Frame,
-    st.one_of(st.integers(0, 0x7FF), st.sampled_from([0, 0x80, 0x185, 0x205, 0x585, 0x605, 0x705])),
-    st.binary(max_size=8),
-    st.sampled_from([0, 0, 0, 0, REMOTE, EXTENDED]),
-)
-
-
-@given(st.lists(st.tuples(FRAMES, st.integers(0, SECOND)), max_size=40))
+@given(st.lists(st.tuples(near_valid_frames() | random_frames(), st.integers(0, SECOND)), max_size=40))
 @examples(150)
 def test_any_frames_are_observed_and_nothing_grows(entries: list[tuple[Frame, int]]) -> None:
     bus = Bus(bitrate=500_000)

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import Frame
+from canopen_proto.testing.strategies import random_frames
 from canopen_transports.candump_text import NotAFrameError, parse_line
 from canopen_transports.record import Record
-from tests.transports.test_tcp_framing import frames
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_lines_of_something_else(line: str) -> None:
     assert not isinstance(seen.value, NotAFrameError)
 
 
-@given(frames, st.booleans(), st.integers(0, 10**10))
+@given(random_frames(), st.booleans(), st.integers(0, 10**10))
 def test_a_shown_line_is_the_frame_that_it_shows(frame: Frame, sent: bool, microseconds: int) -> None:
     identifier, _, data = str(frame).partition("#")
     shown = "remote request" if data.startswith("R") else " ".join(f"{byte:02X}" for byte in frame.data)

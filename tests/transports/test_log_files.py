@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_proto.frame import REMOTE, Frame
+from canopen_proto.testing.strategies import random_frames
 from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.log_files import LOSSES, CandumpWriter, LogFileError, LogReader, kind_of, log_writer
 from canopen_transports.record import Record
 from tests.examples import examples
 from tests.interop.recorded import FOLDER, needs_recordings
-from tests.transports.test_tcp_framing import frames
 
 NOW = 1_795_225_377_712_132_000
 
@@ -126,7 +126,11 @@ def test_a_name_that_is_no_text_does_not_disturb(tmp_path: Path) -> None:
     assert [record.frame for record in written(path, RECORDS[:3])] == [record.frame for record in RECORDS[:3]]
 
 
-@given(st.lists(st.tuples(st.integers(0, 4 * 10**18), st.sampled_from(["", "can0", "tcp0"]), frames, st.booleans()), max_size=9))
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 4 * 10**18), st.sampled_from(["", "can0", "tcp0"]), random_frames(), st.booleans()), max_size=9
+    )
+)
 @examples(40)
 def test_a_log_of_ours_keeps_all(entries: list[tuple[int, str, Frame, bool]]) -> None:
     path = Path(os.environ["PYTEST_LOG_FILE"])

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canopen_proto.frame import EXTENDED, REMOTE, Frame
+from canopen_proto.frame import Frame
+from canopen_proto.testing.strategies import random_frames
 from canopen_transports.conformance.frames import EVERY_KIND
 from canopen_transports.tcp.framing import (
     MAX_LINE,
@@ -24,13 +25,6 @@ from canopen_transports.tcp.framing import (
     shown,
 )
 from canopen_transports.tcp.outgoing import Outgoing
-
-identifiers = st.one_of(st.tuples(st.integers(0, 0x7FF), st.just(0)), st.tuples(st.integers(0, 0x1FFFFFFF), st.just(EXTENDED)))
-data_frames = st.builds(lambda identifier, data: Frame(identifier[0], data, identifier[1]), identifiers, st.binary(max_size=8))
-remote_frames = st.builds(
-    lambda identifier, dlc: Frame(identifier[0], b"", identifier[1] | REMOTE, dlc), identifiers, st.integers(0, 8)
-)
-frames = st.one_of(data_frames, remote_frames)
 
 
 def in_chunks(data: bytes, cuts: list[int]) -> list[bytes]:
@@ -52,7 +46,7 @@ def test_every_kind_of_frame_comes_out_as_it_went_in(frame: Frame) -> None:
     assert decode(line[:-1]) == frame
 
 
-@given(st.lists(frames, max_size=20), st.lists(st.integers(0, 600), max_size=20))
+@given(st.lists(random_frames(), max_size=20), st.lists(st.integers(0, 600), max_size=20))
 def test_frames_survive_any_cutting(sent: list[Frame], cuts: list[int]) -> None:
     assert [decode(line) for line in lines_of(in_chunks(b"".join(map(encode, sent)), cuts))] == sent
 
