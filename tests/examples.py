@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 SAME = "same"
 """The profile of tests/conftest.py for every day: the same examples each time, and few of them."""
@@ -12,18 +12,21 @@ PART = 5
 """Every day the number of examples is divided by this, down to `least` of them."""
 
 
-def examples(count: int, *, steps: int = 50, least: int = PART, part: int = PART) -> settings:
+def examples(count: int, *, steps: int = 50, least: int = PART, part: int = PART, explain: bool = True) -> settings:
     """Settings for so many examples (of so many steps, where each is a run of a state machine); see SAME and FULL.
 
     least: every day too, where fewer would miss a planted bug (fuzz/). part: in place of PART, where one example takes a second.
+    explain: False where a test fails on purpose: Hypothesis then does not look for the lines that explain it.
+
     Under another profile, such as `search`, the number is that of the profile: nothing here keeps a search small.
     """
     profile = settings.get_current_profile_name()
     if profile == SAME:
         count = min(count, max(count // part, least))
+    phases = [phase for phase in Phase if explain or phase is not Phase.explain]
     if profile in (SAME, FULL):
-        return settings(max_examples=count, stateful_step_count=steps)
-    return settings(stateful_step_count=steps)
+        return settings(max_examples=count, stateful_step_count=steps, phases=phases)
+    return settings(stateful_step_count=steps, phases=phases)
 
 
 def takes_all() -> bool:

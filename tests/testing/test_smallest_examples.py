@@ -18,11 +18,13 @@ from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object
 from canopen_proto.dictionary.concise import from_concise
 from canopen_proto.frame import Frame
-from canopen_proto.machine import Outbox
+from canopen_proto.machine import SECOND, Outbox
 from canopen_proto.nmt import NmtCommand, NmtState, Service, target_of
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
+from canopen_proto.testing import World
+from canopen_proto.testing.faults import Fault
 from canopen_proto.testing.strategies import (
     NmtOrder,
     PlannedDevice,
@@ -30,6 +32,7 @@ from canopen_proto.testing.strategies import (
     concise_dcfs,
     drive_behaviours,
     eds_texts,
+    fault_plans,
     frames,
     near_valid_frames,
     networks,
@@ -40,6 +43,7 @@ from canopen_proto.testing.strategies import (
     sdo_conversations,
     values,
 )
+from tests.core.devices import io_device
 from tests.docs_build import DOCS
 from tests.examples import examples
 
@@ -162,6 +166,17 @@ def enabled_at_once(settings: DriveSettings) -> bool:
     return isinstance(status, bytes) and status[0] & 0x6F == 0x27
 
 
+def hangs(plan: list[Fault]) -> bool:
+    """Reads an object of node 5 by hand, and waits for the answer as long as it takes."""
+    world, heard = World(faults=plan), list[str]()
+    reader = world.listener(lambda frame, now: heard.append(str(frame)))
+    world.device(io_device(), 5)
+    world.advance(6 * SECOND)
+    world.send(reader, Frame.parse("605#4000100000000000"))
+    world.advance(6 * SECOND)
+    return not any(each.startswith("585#") for each in heard)
+
+
 def raises(call: Callable[[Any], object]) -> Callable[[Any], bool]:
     def shows(example: Any) -> bool:
         try:
@@ -233,6 +248,12 @@ PLANTED = {
         networks(),
         lambda network: supervised(network) != {each.node_id for each in network},
         lambda network: "devices " + " and ".join(str(each.node_id) for each in network),
+        len,
+    ),
+    "an answer always comes": Planted(
+        fault_plans([5]),
+        hangs,
+        lambda plan: " and ".join(f"{type(fault).__name__} {getattr(fault, 'on', None)}, nth={fault.nth}" for fault in plan),
         len,
     ),
     "a drive acts at once": Planted(

@@ -6,6 +6,7 @@ import inspect
 import os
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 from hypothesis import find, given
@@ -22,13 +23,16 @@ from canopen_proto.dictionary import Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.concise import from_concise
 from canopen_proto.frame import COB_ID_EXTENDED, Frame
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import MILLISECOND, SECOND, Outbox
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbox
 from canopen_proto.nmt import NmtState, Service
 from canopen_proto.observer.observer import Observer
 from canopen_proto.pdo.mapping import MAX_BITS, Mapping
+from canopen_proto.procedures.objects import UnexpectedLength
+from canopen_proto.procedures.steps import SdoFailed
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_proto.testing import strategies
+from canopen_proto.testing.faults import Fault
 from canopen_proto.testing.strategies import (
     NmtOrder,
     PlannedDevice,
@@ -39,6 +43,7 @@ from canopen_proto.testing.strategies import (
     device_dictionaries,
     drive_behaviours,
     eds_texts,
+    fault_plans,
     frames,
     near_valid_frames,
     networks,
@@ -50,10 +55,13 @@ from canopen_proto.testing.strategies import (
     values,
     variables,
 )
+from canopen_proto.testing.strategies.faults import ALL_FAULTS
+from canopen_proto.testing.world import World
+from tests.core.devices import io_device
 from tests.examples import examples
 
 ALL = [name for name in strategies.__all__ if not inspect.isclass(getattr(strategies, name))]
-ARGUMENTS = {"values": (DataType.INTEGER16,), "damaged_texts": ("[FileInfo]\nFileVersion=1",)}
+ARGUMENTS = {"fault_plans": ([5, 6],), "values": (DataType.INTEGER16,), "damaged_texts": ("[FileInfo]\nFileVersion=1",)}
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -225,6 +233,24 @@ def test_the_devices_of_a_network_have_different_node_ids_and_boot(network: tupl
 @given(nmt_sequences(min_size=1))
 def test_an_nmt_order_is_a_frame(sequence: list[NmtOrder]) -> None:
     assert all(order.frame.data == bytes((order.command, order.node_id)) for order in sequence)
+
+
+@given(fault_plans([5, 6], kinds=ALL_FAULTS))
+@examples(60)
+def test_a_world_takes_each_plan_of_faults(plan: list[Fault]) -> None:
+    world = World(faults=plan)
+    for node_id in (5, 6):
+        world.device(io_device(node_id), node_id)
+    with suppress(SdoFailed, UnexpectedLength, LocalProtocolError):
+        world.master().read(5, 0x1000)
+    world.advance(6 * SECOND)
+    assert len(world.bus().trace) >= 1
+
+
+def test_no_plan_without_nodes_or_kinds() -> None:
+    for wrong in ([], [5]):
+        with pytest.raises(InvalidArgument, match="name kinds, such as Lose, and nodes"):
+            fault_plans(wrong, kinds=() if wrong else ALL_FAULTS)
 
 
 DRAWING = """

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import inspect
 import re
+from unittest import TestCase
 
 import pytest
 
 from canopen_proto.testing import strategies
 from tests.docs_build import DOCS
+from tests.examples import examples
 
 PAGE = (DOCS / "strategies.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
@@ -19,10 +21,14 @@ NAMES = [name for name in strategies.__all__ if not inspect.isclass(getattr(stra
 def test_each_example_runs(number: int) -> None:
     names: dict[str, object] = {"__name__": f"example_{number}"}
     exec(compile(BLOCKS[number], f"strategies.md, block {number}", "exec"), names)
-    tests = [each for name, each in names.items() if name.startswith("test_") and callable(each)]
+    tests = [each for name, each in names.items() if name.startswith(("test_", "Test")) and callable(each)]
     assert tests
     for each in tests:
-        each()
+        if isinstance(each, type) and issubclass(each, TestCase):
+            each.settings = examples(10, steps=20)  # type: ignore[attr-defined]
+            each("runTest").debug()
+        else:
+            each()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -138,7 +138,7 @@ class PlannedDevice:
     drive: DriveSettings | None = None
 
     def make(self, out: Outbox) -> LocalNode:
-        """Return the device, to be attached to a Network or a World. It is not booted."""
+        """Return the device: to be attached to a Network, or for `World.device(planned.make)`. It is not booted."""
         if self.drive is not None:
             return DriveNode(out, self.node_id, self.drive)
         return LocalNode(out, self.node_id, self.dictionary)
