@@ -41,6 +41,8 @@ if hasattr(providers, "_get_local_constants"):  # there is no setting for it
     providers._get_local_constants = lambda: NO_CONSTANTS
 
 
+collect_ignore = ["sample_project"]
+"""A project of its own: tests/testing/test_sample_project.py runs it."""
 FEW = 10
 """So many new files are compiled by each worker sooner than by a process that does nothing else."""
 MEASURED = 0.2

@@ -27,8 +27,8 @@ from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Outbo
 from canopen_proto.nmt import NmtState, Service
 from canopen_proto.observer.observer import Observer
 from canopen_proto.pdo.mapping import MAX_BITS, Mapping
-from canopen_proto.procedures.objects import UnexpectedLength
-from canopen_proto.procedures.steps import SdoFailed
+from canopen_proto.procedures.objects import UnexpectedLengthError
+from canopen_proto.procedures.steps import SdoTransferError
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_proto.testing import strategies
@@ -241,7 +241,7 @@ def test_a_world_takes_each_plan_of_faults(plan: list[Fault]) -> None:
     world = World(faults=plan)
     for node_id in (5, 6):
         world.device(io_device(node_id), node_id)
-    with suppress(SdoFailed, UnexpectedLength, LocalProtocolError):
+    with suppress(SdoTransferError, UnexpectedLengthError, LocalProtocolError):
         world.master().read(5, 0x1000)
     world.advance(6 * SECOND)
     assert len(world.bus().trace) >= 1

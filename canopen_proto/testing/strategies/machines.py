@@ -26,7 +26,7 @@ from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtCommand, NmtState, target_of
 from canopen_proto.observer.observer import RULES
 from canopen_proto.procedures.objects import read
-from canopen_proto.procedures.steps import Procedure, SdoFailed, download
+from canopen_proto.procedures.steps import Procedure, SdoTransferError, download
 from canopen_proto.testing.faults import Fault, Pause, Reset
 from canopen_proto.testing.patterns import boot_up
 from canopen_proto.testing.strategies.devices import PlannedDevice, networks
@@ -78,7 +78,8 @@ class MasterAgainstDevice(RuleBasedStateMachine):
         self.join(self.world)
         self.master = self.world.master()
         self.master.node(self.node_id, self.dictionary)
-        self.world.run_until(boot_up(self.node_id), BOOT_TIME)
+        if not self.world.bus().trace:  # one that the world has made is on the bus already
+            self.world.run_until(boot_up(self.node_id), BOOT_TIME)
 
     @rule(command=st.sampled_from(NmtCommand), to_all=st.booleans())
     def command(self, command: NmtCommand, to_all: bool) -> None:
@@ -149,7 +150,7 @@ class MasterAgainstDevice(RuleBasedStateMachine):
         """Return what a request brought, or the refusal of the device. Anything else is an error."""
         try:
             return self.master.run(procedure)
-        except SdoFailed as failure:
+        except SdoTransferError as failure:
             assert failure.origin is AbortOrigin.PEER, f"{failure}"
             return failure
 

@@ -1,0 +1,135 @@
+"""tests/sample_project, a user's project: its tests find each of twenty bugs that users write, and nothing in the right programs.
+
+Each bug is planted in a copy of the project, by a piece of source that is replaced. Its tests run there as a user runs them: by
+`pytest`, with what is installed, without our settings and our conftest. Each test runs with SEEDS seeds.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from tests.examples import takes_all
+
+PROJECT = Path(__file__).parents[1] / "sample_project"
+SEEDS = 50 if takes_all() else 2
+AT_ONCE = 2
+pytestmark = pytest.mark.timeout(7200 if takes_all() else 600)  # the first test waits for all runs
+
+
+class Bug(NamedTuple):
+    """In a file of the package `plant`: old becomes new."""
+
+    file: str
+    old: str
+    new: str
+
+
+BUGS = {
+    "it is started before it is configured": Bug(
+        "configure",
+        "    await map_temperature(node)\n    await node.start()\n",
+        "    await node.start()\n    await map_temperature(node)\n",
+    ),
+    "a PDO is mapped while it is enabled": Bug("configure", "    await node.write((0x1800, 1), cob_id | OFF)\n", ""),
+    "a PDO is left disabled": Bug("configure", "    await node.write((0x1800, 1), cob_id)\n", ""),
+    "whatever answers is taken for the device": Bug("configure", "    if vendor != VENDOR:\n", "    if not vendor:\n"),
+    "a heartbeat in seconds": Bug("configure", "HEARTBEAT = 200  # ms", "HEARTBEAT = 2  # s"),
+    "an emergency is lost between two reads": Bug("supervisor", "self.errors.append(code)", "self.errors[:] = [code]"),
+    "the end of an error is taken for an error": Bug(
+        "supervisor", "case EmcyReceived(code=code) if code:", "case EmcyReceived(code=code):"
+    ),
+    "the heartbeat consumer is shorter than the producer": Bug("supervisor", "PATIENCE = 0.5  # s", "PATIENCE = 0.15  # s"),
+    "a node that boots again is not started": Bug(
+        "supervisor", "                        await self.prepare()\n", "                        pass\n"
+    ),
+    "a segment does not toggle": Bug("thermometer", "        self.toggle ^= 0x10\n", ""),
+    "wrong byte order": Bug(
+        "thermometer", 'self.tenths.to_bytes(2, "little", signed=True)', 'self.tenths.to_bytes(2, "big", signed=True)'
+    ),
+    "stopped, it answers SDO": Bug("thermometer", " and self.state != STOPPED:", ":"),
+    "no abort for an object that is not there": Bug(
+        "thermometer",
+        'return b"\\x80" + request[1:4] + NO_SUCH_OBJECT.to_bytes(4, "little")',
+        'return b"\\x43" + request[1:4] + bytes(4)',
+    ),
+    "no boot-up after a reset": Bug("thermometer", "            self.reset()\n", "            self.state = PRE_OPERATIONAL\n"),
+    "a PDO in pre-operational": Bug("thermometer", "if self.state == OPERATIONAL:", "if self.state != STOPPED:"),
+    "a set-point without a look at its acknowledgement": Bug(
+        "mover", "    await wait_for(node, ACKNOWLEDGED, ACKNOWLEDGED, 2)\n", ""
+    ),
+    "the new set-point bit stays": Bug(
+        "mover", '    await node.write("controlword", 0x0F)\n    await wait_for(node, ACKNOWLEDGED, 0, 2)\n', ""
+    ),
+    "a fault is not looked at": Bug("mover", "if status & FAULT:", "if False:"),
+    "the drive keeps its power": Bug("mover", '            await node.write("controlword", 0x00)\n', "            pass\n"),
+    "a wait without a time-out": Bug("mover", "    with trio.fail_after(timeout):\n", "    if timeout:\n"),
+    "no time-out of SDO": Bug("reader", "self.bus.recv(TIMEOUT)", "self.bus.recv()"),
+    "an abort is taken for data": Bug("reader", "if answer[0] == 0x80:", "if False:"),
+    "the toggle bit is ignored": Bug("reader", "if answer[0] & 0x10 != toggle:", "if False:"),
+}
+RIGHT = "the right programs"
+
+
+def run(folder: Path, bug: Bug | None) -> subprocess.CompletedProcess[str]:
+    """Run the tests of a copy; those of the program with the bug, or all."""
+    shutil.copytree(PROJECT, folder)
+    tests = ["tests"]
+    if bug is not None:
+        source = folder / "plant" / f"{bug.file}.py"
+        text = source.read_text(encoding="utf-8")
+        assert text.count(bug.old) == 1, bug
+        source.write_text(text.replace(bug.old, bug.new), encoding="utf-8")
+        tests = [f"tests/test_{bug.file}.py"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tb=short", f"--seeds={SEEDS}", *tests]
+    user = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "COV", "HYPOTHESIS"))}
+    return subprocess.run(command, cwd=folder, env=user, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Future[subprocess.CompletedProcess[str]]]:
+    """Of each bug, and of the right programs: what pytest said."""
+    folder = tmp_path_factory.mktemp("plants")
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        return {
+            name: pool.submit(run, folder / f"plant{number}", bug)
+            for number, (name, bug) in enumerate({RIGHT: None, **BUGS}.items())
+        }
+
+
+def test_the_right_programs_pass_with_each_seed(runs: dict[str, Future[subprocess.CompletedProcess[str]]]) -> None:
+    done = runs[RIGHT].result()
+    assert done.returncode == 0, done.stdout
+    passed = re.search(r"(\d+) passed", done.stdout)
+    assert passed is not None
+    assert int(passed[1]) % SEEDS == 0
+    assert "failed" not in done.stdout
+
+
+@pytest.mark.parametrize("name", BUGS)
+def test_a_bug_is_found_with_each_seed(name: str, runs: dict[str, Future[subprocess.CompletedProcess[str]]]) -> None:
+    done = runs[name].result()
+    assert done.returncode == 1, done.stdout  # tests failed; not: nothing was collected
+    found = {int(seed) for seed in re.findall(r"^FAILED \S*\[(\d+)\]", done.stdout, re.MULTILINE)}
+    assert found == {*range(SEEDS)}, done.stdout
+
+
+def test_there_are_twenty_bugs_in_five_programs_and_tests_of_a_few_lines() -> None:
+    assert len(BUGS) >= 20
+    assert {bug.file for bug in BUGS.values()} == {path.stem for path in (PROJECT / "plant").glob("[a-z]*.py")}
+    for path in (PROJECT / "tests").glob("test_*.py"):
+        for test in re.split(r"\n(?=(?:async )?def test_|@pytest.mark)", path.read_text(encoding="utf-8")):
+            assert test.startswith(("import", "@", '"')) or len([line for line in test.splitlines() if line.strip()]) <= 15, test
+
+
+def test_the_project_has_nothing_of_our_tests() -> None:
+    for path in PROJECT.rglob("*.py"):
+        assert not re.search(r"^(from|import) (tests|fuzz)\b", path.read_text(encoding="utf-8"), re.MULTILINE)
