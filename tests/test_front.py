@@ -25,7 +25,7 @@ import canopen_testing
 import canopen_transports
 from canopen_proto.drives import axis as drive
 from tests import user_example, user_mistakes
-from tests.testing import typed_suite
+from tests.testing import typed_strategies, typed_suite
 
 LAZY = [canopen_proto, canopen_proto.procedures, canopen_proto.testing, canopen_master, canopen_testing, canopen_transports]
 
@@ -101,9 +101,9 @@ def test_what_a_user_writes_passes_mypy_strict_and_mistakes_do_not(pytestconfig:
     cache = getattr(pytestconfig, "cache", None)  # there is none with `-p no:cacheprovider`
     place = cache.mkdir("mypy") if cache else tmp_path
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={place}"]
-    command += [user_example.__file__, user_mistakes.__file__, typed_suite.__file__]
+    command += [user_example.__file__, user_mistakes.__file__, typed_suite.__file__, typed_strategies.__file__]
     done = subprocess.run(command, capture_output=True, text=True, timeout=590, check=False, cwd=place)
-    assert (done.stdout, done.stderr) == ("Success: no issues found in 3 source files\n", "")
+    assert (done.stdout, done.stderr) == ("Success: no issues found in 4 source files\n", "")
 
 
 def test_each_procedure_that_the_text_of_drive_lists_is_there() -> None:
