@@ -11,8 +11,8 @@ from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.nmt import NmtState
 from canopen_proto.observer.bus_view import MAX_EMERGENCIES, MAX_ERRORS, MAX_FINDINGS, MAX_INTERVALS, BusFigures, BusView
 from canopen_proto.observer.observer import Observer
+from canopen_proto.testing.strategies import near_valid_frames, random_frames
 from tests.examples import examples
-from tests.observer.test_observer import FRAMES
 
 
 class Watched:
@@ -133,7 +133,7 @@ def test_findings() -> None:
     assert [(time // MILLISECOND, finding.node_id) for time, finding in figures.findings] == [(10, 0), (20, 0), (30, 5)]
 
 
-@given(st.lists(st.tuples(FRAMES, st.integers(0, SECOND)), max_size=40))
+@given(st.lists(st.tuples(near_valid_frames() | random_frames(), st.integers(0, SECOND)), max_size=40))
 @examples(100)
 def test_any_frames_are_counted_and_nothing_grows(entries: list[tuple[Frame, int]]) -> None:
     observer, view, now = Observer(), BusView(bitrate=500_000), 0

@@ -9,8 +9,8 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.observer.observer import Observer
 from canopen_proto.observer.story import KINDS, MAX_KINDS, Story
+from canopen_proto.testing.strategies import near_valid_frames, random_frames
 from tests.examples import examples
-from tests.observer.test_observer import FRAMES
 
 STATUSWORDS = ["605#40001A0000000000", "585#4F001A0001000000", "605#40001A0100000000", "585#43001A0110004160"]
 """The mapping of TPDO 1 of node 5 is read: 0x6041."""
@@ -83,7 +83,7 @@ def test_aborts_are_told_by_kind() -> None:
     assert len(heard.tells("605#4000200000000000", "585#8000200011000906")) == 1
 
 
-@given(st.lists(st.tuples(FRAMES, st.integers(0, SECOND)), max_size=60))
+@given(st.lists(st.tuples(near_valid_frames() | random_frames(), st.integers(0, SECOND)), max_size=60))
 @examples(60)
 def test_any_frames_are_told_of_and_nothing_grows(entries: list[tuple[Frame, int]]) -> None:
     story, observer, now = Story(), Observer(), 0
