@@ -11,7 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -76,10 +76,18 @@ BUGS = {
     "an abort is taken for data": Bug("reader", "if answer[0] == 0x80:", "if False:"),
     "the toggle bit is ignored": Bug("reader", "if answer[0] & 0x10 != toggle:", "if False:"),
 }
-RIGHT = "the right programs"
+RIGHT, AGAIN = "the right programs", "the right programs, with another hash seed"
 
 
-def run(folder: Path, bug: Bug | None) -> subprocess.CompletedProcess[str]:
+class Run(NamedTuple):
+    """What pytest said, and the traffic of each test: the name of a file and its bytes."""
+
+    status: int
+    said: str
+    traffic: dict[str, bytes]
+
+
+def run(folder: Path, bug: Bug | None, hash_seed: int) -> Run:
     """Run the tests of a copy; those of the program with the bug, or all."""
     shutil.copytree(PROJECT, folder)
     tests = ["tests"]
@@ -89,37 +97,55 @@ def run(folder: Path, bug: Bug | None) -> subprocess.CompletedProcess[str]:
         assert text.count(bug.old) == 1, bug
         source.write_text(text.replace(bug.old, bug.new), encoding="utf-8")
         tests = [f"tests/test_{bug.file}.py"]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tb=short", f"--seeds={SEEDS}", *tests]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "--tb=short",
+        f"--seeds={SEEDS}",
+        "--canopen-trace=traffic",
+        *tests,
+    ]
     user = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "COV", "HYPOTHESIS"))}
-    return subprocess.run(command, cwd=folder, env=user, capture_output=True, text=True, check=False)
+    user["PYTHONHASHSEED"] = str(hash_seed)
+    done = subprocess.run(command, cwd=folder, env=user, capture_output=True, text=True, check=False)
+    return Run(done.returncode, done.stdout, {path.name: path.read_bytes() for path in (folder / "traffic").glob("*.log")})
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Future[subprocess.CompletedProcess[str]]]:
-    """Of each bug, and of the right programs: what pytest said."""
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
+    """Of each bug, and of the right programs."""
     folder = tmp_path_factory.mktemp("plants")
+    plans = {RIGHT: None, AGAIN: None, **BUGS}
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        return {
-            name: pool.submit(run, folder / f"plant{number}", bug)
-            for number, (name, bug) in enumerate({RIGHT: None, **BUGS}.items())
-        }
+        folders = [folder / f"plant{number}" for number in range(len(plans))]
+        return dict(zip(plans, pool.map(run, folders, plans.values(), range(len(plans))), strict=True))
 
 
-def test_the_right_programs_pass_with_each_seed(runs: dict[str, Future[subprocess.CompletedProcess[str]]]) -> None:
-    done = runs[RIGHT].result()
-    assert done.returncode == 0, done.stdout
-    passed = re.search(r"(\d+) passed", done.stdout)
-    assert passed is not None
-    assert int(passed[1]) % SEEDS == 0
-    assert "failed" not in done.stdout
+def test_the_right_programs_pass_with_each_seed(runs: dict[str, Run]) -> None:
+    for done in (runs[RIGHT], runs[AGAIN]):
+        assert done.status == 0, done.said
+        passed = re.search(r"^(\d+) passed in", done.said, re.MULTILINE)
+        assert passed is not None
+        assert int(passed[1]) % SEEDS == 0
+
+
+def test_each_seed_gives_the_same_traffic_in_each_process_and_with_any_hash_seed(runs: dict[str, Run]) -> None:
+    traffic = runs[RIGHT].traffic
+    assert len(traffic) >= 19 * SEEDS
+    assert sum(map(len, traffic.values())) > 100_000
+    assert traffic == runs[AGAIN].traffic
 
 
 @pytest.mark.parametrize("name", BUGS)
-def test_a_bug_is_found_with_each_seed(name: str, runs: dict[str, Future[subprocess.CompletedProcess[str]]]) -> None:
-    done = runs[name].result()
-    assert done.returncode == 1, done.stdout  # tests failed; not: nothing was collected
-    found = {int(seed) for seed in re.findall(r"^FAILED \S*\[(\d+)\]", done.stdout, re.MULTILINE)}
-    assert found == {*range(SEEDS)}, done.stdout
+def test_a_bug_is_found_with_each_seed(name: str, runs: dict[str, Run]) -> None:
+    done = runs[name]
+    assert done.status == 1, done.said  # tests failed; not: nothing was collected
+    found = {int(seed) for seed in re.findall(r"^FAILED \S*\[(\d+)\]", done.said, re.MULTILINE)}
+    assert found == {*range(SEEDS)}, done.said
 
 
 def test_there_are_twenty_bugs_in_five_programs_and_tests_of_a_few_lines() -> None:

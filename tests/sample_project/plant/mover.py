@@ -40,7 +40,7 @@ async def move(node: Node, target: int) -> None:
     await wait_for(node, ACKNOWLEDGED, ACKNOWLEDGED, 2)
     await node.write("controlword", 0x0F)
     await wait_for(node, ACKNOWLEDGED, 0, 2)
-    await wait_for(node, REACHED, REACHED, 30)
+    await wait_for(node, REACHED, REACHED, 10)
 
 
 async def run(node: Node, targets: Sequence[int]) -> None:

@@ -7,7 +7,7 @@ from canopen_proto.testing import Copy, Lose, sdo_answer
 
 @pytest.fixture
 def reader(sim_node, canopen_world):
-    sim_node("sample_io.eds", node_id=5)
+    sim_node("sample_io.eds", node_id=5).set_value(0x1017, 0, 60_000, canopen_world.now)  # rare: so a wait for ever is short
     canopen_world.advance(1000)
     filters = [{"can_id": 0x585, "can_mask": 0x7FF, "extended": False}]
     with can.Bus(interface="canopen_world", channel="can0", can_filters=filters) as bus:
