@@ -256,11 +256,13 @@ def test_no_plan_without_nodes_or_kinds() -> None:
 DRAWING = """
 import sys, warnings
 warnings.simplefilter("ignore")  # an example outside of a test
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
+from tests import conftest  # the profile
+from tests.examples import examples
 from canopen_proto.testing import strategies
 from tests.testing.test_strategies import ALL, ARGUMENTS, shown
 for name in ALL:
-    @settings(max_examples=8, derandomize=True, database=None, deadline=None, suppress_health_check=[*HealthCheck])
+    @examples(8, least=8)
     @given(getattr(strategies, name)(*ARGUMENTS.get(name, ())))
     def draw(example):
         print(name, shown(example))
