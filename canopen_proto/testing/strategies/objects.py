@@ -108,8 +108,8 @@ def values(of: DataType | Variable, *, max_size: int = 12, in_file: bool = False
     if data_type in _TEXTS:
         if in_file:
             return texts(max_size).filter(bool)
-        most = 0xFF if data_type is DataType.VISIBLE_STRING else None
-        return st.text(st.characters(max_codepoint=most, exclude_categories=["Cs"]), max_size=max_size)
+        last = 0xFF if data_type is DataType.VISIBLE_STRING else None
+        return st.text(st.characters(max_codepoint=last, exclude_categories=["Cs"]), max_size=max_size)
     return st.binary(min_size=1 if in_file else 0, max_size=max_size)
 
 
