@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
+from tests.core.generated_dictionaries import descriptions
 
 from canopen_data.checks import check
 from canopen_data.describing import lists_of
@@ -17,7 +18,6 @@ from canopen_data.xdd import read_xdd
 from canopen_data.xdd.writer import write_xdd
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
-from tests.core.generated_dictionaries import descriptions
 from tests.examples import examples
 
 
