@@ -49,7 +49,7 @@ _MESSAGE: Final = struct.Struct("<HB5s")
 
 
 class EmcySent(Event):
-    """Our producer's emergency frame is in the outbox. The fields are those of EmcyReceived."""
+    """Our producer's emergency frame is in the outbox. code, error_register, vendor_data: as in EmcyReceived."""
 
     __slots__ = ("code", "error_register", "vendor_data")
     __match_args__ = ("node_id", "code", "error_register", "vendor_data")

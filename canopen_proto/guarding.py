@@ -120,7 +120,8 @@ class NodeGuardingRecovered(Event):
 
 
 class LifeGuardingLost(Event):
-    """Our own slave got no request within its node life time (ns). Once; LifeGuardingRecovered follows with the next request."""
+    """Our own slave got no request within its node life time. Once; LifeGuardingRecovered follows with the next request.
+    life_time: ns."""
 
     __slots__ = ("life_time",)
     __match_args__ = ("node_id", "life_time")

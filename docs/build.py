@@ -238,23 +238,12 @@ ARM_AXIS: Final = replace(
     AXIS, min_position=-170.0, max_position=170.0, max_acceleration=360.0, max_jerk=3600.0, unit=Unit.DEGREE
 )
 ARM_JOINT: Final = DriveSettings(position=0.0, track=Track(negative_limit=-180_000.0, positive_limit=180_000.0))
-ARM_NAMES: Final = """
-import contextlib, math
-import trio
-from canopen_data.path_file import read_path
-from canopen_master import Chain, MotionReplacedError, PathRefusedError, together
-from canopen_master.trajectories.through_points import through_points
-from canopen_proto.drives.trajectory import cubic, from_function
-"""
-"""The names that the blocks of the page find."""
-
 ArmExample = Callable[..., Awaitable[None]]
 
 
 def arm_examples() -> dict[str, ArmExample]:
     """Return the functions of the page that take chains, by their names; `begin` is for all of them."""
     scope: dict[str, Any] = {}
-    exec(ARM_NAMES, scope)
     code = "\n".join(re.findall(r"```python\n(.*?)```", ARM_PAGE.read_text(encoding="utf-8"), re.DOTALL))
     exec(compile(code, ARM_PAGE.name, "exec"), scope)
     return {name: scope[name] for name in re.findall(r"^async def (\w+)\(arm", code, re.MULTILINE)}

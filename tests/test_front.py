@@ -17,17 +17,25 @@ import pytest
 import trio
 import trio.testing
 
-import canopen_master
-import canopen_proto
-import canopen_proto.procedures
-import canopen_proto.testing
-import canopen_testing
-import canopen_transports
 from canopen_proto.drives import axis as drive
 from tests import user_example, user_mistakes
 from tests.testing import typed_strategies, typed_suite
 
-LAZY = [canopen_proto, canopen_proto.procedures, canopen_proto.testing, canopen_master, canopen_testing, canopen_transports]
+LAZY = [
+    importlib.import_module(name)
+    for name in (
+        *("canopen_proto", "canopen_proto.dictionary", "canopen_proto.drives", "canopen_proto.lss", "canopen_proto.manager"),
+        *(
+            "canopen_proto.observer",
+            "canopen_proto.pdo",
+            "canopen_proto.procedures",
+            "canopen_proto.sdo",
+            "canopen_proto.simulation",
+        ),
+        *("canopen_check", "canopen_proto.testing", "canopen_testing", "canopen_transports"),
+        *("canopen_master", "canopen_master.demonstration", "canopen_master.machine_file", "canopen_master.simulation"),
+    )
+]
 
 
 def seen_by_type_checkers(package: ModuleType) -> dict[str, str]:

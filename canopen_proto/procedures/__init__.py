@@ -5,8 +5,8 @@
     streams.py   read and write large objects piece by piece: firmware images, recordings
     objects.py   read and write a node's objects by name and value
 
-Import from here what your own procedures need; import a procedure of the product from its room: pdo/, lss/,
-manager/, drives/axis/.
+Import from here what your own procedures need; import a procedure of the product from its room: pdo, lss,
+manager, drives.
 """
 
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from canopen_proto.procedures.objects import read_if_present as read_if_present
     from canopen_proto.procedures.objects import read_int as read_int
     from canopen_proto.procedures.objects import write as write
+    from canopen_proto.procedures.runner import CleanUpTimeoutError as CleanUpTimeoutError
     from canopen_proto.procedures.runner import ProcedureCancelled as ProcedureCancelled
     from canopen_proto.procedures.runner import ProcedureFailed as ProcedureFailed
     from canopen_proto.procedures.runner import ProcedureFinished as ProcedureFinished

@@ -114,7 +114,7 @@ class SdoProgress(Event):
 
 
 class SdoChunk(SdoProgress):
-    """A piece of an upload stream, 1 to 889 bytes, `offset` bytes behind its beginning. `proceed` asks for the next one.
+    """A piece of an upload stream: `data`, 1 to 889 bytes, `offset` bytes behind its beginning. `proceed` asks for the next one.
 
     It counts only once SdoStreamUploaded has come: the checksum stands at the end of the transfer.
 

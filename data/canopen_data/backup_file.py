@@ -31,6 +31,8 @@ from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 from canopen_proto.manager.parameters.backup import Backup, Reading, ReadResult
 from canopen_proto.multiplexer import Mux, split_mux
 
+__all__ = ["BackupFile", "backup_file"]
+
 MAX_DESCRIPTION: Final = 243
 """Characters; CiA 306-1."""
 _DISTURBED: Final = "DISTURBED: another SDO client "

@@ -19,6 +19,8 @@ from typing import Final, Protocol
 from canopen_data.findings import Finding
 from canopen_proto.dictionary.model import ObjectDictionary
 
+__all__ = ["DeviceDescription", "DeviceInfo", "FileInfo", "FileKind"]
+
 BIT_RATES: Final = (10, 20, 50, 125, 250, 500, 800, 1000)
 """kbit/s: the bit rates that an EDS can name (CiA 306-1, DeviceInfo)."""
 

@@ -40,6 +40,8 @@ from canopen_proto.pdo.producer import FIRST_EVENT_DRIVEN, SYNCHRONOUS_ON_REQUES
 from canopen_proto.pdo.settings import COB_ID, TRANSMISSION_TYPE, communication_index, mapping_index, place_of
 from canopen_proto.sdo.channels import TO_CLIENT, TO_SERVER, SdoChannels, channel_of
 
+__all__ = ["Notice", "notices_of"]
+
 MAX_NOTICES: Final = 100
 """More than anybody reads. A file that is not an EDS at all could have one for each of its thousands of objects."""
 

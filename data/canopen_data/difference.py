@@ -21,6 +21,8 @@ from canopen_data.description import DeviceDescription
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import Object, ObjectDictionary, Variable
 
+__all__ = ["Change", "Difference", "compare", "compare_dictionaries"]
+
 
 class Change(StrEnum):
     """How the second description differs from the first in one thing."""

@@ -10,6 +10,8 @@ from typing import Final
 from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
 
+__all__ = ["DictionaryError", "Finding", "Severity"]
+
 MAX_SHOWN: Final = 10
 """Errors listed in the text of one exception. The rest is counted: a binary file read by mistake has thousands."""
 

@@ -12,6 +12,8 @@ from canopen_data.descriptions import read_file
 from canopen_data.findings import Severity
 from canopen_data.reading import read_description
 
+__all__ = ["DescriptionFile", "UnusableFileError", "open_description"]
+
 
 class UnusableFileError(DataError):
     """A file that a user named cannot be used. For the fields see Explained."""

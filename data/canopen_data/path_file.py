@@ -37,6 +37,8 @@ from canopen_proto.drives.trajectory.fitting import smoothed
 from canopen_proto.drives.trajectory.interpolation import cubic, linear, quintic
 from canopen_proto.drives.trajectory.path import TIME_TOLERANCE, Path, PathError
 
+__all__ = ["PathFile", "read_path", "write_path"]
+
 TIME: Final = "time"
 POSITION, VELOCITY, ACCELERATION = "position", "velocity", "acceleration"
 QUANTITIES: Final = (POSITION, VELOCITY, ACCELERATION)

@@ -13,6 +13,8 @@ from canopen_data.description import DeviceDescription
 from canopen_data.eds.reader import read_eds
 from canopen_data.xdd import read_xdd
 
+__all__ = ["read_description"]
+
 _BEFORE_XML: Final = b"\xef\xbb\xbf\xff\xfe\x00 \t\r\n"
 """Byte order marks, white space, and the zeros between them in UTF-16."""
 

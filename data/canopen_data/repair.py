@@ -36,6 +36,8 @@ from canopen_proto.dictionary.model import ObjectDictionary
 from canopen_proto.dictionary.objects import Access, Variable
 from canopen_proto.machine import LocalProtocolError
 
+__all__ = ["Repaired", "repair"]
+
 _COUNTS: Final = ("SupportedObjects", "SubNumber", "NrOfEntries", "Lines")
 _WRITTEN_DOWN: Final = ("ObjectType", "DataType", "AccessType")
 _NUMBERS: Final = ("ObjectType", "DataType", "LowLimit", "HighLimit", "DefaultValue", "ParameterValue", "PDOMapping", "ObjFlags")

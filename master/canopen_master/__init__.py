@@ -11,17 +11,24 @@ For scripts without async there is `canopen_master.direct`, the manual's blockin
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from canopen_master.claims.channel_claim import ChannelTakenError as ChannelTakenError
+    from canopen_master.commissioning import DriveCommissioning as DriveCommissioning
+    from canopen_master.commissioning import commissioned_machine as commissioned_machine
     from canopen_master.errors import BusError as BusError
     from canopen_master.errors import ChainError as ChainError
     from canopen_master.errors import ChainFaultError as ChainFaultError
     from canopen_master.errors import ChainFileError as ChainFileError
     from canopen_master.errors import ChainHaltedError as ChainHaltedError
+    from canopen_master.errors import DemonstrationRefusedError as DemonstrationRefusedError
+    from canopen_master.errors import DeviceRefusedError as DeviceRefusedError
     from canopen_master.errors import HaltNotConfirmedError as HaltNotConfirmedError
     from canopen_master.errors import MasterClosedError as MasterClosedError
     from canopen_master.errors import MasterError as MasterError
     from canopen_master.errors import MotionReplacedError as MotionReplacedError
     from canopen_master.errors import NodeError as NodeError
+    from canopen_master.errors import NodeIsNoDriveError as NodeIsNoDriveError
     from canopen_master.errors import NodeSilentError as NodeSilentError
+    from canopen_master.errors import NoDriveInFileError as NoDriveInFileError
     from canopen_master.errors import PackageMissingError as PackageMissingError
     from canopen_master.errors import PathRefusedError as PathRefusedError
     from canopen_master.errors import PlanRefusedError as PlanRefusedError
@@ -55,11 +62,13 @@ if TYPE_CHECKING:
     from canopen_master.motion.recording import Recorder as Recorder
     from canopen_master.motion.target_motion import Jog as Jog
     from canopen_master.motion.target_motion import Targets as Targets
+    from canopen_master.network_booting import boot_network as boot_network
     from canopen_master.node import Node as Node
     from canopen_master.node_pdos import PdoDiffers as PdoDiffers
     from canopen_master.participant.bus import BusChanged as BusChanged
     from canopen_master.participant.bus import FramesLost as FramesLost
     from canopen_master.participant.bus import FramesNotSent as FramesNotSent
+    from canopen_master.participant.dispatch import ProcedureTakenBackError as ProcedureTakenBackError
     from canopen_master.participant.patient_clock import PatientClock as PatientClock
     from canopen_master.participant.subscription import Subscription as Subscription
     from canopen_master.session import MasterSession as MasterSession
@@ -69,6 +78,9 @@ if TYPE_CHECKING:
     from canopen_master.simulation.host import powerballs as powerballs
     from canopen_master.simulation.host import simulate as simulate
     from canopen_master.simulation.host import standard_drives as standard_drives
+    from canopen_master.trajectories.point_to_point import point_to_point as point_to_point
+    from canopen_master.trajectories.target_stream import TargetStream as TargetStream
+    from canopen_master.trajectories.through_points import through_points as through_points
     from canopen_master.watchdog import NodeIdTakenError as NodeIdTakenError
     from canopen_master.watchdog import NotHeld as NotHeld
     from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL as SCHUNK_POWERBALL

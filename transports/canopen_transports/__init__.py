@@ -12,9 +12,15 @@ if TYPE_CHECKING:
     from canopen_transports.locator import Locator as Locator
     from canopen_transports.locator import parse_bitrate as parse_bitrate
     from canopen_transports.locator import parse_locator as parse_locator
+    from canopen_transports.log_files import LogFileError as LogFileError
+    from canopen_transports.log_files import LogReader as LogReader
+    from canopen_transports.log_files import log_writer as log_writer
     from canopen_transports.opening import OpenTransport as OpenTransport
     from canopen_transports.opening import open_transport as open_transport
     from canopen_transports.python_can import PythonCanTransport as PythonCanTransport
+    from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE as RECEIVE_QUEUE_SIZE
+    from canopen_transports.receive_queue import ReceiveQueue as ReceiveQueue
+    from canopen_transports.record import Record as Record
     from canopen_transports.replay import ReplayTransport as ReplayTransport
     from canopen_transports.tcp.client import TcpTransport as TcpTransport
     from canopen_transports.transport import BatchTransport as BatchTransport

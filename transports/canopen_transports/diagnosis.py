@@ -157,6 +157,12 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
     elif number == errno.EBUSY:
         cause = "another program uses the adapter"
         tries = [f"fuser -v {device}   (tells which)"] if device else ["close the other program"]
+    elif isinstance(error, AttributeError) and locator.interface == "socketcan":  # of Python's `socket`
+        seen, cause = f"this system ({sys.platform}) has no SocketCAN", "SocketCAN is a part of Linux"
+        tries = [
+            "the interface of your adapter, such as pcan:, kvaser: or slcan:",
+            "udp_multicast, or virtual: (no hardware needed)",
+        ]
     elif number in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT) and locator.interface == "socketcan":
         seen, cause = (
             f"this {sys.platform} kernel has no SocketCAN",

@@ -27,7 +27,7 @@ class Answer(NamedTuple):
 
 
 class AnswerDue(Event):
-    """The time of a delayed answer has come."""
+    """The time of a delayed answer has come. access: the one that waits for it."""
 
     __slots__ = ("access",)
 

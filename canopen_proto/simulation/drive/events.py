@@ -22,7 +22,7 @@ class DriveStateChanged(Event):
 
 
 class StatuswordChanged(Event):
-    """6041h now holds another value; the node sends the event-driven TPDOs that map it."""
+    """6041h now holds another value, `statusword`; the node sends the event-driven TPDOs that map it."""
 
     __slots__ = ("axis", "statusword")
     __match_args__ = ("node_id", "statusword", "axis")
@@ -72,7 +72,7 @@ class DriveFault(Event):
 
 
 class DriveFaultCleared(Event):
-    """A fault that DriveFault reported was reset."""
+    """A fault that DriveFault reported was reset. error_code: that of 603Fh and the EMCY."""
 
     __slots__ = ("axis", "error_code")
     __match_args__ = ("node_id", "error_code", "axis")

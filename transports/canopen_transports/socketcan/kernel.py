@@ -5,7 +5,6 @@ Their values hold on all architectures on which Linux runs CAN today, except the
 
 from __future__ import annotations
 
-import fcntl
 import socket
 import struct
 from pathlib import Path
@@ -26,8 +25,10 @@ MAX_FILTERS: Final = 512
 MAX_CYCLIC_FRAMES: Final = 256
 """MAX_NFRAMES of the broadcast manager."""
 
-ERROR_FRAME: Final = socket.CAN_ERR_FLAG
-ALL_ERRORS: Final = socket.CAN_ERR_MASK
+ERROR_FRAME: Final = 0x20000000
+"""CAN_ERR_FLAG, which Python's `socket` has on Linux only: this module is imported elsewhere, too."""
+ALL_ERRORS: Final = 0x1FFFFFFF
+"""CAN_ERR_MASK."""
 
 CAN_FRAME: Final = struct.Struct("=IB3x8s")
 """struct can_frame: CAN-ID with its flags, length, padding, data."""
@@ -52,6 +53,8 @@ def filter_for(key: RoutingKey) -> bytes:
 
 def is_up(sock: socket.socket, interface: str) -> bool | None:
     """Return whether a network interface is up; None if there is none of that name."""
+    import fcntl  # not on Windows, where this module is imported too
+
     try:
         answer = fcntl.ioctl(sock.fileno(), _SIOCGIFFLAGS, _IFREQ.pack(interface.encode(), 0))
     except OSError:
