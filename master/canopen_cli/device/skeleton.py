@@ -5,11 +5,9 @@ canopen device describe skeleton.py -o skeleton.eds  writes its file
 canopen check 5 -e skeleton.eds -b udp_multicast     compares the one with the other
 """
 
-from canopen_proto.abort import AbortCode
-from canopen_proto.datatypes import DataType
+from canopen_proto import MILLISECOND, AbortCode, DataType
 from canopen_proto.declared import DeclaredDevice, Nameplate, Rpdo, Tpdo, array, variable
 from canopen_proto.dictionary import Access
-from canopen_proto.machine import MILLISECOND
 
 
 class Skeleton(DeclaredDevice):
