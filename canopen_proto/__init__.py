@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from canopen_proto.nmt import NmtSlave as NmtSlave
     from canopen_proto.nmt import NmtState as NmtState
     from canopen_proto.nmt import NmtStateChanged as NmtStateChanged
+    from canopen_proto.nmt import Service as Service
     from canopen_proto.pdo.consumer import PdoReceived as PdoReceived
     from canopen_proto.procedures.runner import ProcedureCancelled as ProcedureCancelled
     from canopen_proto.procedures.runner import ProcedureFailed as ProcedureFailed

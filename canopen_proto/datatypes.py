@@ -36,6 +36,8 @@ from canopen_proto.machine import LocalProtocolError
 Value: TypeAlias = bool | int | float | str | bytes | datetime.datetime | datetime.timedelta
 """A value of an object, in Python."""
 
+__all__ = ["DataType", "Value", "ValueRangeError", "decode", "encode", "range_of", "size_of"]
+
 EPOCH: Final = datetime.datetime(1984, 1, 1, tzinfo=datetime.UTC)
 """Day 0 of TIME_OF_DAY (CiA 301 v4.2.0, 7.1.6.6)."""
 

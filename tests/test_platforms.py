@@ -12,6 +12,7 @@ import pytest
 
 PROGRAM = """
 import asyncio, ctypes, functools, importlib, json, os, pkgutil, selectors, signal, socket, subprocess, sys
+import hypothesis, hypothesis.stateful, hypothesis.strategies
 import can, click, matplotlib, msgpack, rich, trio, trio.testing  # as these are on each system: they look after themselves
 import can.interfaces.udp_multicast, rich.prompt
 
@@ -44,7 +45,7 @@ for module, starts in (
         delattr(module, name)
 sys.platform = "win32"
 failed, count = {}, 0
-for package in "proto", "data", "transports", "master", "check", "ros", "cli":
+for package in "proto", "data", "transports", "master", "check", "testing", "ros", "cli":
     package = "canopen_" + package
     path = importlib.import_module(package).__path__
     for each in pkgutil.walk_packages(path, package + ".", onerror=lambda name: failed.update({name: repr(sys.exception())})):
