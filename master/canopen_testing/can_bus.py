@@ -64,6 +64,7 @@ class WorldCanBus(can.BusABC):
                 except DidNotHappenError:
                     if timeout is None:
                         raise
+                    self._world.advance(end - self._world.now)  # where nothing more will happen, the time-out still comes
 
     def _taken(self) -> can.Message | None:
         """The next frame that waits."""

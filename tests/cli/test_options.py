@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import pytest
 
-from canopen_cli.shared.options import Duration, Fault, NodeIds, Settings, node_id_of
+from canopen_cli.shared.options import Breakdown, Duration, NodeIds, Settings, node_id_of
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.values import as_json, hex_text, parse_value, value_text
 from canopen_data import load_dictionary
@@ -71,11 +71,11 @@ def test_a_time_without_its_unit_is_not_guessed(text: str) -> None:
 
 
 def test_a_fault_is_a_node_and_a_time() -> None:
-    assert Fault().convert("5@2.5", None, None) == (5, 2.5)
-    assert Fault().convert((5, 2.5), None, None) == (5, 2.5)
+    assert Breakdown().convert("5@2.5", None, None) == (5, 2.5)
+    assert Breakdown().convert((5, 2.5), None, None) == (5, 2.5)
     for text in ("5", "5@", "5@soon", "5@-1", "5@nan"):
         with pytest.raises(click.BadParameter):
-            Fault().convert(text, None, None)
+            Breakdown().convert(text, None, None)
 
 
 def test_a_bus_has_to_be_named(monkeypatch: pytest.MonkeyPatch) -> None:

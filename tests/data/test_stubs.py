@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from hypothesis import given
-from tests.core.generated_dictionaries import descriptions
 
 from canopen_data import load_dictionary
 from canopen_data.description import DeviceDescription, DeviceInfo, FileKind
@@ -21,6 +20,7 @@ from canopen_data.reading import read_description
 from canopen_data.stubs import identifier, stubs_of
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, ReadOnly, ReadWrite, Variable, WriteOnly
+from canopen_proto.testing.strategies import device_descriptions
 from tests.examples import examples
 from tests.vendor_files import ALL_NAMES, load, needs_vendor_files
 
@@ -80,7 +80,7 @@ def check(description: DeviceDescription) -> Any:
     return view
 
 
-@given(descriptions())
+@given(device_descriptions())
 @examples(40)
 def test_any_description(description: DeviceDescription) -> None:
     check(description)

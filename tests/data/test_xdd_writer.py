@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
-from tests.core.generated_dictionaries import descriptions
 
 from canopen_data.checks import check
 from canopen_data.describing import lists_of
@@ -18,6 +17,7 @@ from canopen_data.xdd import read_xdd
 from canopen_data.xdd.writer import write_xdd
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
+from canopen_proto.testing.strategies import device_descriptions
 from tests.examples import examples
 
 
@@ -48,7 +48,7 @@ def expressible(description: DeviceDescription) -> DeviceDescription:
     )
 
 
-@given(descriptions())
+@given(device_descriptions())
 @examples(60)
 def test_what_is_written_is_read(described: DeviceDescription) -> None:
     wanted = expressible(described)

@@ -249,6 +249,15 @@ def test_a_blocking_program_waits_in_the_worlds_time() -> None:
     assert [each.name for each in world.bus().participants] == ["node 5"]
 
 
+def test_a_read_of_a_bus_on_which_nothing_happens_ends_with_its_timeout() -> None:
+    world = ProgramWorld()
+    with WorldCanBus("can0", world=world) as bus:
+        assert bus.recv(0.5) is None
+        assert world.now == SECOND // 2
+        with pytest.raises(DidNotHappenError, match="nothing more will happen"):
+            bus.recv()
+
+
 def test_a_bus_without_a_world_is_told() -> None:
     with pytest.raises(LocalProtocolError, match="there is no world"):
         present_world()
