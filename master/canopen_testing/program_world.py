@@ -15,7 +15,7 @@ channel="can0")` (can_bus.py), or by `World.listener`.
 
 **Waiting in earnest is an error.** `time.sleep` raises WallClockWaitError while a program runs (wall_clock.py). A program that
 waits for what never comes ends with DidNotHappenError, after `limit` of the world's time, or after IN_EARNEST if nothing more
-will happen.
+will happen. It is cancelled, and has CLEAN_UP of the world's time for what it does then: a drive is stopped, a bus is closed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time
 from canopen_proto.testing import DidNotHappenError, World, WorldBus
 from canopen_proto.testing.world import LIMIT, NodeMaker
 from canopen_testing.present import present
-from canopen_testing.trio_order import seed_order
+from canopen_testing.trio_order import seed_order, waits_for_idle
 from canopen_testing.world_line import WorldLine
 from canopen_testing.world_loop import WorldLoop
 from canopen_transports import virtual
@@ -47,11 +47,13 @@ T = TypeVar("T")
 
 DAY: Final = 24 * 3600 * SECOND
 """The most that a program may take of the world's time, unless it is told."""
+CLEAN_UP: Final = 60 * SECOND
+"""The most that a cancelled program may take of the world's time."""
 IN_EARNEST: Final = 1.0
 """Seconds of real time for a thread or a file that a program waits for, when nothing will happen in the world."""
 _LOOK: Final = 0.02
 _AT_ONCE: Final = 1e-9
-"""More than 0: so trio lets tasks run that wait for all others, and what a machine has left in its outbox is taken up."""
+"""More than 0: so trio lets tasks run that wait for all others. It costs a millisecond, the least that the kernel waits."""
 
 
 class _Steps(trio.abc.Instrument):
@@ -82,7 +84,7 @@ class ProgramWorld(World, trio.abc.Clock):
     _limit: Time = 0  # until when the program may run
     _left = IN_EARNEST
     _program = ""
-    _scope: trio.CancelScope | None = None
+    _cancel: Callable[[], object] | None = None  # ends the program, where that can be done from outside
     _stuck: DidNotHappenError | None = None
 
     # ---- what is in it ----
@@ -122,6 +124,11 @@ class ProgramWorld(World, trio.abc.Clock):
         try:
             with present(self):
                 return trio.run(partial(self.watched, main, *args), clock=self)
+        except trio.TrioInternalError as error:
+            if self._stuck is None or not isinstance(error.__cause__, DidNotHappenError):
+                raise
+            self._steps.after_run()  # which trio has left out
+            raise error.__cause__ from self._stuck  # it was cancelled, and went on for longer than CLEAN_UP
         finally:
             self._end()
 
@@ -130,17 +137,30 @@ class ProgramWorld(World, trio.abc.Clock):
 
         Raises DidNotHappenError as `run` does. Without this, the error comes out of trio's loop, as a TrioInternalError.
         """
-        with trio.CancelScope() as self._scope:
+        with trio.CancelScope() as scope:
+            self._cancel = scope.cancel
             return await main(*args)
         assert self._stuck is not None
         raise self._stuck
 
     def run_asyncio(self, main: Callable[..., Any], *args: object, limit: Time = DAY) -> Any:
         """Run an asyncio program to its end in this world; return its result, or raise its error. Raises as `run` does."""
+
+        async def watched() -> Any:
+            task = asyncio.current_task()
+            assert task is not None
+            self._cancel = task.cancel
+            try:
+                return await main(*args)
+            except asyncio.CancelledError:
+                if self._stuck is None:
+                    raise
+                raise self._stuck from None
+
         self._begin("await asyncio.sleep", limit)
         try:
             with present(self), asyncio.Runner(loop_factory=lambda: WorldLoop(self)) as runner:
-                return runner.run(main(*args))
+                return runner.run(watched())
         finally:
             self._end()
 
@@ -150,7 +170,7 @@ class ProgramWorld(World, trio.abc.Clock):
         self._stuck, self._left = None, IN_EARNEST
 
     def _end(self) -> None:
-        self._scope, self._program = None, ""
+        self._cancel, self._program = None, ""
 
     def advance(self, duration: Time) -> None:
         self._check_no_program()
@@ -167,9 +187,20 @@ class ProgramWorld(World, trio.abc.Clock):
     def pass_time(self, end: Time) -> float:
         """Go to the next happening, or to `end` (ns) if nothing happens before. For the loops of programs.
 
-        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. Raises DidNotHappenError if that took too
-        long.
+        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. If that took too long, the program is
+        cancelled. Raises DidNotHappenError if that cannot be done, or has not ended it.
         """
+        try:
+            return self._pass_time(end)
+        except DidNotHappenError as stuck:
+            if self._cancel is None or self._stuck is not None:
+                raise
+            self._stuck = stuck
+            self._limit, self._left = self.now + CLEAN_UP, IN_EARNEST
+            self._cancel()
+            return 0.0
+
+    def _pass_time(self, end: Time) -> float:
         if self.now >= self._limit:
             raise DidNotHappenError(
                 f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}"
@@ -213,15 +244,6 @@ class ProgramWorld(World, trio.abc.Clock):
             return 0.0 if deadline <= self.current_time() else _AT_ONCE  # somebody asks whether this clock is real
         if not steps.is_idle:
             steps.is_idle = True
-            return _AT_ONCE
+            return _AT_ONCE if waits_for_idle() else 0.0
         end = NEVER if deadline == math.inf else max(math.ceil(deadline * SECOND), self.now + 1)
-        if self._stuck is not None:
-            return 0.0
-        try:
-            return self.pass_time(end)
-        except DidNotHappenError as stuck:
-            if self._scope is None:
-                raise
-            self._stuck = stuck
-            self._scope.cancel()
-            return 0.0
+        return self.pass_time(end)

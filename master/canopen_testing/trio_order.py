@@ -1,4 +1,4 @@
-"""`seed_order`: trio's order of tasks, drawn with a seed.
+"""What a world needs of trio's scheduler. `seed_order`: the order of tasks, drawn with a seed; `waits_for_idle`.
 
 trio shuffles the tasks that are ready, by a generator of its own, so that nobody relies on an order. It has no public way to seed
 it. Hypothesis uses what is used here, by the entry point that trio has for it (`trio._core._run._hypothesis_plugin_setup`).
@@ -25,3 +25,9 @@ def seed_order(seed: int) -> Callable[[], None]:
         _run._ALLOW_DETERMINISTIC_SCHEDULING = before  # type: ignore[misc]
 
     return give_back
+
+
+def waits_for_idle() -> bool:
+    """Whether a task waits for all others to be blocked (`trio.testing.wait_all_tasks_blocked`). True where trio does not say."""
+    runner = getattr(_run.GLOBAL_RUN_CONTEXT, "runner", None)
+    return bool(getattr(runner, "waiting_for_idle", True))

@@ -337,6 +337,71 @@ def test_a_program_that_waits_for_what_never_comes_is_told(monkeypatch: pytest.M
         beating.run(forever, limit=60 * SECOND)
 
 
+def test_a_program_that_is_ended_has_time_to_clean_up() -> None:
+    cleaned: list[str] = []
+
+    async def in_trio() -> None:
+        try:
+            await trio.sleep_forever()
+        finally:
+            with trio.CancelScope(shield=True):
+                await trio.sleep(1)
+            cleaned.append("trio")
+
+    async def in_asyncio() -> None:
+        try:
+            await asyncio.sleep(1000)
+        finally:
+            await asyncio.sleep(2)
+            cleaned.append("asyncio")
+
+    async def with_an_arm() -> None:
+        async with open_master("virtual:can0") as master:
+            master.node(5)
+            while True:
+                await trio.sleep(1)
+
+    for seed in range(3):
+        world = ProgramWorld(seed=seed)
+        world.drive(5).set_value(0x1017, 0, 1000, 0)
+        for run, program in ((world.run, in_trio), (world.run_asyncio, in_asyncio), (world.run, with_an_arm)):
+            began = world.now
+            with pytest.raises(DidNotHappenError, match="has run for its limit"):
+                run(program, limit=10 * SECOND)
+            assert 10 * SECOND <= world.now - began < 20 * SECOND
+    assert cleaned == ["trio", "asyncio"] * 3
+
+
+STUBBORN = """
+import asyncio, contextlib, trio
+from canopen_proto import SECOND
+from canopen_proto.testing import DidNotHappenError
+from canopen_testing import ProgramWorld
+
+async def in_trio():
+    with trio.CancelScope(shield=True):
+        await trio.sleep(1000)
+
+async def in_asyncio():
+    while True:
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.sleep(1000)
+
+world = ProgramWorld()
+for run, program in ((world.run_asyncio, in_asyncio), (world.run, in_trio)):
+    began = world.now
+    try:
+        run(program, limit=10 * SECOND)
+    except DidNotHappenError:
+        print((world.now - began) / SECOND)
+"""
+
+
+def test_a_program_that_does_not_end_when_it_is_cancelled_is_left() -> None:
+    """In a process of its own: its tasks are thrown away while they run, and Python tells of that."""
+    assert [float(each) for each in life(STUBBORN, "0").split()] == [pytest.approx(70, abs=5)] * 2
+
+
 def test_a_program_cannot_let_time_pass_without_awaiting() -> None:
     world = ProgramWorld()
 
