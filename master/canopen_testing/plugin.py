@@ -55,6 +55,11 @@ def canopen_world(request: pytest.FixtureRequest) -> Iterator[ProgramWorld]:
     except ModuleNotFoundError as error:
         raise pytest.UsageError(f"canopen_world needs {error.name}: pip install 'canopen-proto[test-tools]'") from error
     markers = [*request.node.iter_markers("canopen_faults")]
+    for mark in markers:
+        wrong = [f"{name}=" for name in mark.kwargs if name != "seed"]
+        wrong += [repr(each) for each in mark.args if not isinstance(each, worlds.Fault)]
+        if wrong:
+            raise pytest.UsageError(f"canopen_faults takes faults of canopen_proto.testing and seed=, not {', '.join(wrong)}")
     seed = next((mark.kwargs["seed"] for mark in markers if "seed" in mark.kwargs), request.config.getoption("canopen_seed"))
     world = request.node.stash[_WORLD] = worlds.ProgramWorld(seed, [fault for mark in markers for fault in mark.args])
     with worlds.present(world):

@@ -6,16 +6,15 @@ import re
 from pathlib import Path
 from typing import Final
 
-from canopen_testing.present import present
-from canopen_testing.program_world import ProgramWorld
+from canopen_proto.testing import Fault as Fault
+from canopen_testing.present import present as present
+from canopen_testing.program_world import ProgramWorld as ProgramWorld
 from canopen_transports.candump_text import CandumpWriter
 from canopen_transports.record import Record
 
 SHOWN: Final = 20
 """The last frames of each bus that a report shows."""
 FOUND: Final = 10
-
-__all__ = ["ProgramWorld", "present", "sections_of", "write_trace"]
 
 
 def sections_of(world: ProgramWorld) -> list[tuple[str, str]]:

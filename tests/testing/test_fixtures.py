@@ -244,6 +244,14 @@ def test_a_device_that_does_wrong_fails_its_case(suite: pytest.Pytester) -> None
     assert "case " in run.stdout.str()
 
 
+@pytest.mark.parametrize("wrong", ["sed=3", "'lose'"])
+def test_what_is_no_fault_is_refused_and_not_left_out(suite: pytest.Pytester, wrong: str) -> None:
+    suite.makepyfile(f"import pytest\n@pytest.mark.canopen_faults({wrong})\ndef test_it(canopen_world): pass")
+    run = suite.runpytest()
+    run.assert_outcomes(errors=1)
+    assert f"canopen_faults takes faults of canopen_proto.testing and seed=, not {wrong.partition('3')[0]}" in run.stdout.str()
+
+
 def test_a_device_on_a_bus_is_checked_and_reset() -> None:
     world = ProgramWorld()
     world.device("sample_io.eds", 5)
