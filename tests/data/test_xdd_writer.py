@@ -15,6 +15,7 @@ from canopen_data.description import Commissioning, DeviceDescription, DeviceInf
 from canopen_data.descriptions import load_description
 from canopen_data.xdd import read_xdd
 from canopen_data.xdd.writer import write_xdd
+from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, Variable
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.testing.strategies import device_descriptions
@@ -81,7 +82,7 @@ def test_a_dcf_becomes_an_xdc_or_an_xdd_without_its_settings() -> None:
 
 
 def test_characters_that_xml_cannot_have() -> None:
-    variable = Variable(0x2000, 0, 'a "b" <c> & d\x01\ne', 0x05, Access.RO)  # type: ignore[arg-type]
+    variable = Variable(0x2000, 0, 'a "b" <c> & d\x01\ne', DataType.UNSIGNED8, Access.RO)
     description = DeviceDescription(ObjectDictionary([Object.of(variable.name, [variable], ObjectType.VAR)]), FileKind.EDS)
     found = read_xdd(write_xdd(description, file_info=FileInfo(created_by="me")).encode())
     assert found.dictionary.at(0x2000, 0).name == 'a "b" <c> & d? e'

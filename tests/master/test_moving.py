@@ -46,6 +46,7 @@ def test_moves_and_blends_keep_every_limit_and_arrive(moves: list[tuple[list[flo
     @virtual_time
     async def run() -> None:
         async with arms(2) as (_, [arm], record):
+            await arm.move([0.0, 0.0])  # a move that comes while the first one only begins to follow is refused
             async with trio.open_nursery() as nursery:
 
                 async def move(to: list[float], speed: float, is_last: bool) -> None:

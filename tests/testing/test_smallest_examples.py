@@ -5,6 +5,7 @@ docs/strategies.md has the table; here it is held to it.
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -192,9 +193,12 @@ def entries_text(mapping: Mapping) -> str:
     return ", ".join(entry.data_type.name for entry in mapping.entries)
 
 
+FIELDS = [each.name for each in dataclasses.fields(DriveSettings)]
+
+
 def changed(settings: DriveSettings) -> dict[str, Any]:
     plain = DriveSettings()
-    return {name: getattr(settings, name) for name in DriveSettings.__slots__ if getattr(settings, name) != getattr(plain, name)}
+    return {name: getattr(settings, name) for name in FIELDS if getattr(settings, name) != getattr(plain, name)}
 
 
 HEARTBEAT = [Service.ERROR_CONTROL]

@@ -85,7 +85,7 @@ def test_an_hour_passes_at_once_and_exactly() -> None:
 
 LIFE = """
 from canopen_proto.testing import *
-from canopen_proto.machine import SECOND
+from canopen_proto import SECOND, NmtCommand
 world = World({seed}, [Lose(heartbeat(), chance=0.2), Corrupt(sdo_answer(), chance=0.1), Delay(tpdo(5), by=SECOND, chance=0.3)])
 for node_id in (5, 6, 7):
     world.drive(node_id)
@@ -95,7 +95,7 @@ for node_id in (5, 6, 7):
         master.write(node_id, "producer_heartbeat_time", 100)
     except Exception as error:
         print(error)
-master.command(1, 0)
+master.command(NmtCommand.START, 0)
 world.advance(20 * SECOND)
 for each in world.bus().trace:
     print(*each)
