@@ -21,7 +21,7 @@ from canopen_proto.manager.parameters.restore import (
 )
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
-from tests.core.bus import CAN_FATES
+from tests.core.bus import CAN_FATES, Fate
 from tests.core.devices import LIMITED, TEXT
 from tests.examples import examples
 from tests.manager.restore_bench import CHANGES, GAIN, Bench, changed, device, nmt_commands
@@ -331,7 +331,7 @@ def test_with_frames_that_get_lost_it_is_done_or_nothing_half_done_lives(
     bench.bus.run(SECOND)
     if isinstance(outcome, ProcedureFinished):
         # An answer that comes twice is taken for that to the next write of the same object: only reading back shows its abort
-        if verify or not any("COPIED" in str(fate) for fate in fates):
+        if verify or Fate.COPIED not in fates:
             assert bench.held(values).items() >= values.items() - {(0x1600_02, CHANGES[0x1600_02])}
         assert bench.device.state is NmtState.OPERATIONAL or not so_far.plan.writes or so_far.state_before is None
     else:
