@@ -72,7 +72,34 @@ class Client:
         if client is None:
             client = self._clients[name] = self.node.create_client(kind, name)
         self.until(client.service_is_ready, f"service {name}")
+        self._be_known()
         return client.call_async(kind.Request() if request is None else request)
+
+    def _be_known(self) -> None:
+        """Wait until every node with a life cycle can answer the clients made so far.
+
+        `service_is_ready` means: this side knows the service. The service may not know yet where its answers go, and drop them
+        ("failed to send response"). DDS announces the endpoints of one participant in their order: whoever answers a client made
+        now knows the earlier ones. The question changes nothing, so it is asked again where its own answer was dropped.
+        """
+        asked: dict[str, Any] = {}
+        answered: set[str] = set()
+
+        def all_answered() -> bool:
+            types = dict(self.node.get_service_names_and_types())
+            nodes = {name for name, kinds in types.items() if "lifecycle_msgs/srv/GetState" in kinds}
+            for name in nodes - asked.keys():
+                asked[name] = self.node.create_client(GetState, name)
+            for name in nodes - answered:
+                future = asked[name].call_async(GetState.Request())
+                self._executor.spin_until_future_complete(future, timeout_sec=1.0)
+                if future.done():
+                    answered.add(name)
+            return nodes <= answered
+
+        self.until(all_answered, "nodes that answer get_state")
+        for client in asked.values():
+            self.node.destroy_client(client)
 
     def call(self, kind: Any, name: str, request: Any = None) -> Any:
         """Call a service, and return its answer."""
