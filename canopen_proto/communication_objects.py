@@ -162,7 +162,7 @@ class CommunicationObjects(Owner):
         self._set_emcy_consumers(now)
 
     def set_node_id(self, node_id: int) -> None:
-        """Be another node from now on (LSS), before `reload`."""
+        """Take another node-ID (LSS); call `reload` then."""
         self.node_id = self.emcy.node_id = self.heartbeat.node_id = node_id
         self.guarding.set_node_id(node_id)
 
