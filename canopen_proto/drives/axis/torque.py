@@ -11,7 +11,8 @@ a limit, and the master watches position and speed meanwhile (bounds.py). Order:
 A limit that is left, a fault, a lost node, another mode or a cancel end it earlier, in the same way. Bit 8 may only take the
 torque away in this mode. A drive that moves on after it gets a quick stop, and most drives have no power then (halting.py).
 
-Source: IEC 61800-7-201 (CiA 402-2), profile torque mode; from memory.
+Source: IEC 61800-7-201 (CiA 402-2), profile torque mode; objects and bit 8 as in Nanotec's manual (PD2-C), the rest from
+memory.
 """
 
 from __future__ import annotations

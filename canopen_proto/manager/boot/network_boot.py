@@ -28,8 +28,9 @@ stopped for it. Once the bus is back, each node has its full time again.
 Each loss has one reaction: while a node is lost or boots, nobody waits for its heartbeats. The host may `suspend` a node while it
 gets a program.
 
-Source: CiA 302-2, process boot NMT master and error handling; from memory. Lely core's master differs in this: it also resets a
-lost node that is kept alive, and it sends the command to all nodes though one has failed.
+Source: CiA 302-2 v4.1.0, process boot NMT master (from memory) and error handling (figure 12, as Lely core's master, nmt.c, cites
+it: bits 6 and 4 of 0x1F80). That master differs in this: it also resets a lost node that is kept alive, and it sends the command
+to all nodes though one has failed.
 """
 
 from __future__ import annotations

@@ -19,7 +19,8 @@ not watched meanwhile, so that a slow one is not taken for lost.
 **A boot-up in the middle**, which nobody asked for, means that the node has lost its settings: its boot-up begins again, at most
 MAX_RESTARTS times.
 
-Source: CiA 302-2, boot NMT slave; from memory. The order of requests is that of Lely core's master, as recorded.
+Source: CiA 302-2 v4.1.0, boot NMT slave (figures 4 to 6, 8 and 11), as Lely core's master (nmt_boot.c) cites and follows it: the
+steps and letters are the same. The order of requests is that of this master, as recorded.
 """
 
 from __future__ import annotations
