@@ -21,7 +21,7 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.bounds import bounds_of
 from canopen_proto.drives.axis.controlword import bring, command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, accounted
+from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, as_drive_errors
 from canopen_proto.drives.axis.halting import halt, halt_after, halt_and_forget
 from canopen_proto.drives.axis.state import enable, require_mode, set_mode
 from canopen_proto.drives.axis.synchronous import holding_torque
@@ -35,7 +35,7 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 
 
 @moves
-@accounted
+@as_drive_errors
 def apply_torque(
     axis: Axis, torque: float, duration: Time, *, slope: float | None = None, max_speed: float | None = None
 ) -> Procedure[float]:

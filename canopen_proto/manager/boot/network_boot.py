@@ -497,7 +497,7 @@ class NetworkBoot:
 
     def _answers(self, member: BootingNode) -> Procedure[bool]:
         """Return whether a node whose heartbeats have stopped is there all the same: it answers, or is heard meanwhile."""
-        node, standing, period = member.node, member.node.heartbeat.timeout, b""
+        node, before, period = member.node, member.node.heartbeat.timeout, b""
         try:
             period = yield from upload(node.sdo, indices.PRODUCER_HEARTBEAT_TIME, 0)
         except SdoTransferError as failed:
@@ -509,7 +509,7 @@ class NetworkBoot:
             member.beats.clear()
             yield from act(lambda now: node.heartbeat.set_timeout(0, now))
             timeout = yield from act(lambda now: watch_by(node, period, now))
-            if timeout == standing:  # it does not do what its 0x1017 says
+            if timeout == before:  # it does not do what its 0x1017 says
                 timeout = 0
                 yield from act(lambda now: node.heartbeat.set_timeout(0, now))
             yield from act(lambda now: node.out.events.append(NodeSupervised(node.node_id, timeout)))
