@@ -1,4 +1,6 @@
-"""Motion of one drive while its user holds something, for the direct half, which sends SYNC by hand."""
+"""Motion of one drive while its user holds something, for the direct half, which sends SYNC by hand. HandSync sends it, and looks
+at the drive before a late one.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,6 @@ import trio
 
 from canopen_master.direct.drive import DirectDrive
 from canopen_master.errors import MasterError
-from canopen_master.motion.late_sync import MOST_LOOKS
 from canopen_master.motion.target_motion import DEAD_MAN
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.drives.trajectory import PathPoint
@@ -87,8 +88,9 @@ class _Motion:
         try:
             while not (self._stream.is_stopping and self._stream.is_at_rest):
                 (position,) = self._stream.step().positions
-                await self._drive.send_position(round(position) if self._drive.in_counts else position)
-                await self._drive.master.send_sync()
+                await self._drive.go_to(round(position) if self._drive.in_counts else position)
+                if not self._drive.is_on_path:  # behind a late SYNC: there is no path to come back to, it goes on from there
+                    self._stream.stand_at(0, [self._drive.stay()])
                 due += self._period
                 await trio.sleep_until(due)
                 late = trio.current_time() - due
@@ -96,22 +98,5 @@ class _Motion:
                     lost = int(late / self._period)
                     self._stream.after_gap(lost, from_rest=False)
                     due += lost * self._period
-                    await self._look(late)
         except Exception as error:  # noqa: BLE001 - a nursery would wrap it in a group
             self.failure = error
-
-    async def _look(self, late: float) -> None:
-        """Go on from where the drive is, if it may have gone too far without SYNC to come back in one interval: late_sync.py."""
-        drive, (speed,) = self._drive, self._stream.point.velocities
-        highest = drive.limits.speed
-        if highest is None or abs(speed) * (late / self._period - 1) <= highest:
-            return
-        seen = math.inf
-        for _ in range(MOST_LOOKS):  # a drive that brakes has gone on since it was asked
-            asked = trio.current_time()
-            position = await drive.stand_at_actual()
-            if trio.current_time() - asked <= self._period or abs(position - seen) <= highest * self._period:
-                self._stream.stand_at(0, [position])
-                return
-            seen = position
-        raise ProcedureError(f"SYNC was {late:.3g} s late, and the drive still moved")

@@ -392,7 +392,8 @@ class Session:
         return self._attempt(node, lambda drive: drive.wait_for(constant, round(timeout * SECOND)))
 
     def set_motor_state(self, node: int | str, state: str) -> bool:
-        """Lead the drive to a state, up or down, by the shortest way: a constant of statusword, such as "switched_on"."""
+        """Lead the drive to a state, up or down, by the shortest way. state: a constant of statusword, such as "switched_on".
+        Returns False if the drive did not get there."""
 
         async def lead(master: Master) -> None:
             drive = self._drive(master, node)

@@ -132,7 +132,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     @property
     def bitrate(self) -> int | None:
-        """The interface's, as the kernel tells it now."""
+        """The bit rate of the interface in bit/s, as the kernel tells it now; None if it does not."""
         return bitrate_of(self._locator.channel)
 
     async def send(self, frame: Frame) -> None:
