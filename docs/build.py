@@ -22,6 +22,7 @@ from sphinx.cmd.build import main as run_sphinx
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import charts
 import pictures
 import reference
 from conf import as_rst
@@ -126,6 +127,7 @@ def build(into: Path, draw: bool = True) -> int:
         if draw:
             for page in pictures.PICTURED:
                 pictures.draw_page(page, source)
+            charts.draw_all(source / "charts")
         shutil.rmtree(into, ignore_errors=True)
         return run_sphinx(["-q", "-W", "--keep-going", "-b", "html", "-d", f"{temporary}/trees", str(source), str(into)])
 
