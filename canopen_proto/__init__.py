@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from canopen_proto.machine import Outcome as Outcome
     from canopen_proto.machine import RequestId as RequestId
     from canopen_proto.machine import Time as Time
+    from canopen_proto.manager.scan import Scanner as Scanner
     from canopen_proto.manager.scan import scan as scan
     from canopen_proto.multiplexer import Mux as Mux
     from canopen_proto.multiplexer import mux as mux

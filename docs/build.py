@@ -1,408 +1,146 @@
-"""Draw the pictures of the pages: each page's example runs on simulated drives in virtual time, and its motion is drawn.
+"""Build the site: all pages, with their pictures drawn anew, a page for each command, and every public name.
 
-    python docs/build.py [--into FOLDER] [PAGE ...]
+    python docs/build.py --into FOLDER               the site; open FOLDER/index.html, no server is needed
+    python docs/build.py --into FOLDER --no-pictures   with the pictures that lie beside the pages
 
-docs/modes: an example is the first Python block of a page. It defines `main(master, joint)`: an open master, and the `Device` of
-one drive whose unit is the degree (1000 counts). PICTURES has what belongs to each page.
-
-docs/move-an-arm.md: each function of its Python blocks runs alone; ARM_EXAMPLE is drawn from its own recording.
-
-docs/live.md: a demonstration in which a drive breaks down is recorded, and its frames are shown as `canopen watch` and
-`canopen top` show them at one moment.
-
-Needs the extras `plot` and `motion`.
+A warning of Sphinx is an error: a link or an anchor that leads nowhere, a page that the navigation does not reach. Needs the
+extra `docs`.
 """
 
 from __future__ import annotations
 
 import argparse
-import inspect
-import io
-import re
+import shutil
+import sys
 import tempfile
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final
 
-import trio
-import trio.testing
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from rich.console import Console, RenderableType
+import click
+from sphinx.cmd.build import main as run_sphinx
 
-from canopen_cli.app import main as run_command
-from canopen_cli.live.top_view import BusShown, TopView
-from canopen_cli.live.top_view import picture as draw_top
-from canopen_cli.live.watch_view import Around
-from canopen_cli.live.watch_view import picture as draw_watch
-from canopen_cli.live.watched import Watched
-from canopen_cli.plot.curves import curves_of_record
-from canopen_cli.plot.motion import write_motion_plot
-from canopen_data import load_dictionary
-from canopen_data.configured import configure
-from canopen_master import Chain, ChainSettings, Master, open_master, read_record
-from canopen_master.motion.device import Device
-from canopen_master.simulation.serving import simulated_devices
-from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.drives.axis.settings import AxisSettings
-from canopen_proto.drives.axis.units import Unit
-from canopen_proto.drives.cia402 import objects
-from canopen_proto.drives.cia402.modes import describe_status
-from canopen_proto.drives.cia402.states import POWERED, state_of
-from canopen_proto.frame import EMCY
-from canopen_proto.machine import MILLISECOND, SECOND
-from canopen_proto.multiplexer import Mux
-from canopen_proto.observer.bus_view import BusView
-from canopen_proto.observer.observer import Observer
-from canopen_proto.simulation.drive.dictionary import drive_dictionary
-from canopen_proto.simulation.drive.node import DriveNode
-from canopen_proto.simulation.drive.plant import Mechanics
-from canopen_proto.simulation.drive.settings import DriveSettings, Track
-from canopen_transports.log_files import LogReader
-from canopen_transports.record import Record
+sys.path.insert(0, str(Path(__file__).parent))
 
-PAGES: Final = Path(__file__).parent / "modes"
-ARM_PAGE: Final = Path(__file__).parent / "move-an-arm.md"
-ARM_EXAMPLE: Final = "to_a_target"
-BUS: Final = "virtual:docs"
-NODE_ID: Final = 5
-COUNTS: Final = 1000
-"""In a degree."""
-AXIS: Final = AxisSettings(counts_per_unit=COUNTS, max_speed=90.0)
-SAMPLE: Final = 0.001
-"""Seconds of virtual time between two samples."""
+import charts
+import pictures
+import reference
+from conf import as_rst
 
-INK, GREY, BLUE, RED, GREEN = "#243b53", "#9aa5b1", "#0b6e99", "#ba2525", "#3f9142"
-LANES: Final = {objects.CONTROLWORD: RED, objects.STATUSWORD: BLUE, objects.DIGITAL_INPUTS: GREEN}
+from canopen_cli.app import cli
+
+DOCS: Final = Path(__file__).parent
+PROJECT: Final = ("CHANGELOG.md", "CONTRIBUTING.md")
+"""Pages beside this folder."""
 
 
-class Curve(NamedTuple):
-    """An object that is drawn. scale: from its unit to that of its panel."""
-
-    key: Mux
-    label: str
-    scale: float = 1 / COUNTS
-    is_demand: bool = False
+def write_names(folder: Path) -> None:
+    """Write a page for each public module: each class and function where it is at home, and references to the others."""
+    folder.mkdir()
+    for module in reference.public_modules():
+        (folder / f"{module}.rst").write_text("\n".join(_module_page(module)), encoding="utf-8")
 
 
-class Panel(NamedTuple):
-    """Curves with one axis."""
-
-    title: str
-    curves: Sequence[Curve]
-
-
-POSITION: Final = Panel(
-    "position in degrees",
-    (
-        Curve(objects.POSITION_DEMAND_VALUE, "demand (6062)", is_demand=True),
-        Curve(objects.POSITION_ACTUAL_VALUE, "actual (6064)"),
-    ),
-)
-VELOCITY: Final = Panel(
-    "velocity in degrees/s",
-    (
-        Curve(objects.VELOCITY_DEMAND_VALUE, "demand (606B)", is_demand=True),
-        Curve(objects.VELOCITY_ACTUAL_VALUE, "actual (606C)"),
-    ),
-)
-TORQUE: Final = Panel(
-    "torque in % of rated",
-    (
-        Curve(objects.TORQUE_DEMAND_VALUE, "demand (6074)", 0.1, is_demand=True),
-        Curve(objects.TORQUE_ACTUAL_VALUE, "actual (6077)", 0.1),
-    ),
-)
+def _module_page(module: str) -> Iterator[str]:
+    yield from (module, "=" * len(module), "", f".. py:module:: {module}", "")
+    yield from (f".. automodule:: {module}", "   :no-index:", "")
+    elsewhere: list[tuple[str, str]] = []
+    for name in sorted(reference.public_modules()[module].__all__, key=str.lower):
+        defined = reference.definition_of(module, name)
+        home = reference.homes()[f"{defined.module}:{name}"]
+        if home != module:
+            elsewhere.append((name, home))
+            continue
+        match reference.KINDS.get(type(defined.node)):
+            case None:
+                text = defined.text or reference.value_text(defined.node)
+                yield from (f".. py:data:: {name}", "", *(f"   {line}" for line in as_rst(text.splitlines())), "")
+            case "class":
+                yield from (f".. autoclass:: {name}", "   :members:", "   :show-inheritance:", "")
+            case _:
+                yield from (f".. autofunction:: {name}", "")
+    for name, home in elsewhere:
+        yield from (f"- ``{name}``: see :py:obj:`{home}.{name}`", "")
 
 
-class Lane(NamedTuple):
-    """A bit that is drawn beneath the curves."""
-
-    key: Mux
-    bit: int
-    label: str
-
-
-def command(bit: int, name: str) -> Lane:
-    """A bit of the controlword."""
-    return Lane(objects.CONTROLWORD, bit, f"6040.{bit} {name}")
-
-
-def status(bit: int, name: str) -> Lane:
-    """A bit of the statusword."""
-    return Lane(objects.STATUSWORD, bit, f"6041.{bit} {name}")
+def write_commands(folder: Path) -> None:
+    """Write a page for each command of the command line, with its subcommands; options that most have only on the first page."""
+    folder.mkdir()
+    context = click.Context(cli, info_name="canopen")
+    shared = [each for each in cli.get_params(context) if isinstance(each, click.Option)]
+    (folder / "canopen.md").write_text("\n".join(_command_page(context, shared, [])), encoding="utf-8")
+    for name in cli.list_commands(context):
+        command = cli.get_command(context, name)
+        assert command is not None
+        inner = click.Context(command, info_name=name, parent=context)
+        (folder / f"canopen-{name}.md").write_text("\n".join(_command_page(inner, [], shared)), encoding="utf-8")
 
 
-FASTER: Final = {objects.PROFILE_VELOCITY: 60_000, objects.PROFILE_ACCELERATION: 120_000, objects.PROFILE_DECELERATION: 120_000}
-JOINT: Final = DriveSettings(position=0.0, mechanics=Mechanics(load=3.0), reaction=20 * MILLISECOND)
-"""A joint with a weight, whose drive takes 20 ms to obey, so that the handshakes can be seen."""
+def _command_page(context: click.Context, shown: list[click.Option], shared: list[click.Option], depth: int = 1) -> Iterator[str]:
+    command = context.command
+    yield f"{'#' * depth} {context.command_path}"
+    yield ""
+    yield from ("```text", command.get_usage(context).removeprefix("Usage: "), "```", "")
+    with context.scope():
+        formatter = click.HelpFormatter(width=100)
+        command.format_help_text(context, formatter)
+    yield from _help(formatter.getvalue())
+    common = {option.opts[-1] for option in shared}
+    own = shown or [
+        each for each in command.get_params(context) if isinstance(each, click.Option) and each.opts[-1] not in common
+    ]
+    records = [record for option in own if (record := option.get_help_record(context)) is not None]
+    if records:
+        yield from ("| option | |", "|---|---|")
+        for names, text in records:
+            yield f"| `{reference.cell(names)}` | {reference.cell(text)} |"
+        yield ""
+    if any(option.opts[-1] in common for option in command.get_params(context) if isinstance(option, click.Option)):
+        yield from ("It also takes [the options of most commands](canopen.md).", "")
+    if isinstance(command, click.Group) and depth < 3 and context.parent is not None:
+        for name in command.list_commands(context):
+            inner = command.get_command(context, name)
+            assert inner is not None
+            yield from _command_page(click.Context(inner, info_name=name, parent=context), [], shared, depth + 1)
 
 
-class Picture(NamedTuple):
-    """The picture of a page. settings: of the simulated drive; values: of its objects."""
-
-    panels: Sequence[Panel]
-    lanes: Sequence[Lane]
-    settings: DriveSettings = JOINT
-    values: Mapping[Mux, int] = FASTER
-
-
-PICTURES: Final = {
-    "pp": Picture(
-        (POSITION, VELOCITY, TORQUE),
-        (
-            command(4, "new set-point"),
-            command(9, "change on set-point"),
-            status(12, "acknowledged"),
-            status(10, "target reached"),
-        ),
-    ),
-    "pv": Picture(
-        (VELOCITY, POSITION, TORQUE), (status(10, "velocity reached"), status(12, "speed is zero"), command(8, "halt"))
-    ),
-    "vl": Picture((VELOCITY, POSITION, TORQUE), (command(4, "ramp enabled"), command(8, "halt"))),
-    "tq": Picture((TORQUE, VELOCITY, POSITION), (status(10, "torque reached"), command(8, "halt"))),
-    "hm": Picture(
-        (POSITION, VELOCITY),
-        (
-            command(4, "start"),
-            Lane(objects.DIGITAL_INPUTS, 2, "60FD.2 home switch"),
-            status(12, "attained"),
-            status(10, "stands"),
-        ),
-        settings=replace(JOINT, position=-12_000.0, track=Track(home_switch=(10_000.0, 60_000.0))),
-    ),
-    "ip": Picture((POSITION, VELOCITY, TORQUE), (command(4, "interpolate"), status(12, "active"))),
-    "csv": Picture((VELOCITY, POSITION, TORQUE), (status(12, "follows the command"), command(8, "halt"))),
-    "cst": Picture((TORQUE, POSITION, VELOCITY), (status(12, "follows the command"), command(8, "halt"))),
-    "csp": Picture((POSITION, VELOCITY, TORQUE), (status(12, "follows the command"),)),
-}
+def _help(text: str) -> Iterator[str]:
+    """Yield the text of a help page: sentences as they are, and examples as code."""
+    for paragraph in text.strip("\n").split("\n\n"):
+        lines = [line.removeprefix("  ") for line in paragraph.splitlines()]
+        if any(line.lstrip().startswith("canopen ") for line in lines):
+            yield from ("```text", *lines, "```", "")
+        else:
+            yield from (*lines, "")
 
 
-class Sample(NamedTuple):
-    """The drive at one time, in seconds."""
-
-    time: float
-    values: dict[Mux, int]
-
-
-class Run(NamedTuple):
-    """An example that ran. drive: as the example left it."""
-
-    samples: list[Sample]
-    drive: DriveNode
-
-
-def example_of(page: str) -> str:
-    """Return the first Python block of a page."""
-    text = (PAGES / f"{page}.md").read_text(encoding="utf-8")
-    code = re.search(r"```python\n(.*?)```", text, re.DOTALL)
-    if code is None:
-        raise SystemExit(f"{page}.md has no example")
-    return code[1]
-
-
-def run_example(page: str, sample: float = SAMPLE) -> Run:
-    """Run a page's example in virtual time, and watch the drive. sample: s between two samples."""
-    scope: dict[str, Any] = {}
-    exec(compile(example_of(page), f"{page}.md", "exec"), scope)
-    return trio.run(_run, PICTURES[page], scope["main"], sample, clock=trio.testing.MockClock(autojump_threshold=0))
-
-
-async def _run(picture: Picture, main: Callable[[Master, Device], Awaitable[None]], sample: float) -> Run:
-    encoder = standard_object(0x608F, highest=2, defaults={1: 360 * COUNTS, 2: 1})
-    dictionary = configure(drive_dictionary().with_objects([encoder]), picture.values, NODE_ID)
-    maker = partial(DriveNode, node_id=NODE_ID, settings=picture.settings, dictionary=dictionary)
-    samples: list[Sample] = []
-    async with simulated_devices({BUS: [maker]}) as simulation, open_master(BUS) as master:
-        joint = master.device(master.node(NODE_ID, dictionary, pdos=False), "joint", AXIS)
-        async with trio.open_nursery() as nursery:
-            nursery.start_soon(_watch, simulation.drives[NODE_ID], samples, sample)
-            await main(master, joint)
-            await trio.sleep(0.1)
-            nursery.cancel_scope.cancel()
-    return Run(samples, simulation.drives[NODE_ID])
-
-
-async def _watch(drive: DriveNode, samples: list[Sample], pause: float) -> None:
-    while True:
-        now = trio.current_time()
-        drive.drive.refresh(round(now * 1e9))
-        samples.append(Sample(now, {key: value for key, value in drive.values.store.items() if isinstance(value, int)}))
-        await trio.sleep(pause)
-
-
-ARM_AXIS: Final = replace(
-    AXIS, min_position=-170.0, max_position=170.0, max_acceleration=360.0, max_jerk=3600.0, unit=Unit.DEGREE
-)
-ARM_JOINT: Final = DriveSettings(position=0.0, track=Track(negative_limit=-180_000.0, positive_limit=180_000.0))
-ArmExample = Callable[..., Awaitable[None]]
-
-
-def arm_examples() -> dict[str, ArmExample]:
-    """Return the functions of the page that take chains, by their names; `begin` is for all of them."""
-    scope: dict[str, Any] = {}
-    code = "\n".join(re.findall(r"```python\n(.*?)```", ARM_PAGE.read_text(encoding="utf-8"), re.DOTALL))
-    exec(compile(code, ARM_PAGE.name, "exec"), scope)
-    return {name: scope[name] for name in re.findall(r"^async def (\w+)\(arm", code, re.MULTILINE)}
-
-
-def run_on_arms(example: ArmExample, recording: Path) -> None:
-    """Run an example on simulated arms in virtual time, with a recording of `arm`."""
-    trio.run(_run_on_arms, example, recording, clock=trio.testing.MockClock(autojump_threshold=0))
-
-
-async def _run_on_arms(example: ArmExample, recording: Path) -> None:
-    dictionary = drive_dictionary()
-    chains = {"arm": (BUS, (1, 2)), "leg": ("virtual:leg", (1,))}
-    makers = {
-        bus: [partial(DriveNode, node_id=each, settings=ARM_JOINT, dictionary=dictionary) for each in nodes]
-        for bus, nodes in chains.values()
-    }
-    async with simulated_devices(makers), open_master(buses={bus: bus for bus in makers}, dictionary=dictionary) as master:
-        given: dict[str, Chain] = {}
-        for name in inspect.signature(example).parameters:
-            bus, nodes = chains[name]
-            text = f"{name} " + " ".join(f"joint{node} {bus} {node}" for node in nodes)
-            settings = ChainSettings(cycle_time=0.01, own_pdos=True)
-            given[name] = master.load_chains(text=text, settings=settings, axes=ARM_AXIS)[name]
-            await arm_examples()["begin"](given[name])
-        async with given["arm"].record(recording):
-            await example(**given)
-        for chain in given.values():
-            await chain.shut_down()
-
-
-def draw_arm(path: Path) -> str:
-    """Draw the motion of ARM_EXAMPLE; return how far the arm went, for people."""
-    with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / f"{ARM_EXAMPLE}.csv"
-        run_on_arms(arm_examples()[ARM_EXAMPLE], recording)
-        curves = curves_of_record(read_record(recording))
-    write_motion_plot(path, curves)
-    return ", ".join(f"{each.name} up to {max(map(abs, each.actual)):.1f} {each.unit}" for each in curves.joints)
-
-
-FAULT: Final = "5@3.0"
-LIVE_PAGE: Final = Path(__file__).parent / "live.md"
-LIVE_TITLES: Final = {
-    "watch": "canopen watch 3 --402 --plot --from arm.log",
-    "top": "canopen top arm.log --bitrate 1M",
-}
-LIVE_SIZE: Final = (80, 24)
-LIVE_SPAN: Final = 10.0
-LIVE_BITRATE: Final = 1_000_000
-
-
-def record_demonstration(path: Path) -> list[Record]:
-    """Record the frames of a demonstration in which a drive breaks down, in virtual time. Times count from the first frame."""
-    arguments = ["demo", "--seconds", "4", "--fault", FAULT, "--trace", str(path), "--quiet", "--force"]
-    run_command(arguments, clock=trio.testing.MockClock(autojump_threshold=0))
-    records = list(LogReader(path))
-    return [record._replace(time=record.time - records[0].time) for record in records]
-
-
-def live_pictures(records: Sequence[Record]) -> dict[str, RenderableType]:
-    """Return what `canopen watch` and `canopen top` show when a drive has just broken down."""
-    dictionary = load_dictionary()[0]
-    variables = [dictionary.variable(key) for key in ("6041", "6061", "6064", "6077", "60F4")]
-    watched = Watched(3, dictionary, variables, span=round(LIVE_SPAN * SECOND))
-    observer, view = Observer(lambda node_id: dictionary, bitrate=LIVE_BITRATE), BusView(bitrate=LIVE_BITRATE)
-    emergency = next(each.time for each in records if each.frame.can_id == EMCY + 5)
-    end = 0
-    for record in records:
-        if record.time > emergency + SECOND // 20:
-            break
-        observation = observer.observe(record.frame, record.time)
-        watched.take(observation.meaning, record.time)
-        view.add(record.frame, observation, record.time)
-        end = record.time
-    around = Around("arm.log", "a recording")
-    shown = TopView("arm.log", (BusShown("can0", view.figures(end), end, end, LIVE_BITRATE),))
-    return {
-        "watch": draw_watch(watched.view(end), around, *LIVE_SIZE, span=LIVE_SPAN),
-        "top": draw_top(shown, *LIVE_SIZE),
-    }
-
-
-def draw_live(folder: Path) -> None:
-    """Draw the pictures of the page."""
+def build(into: Path, draw: bool = True) -> int:
+    """Build the site into a folder, which is emptied. Returns Sphinx's status: 0 without a warning."""
     with tempfile.TemporaryDirectory() as temporary:
-        pictures = live_pictures(record_demonstration(Path(temporary) / "demo.log"))
-    for name, shown in pictures.items():
-        path = folder / f"{name}.svg"
-        write_svg(path, shown, LIVE_TITLES[name])
-        print(path)
-
-
-def write_svg(path: Path, shown: RenderableType, title: str) -> None:
-    """Write what a terminal shows as a picture, which loads no fonts from elsewhere."""
-    console = Console(record=True, width=LIVE_SIZE[0], file=io.StringIO(), force_terminal=True, color_system="truecolor")
-    console.print(shown)
-    svg = console.export_svg(title=title, unique_id=path.stem)
-    path.write_text(re.sub(r"\s*@font-face \{.*?\}", "", svg, flags=re.DOTALL), encoding="utf-8")
-
-
-def draw(picture: Picture, samples: Sequence[Sample], path: Path) -> None:
-    """Draw the motion, from the moment at which the drive has power."""
-    powered = [each for each in samples if state_of(each.values[objects.STATUSWORD]) in POWERED]
-    begun = powered[0].time
-    times = [each.time - begun for each in powered]
-    heights = [*(1.9 for _ in picture.panels), 0.38 * len(picture.lanes)]
-    figure = Figure(figsize=(8.5, 0.8 + sum(heights)), layout="constrained", facecolor="white")
-    *panels, lanes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    for axes, panel in zip(panels, picture.panels, strict=True):
-        for curve in panel.curves:
-            values = [each.values.get(curve.key, 0) * curve.scale for each in powered]
-            color, width = (GREY, 3.5) if curve.is_demand else (BLUE, 1.6)
-            axes.plot(times, values, color=color, linewidth=width, label=curve.label)
-        _dress(axes)
-        axes.set_title(panel.title, loc="left", fontsize=9.5, color=INK)
-        axes.legend(frameon=False, fontsize=8, loc="best")
-    for place, lane in enumerate(picture.lanes):
-        high = [-place + 0.7 * (each.values[lane.key] >> lane.bit & 1) for each in powered]
-        lanes.fill_between(times, -place, high, step="post", color=LANES[lane.key], linewidth=0)
-    lanes.set_yticks([0.35 - place for place in range(len(picture.lanes))], [lane.label for lane in picture.lanes], fontsize=8)
-    _dress(lanes)
-    lanes.grid(False)
-    lanes.set_xlabel("time in s", fontsize=9, color=INK)
-    figure.savefig(path, dpi=90, metadata={"Software": None})
-
-
-def _dress(axes: Axes) -> None:
-    axes.grid(color="#e4e7eb", linewidth=0.8)
-    axes.tick_params(colors=INK, labelsize=8, length=0)
-    for side in ("top", "right", "left"):
-        axes.spines[side].set_visible(False)
-    axes.spines["bottom"].set_color(GREY)
-    axes.margins(x=0.01)
+        source = Path(temporary) / "source"
+        shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("__pycache__"))
+        for name in PROJECT:
+            text = (DOCS.parent / name).read_text(encoding="utf-8").replace("](docs/", "](")
+            (source / name).write_text(text, encoding="utf-8")
+        write_names(source / "api")
+        write_commands(source / "commands")
+        if draw:
+            for page in pictures.PICTURED:
+                pictures.draw_page(page, source)
+            charts.draw_all(source / "charts")
+        shutil.rmtree(into, ignore_errors=True)
+        return run_sphinx(["-q", "-W", "--keep-going", "-b", "html", "-d", f"{temporary}/trees", str(source), str(into)])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
-    parser.add_argument(
-        "pages",
-        metavar="PAGE",
-        nargs="*",
-        help=f"one of {', '.join((*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem))}; by default all",
-    )
-    parser.add_argument("--into", type=Path, metavar="FOLDER", help="by default beside each page")
+    parser.add_argument("--into", type=Path, metavar="FOLDER", required=True)
+    parser.add_argument("--no-pictures", action="store_true", help="take those that lie beside the pages")
     arguments = parser.parse_args()
-    for page in arguments.pages or (*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem):
-        if page == LIVE_PAGE.stem:
-            draw_live(arguments.into or LIVE_PAGE.parent / "live")
-            continue
-        if page == ARM_PAGE.stem:
-            path = (arguments.into or ARM_PAGE.parent) / f"{page}.png"
-            print(f"{path}: {draw_arm(path)}")
-            continue
-        run = run_example(page)
-        path = (arguments.into or PAGES) / f"{page}.png"
-        draw(PICTURES[page], run.samples, path)
-        end = run.samples[-1].values
-        print(f"{path}: {'; '.join(describe_status(end[objects.STATUSWORD], end[objects.MODES_OF_OPERATION_DISPLAY]))}")
+    status = build(arguments.into, draw=not arguments.no_pictures)
+    size = sum(path.stat().st_size for path in arguments.into.rglob("*") if path.is_file())
+    print(f"{arguments.into}: {size / 1e6:.1f} MB")
+    raise SystemExit(status)
 
 
 if __name__ == "__main__":

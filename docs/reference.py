@@ -1,6 +1,6 @@
-"""Write the pages that are made from docstrings: names.md, events.md and exceptions.md.
+"""Write the pages that are made from the sources: names.md, events.md, exceptions.md and objects.md.
 
-    python docs/reference.py            all three; a test compares them with what this would write
+    python docs/reference.py            all four; a test compares them with what this would write
     python docs/reference.py events     one of them
 
 A public name is one that `__all__` of a package, or of a room directly below it, has. Who sends an event is read from the
@@ -21,6 +21,8 @@ from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Final, NamedTuple
+
+from canopen_proto.dictionary.standard import ROWS, Row
 
 DOCS: Final = Path(__file__).parent
 PACKAGES: Final = tuple(f"canopen_{name}" for name in ("proto", "data", "transports", "master", "check", "testing", "ros"))
@@ -321,7 +323,59 @@ def exceptions_page() -> Iterator[str]:
             yield f"| `{name}` | {bases} | {cell(classes()[name].text)} | {', '.join(codes().get(name, ()))} |"
 
 
-PAGES: Final = {"names": names_page, "events": events_page, "exceptions": exceptions_page}
+OBJECT_PAGES: Final = ("services/*.md", "modes/*.md", "drives.md", "lss.md", "flash.md", "network.md")
+"""Pages that tell what an object is for: those that name it."""
+
+
+@cache
+def object_pages() -> dict[str, str]:
+    """Return the text of OBJECT_PAGES, by their names."""
+    paths = (path for pattern in OBJECT_PAGES for path in sorted(DOCS.glob(pattern)))
+    return {path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8") for path in paths}
+
+
+def objects_page() -> Iterator[str]:
+    """Yield the lines of the index of standard objects."""
+    yield "# Objects by number"
+    yield ""
+    yield "Every object of CiA 301, CiA 302 and CiA 402 that this package knows, made from its own table by"
+    yield "`python docs/reference.py`. Read one by its name or number: `canopen read 5 statusword`, `canopen read 5 6041`."
+    yield ""
+    yield "PDO: whether a PDO may carry it. A default that is not there is the device's matter, most often 0. A name in braces"
+    yield "counts: `{n}` the objects of a range from 1 (`{m}` from 2), `{s}` is the subindex. Each of up to eight axes has the"
+    yield "objects of CiA 402 once more, 0x800 higher: 0x6041, 0x6841, 0x7041 ... The names of a device's own file count for it."
+    for title, first, last in (
+        ("CiA 301: communication", 0x1000, 0x1EFF),
+        ("CiA 302: managers, programs, MPDO", 0x1F00, 0x1FFF),
+        ("CiA 402: drives", 0x6000, 0x67FF),
+    ):
+        yield ""
+        yield f"## {title}"
+        yield ""
+        yield "| object | sub | name | type | access | PDO | default | pages |"
+        yield "|---|---|---|---|---|---|---|---|"
+        for row in ROWS:
+            if first <= row.indices.start <= last:
+                yield f"| {' | '.join(_object_cells(row))} |"
+
+
+def _object_cells(row: Row) -> Iterator[str]:
+    variable, start = row.pattern, row.indices.start
+    yield f"0x{start:04X}" if len(row.indices) == 1 else f"0x{start:04X} to 0x{row.indices[-1]:04X}"
+    yield f"{row.subindices[0]:02X}" if row.is_field else f"{row.subindices[0]:02X} to {row.subindices[-1]:02X}"
+    yield f"`{row.names[0]}`"
+    yield variable.data_type.name
+    yield str(variable.access)
+    yield "yes" if variable.pdo_mappable else ""
+    default = variable.default
+    node = " + node-ID" if variable.adds_node_id else ""
+    in_hex = node or (isinstance(default, int) and default > 0x7F)
+    yield "" if default is None else f"0x{default:X}{node}" if in_hex else f"{default}"
+    pages = [name for name, text in object_pages().items() if f"0x{start:04X}" in text]
+    yield ", ".join(f"[{name.removesuffix('.md').rpartition('/')[2]}]({name})" for name in pages[:4])
+
+
+PAGES: Final = {"names": names_page, "events": events_page, "exceptions": exceptions_page, "objects": objects_page}
 
 
 def page(name: str) -> str:

@@ -41,7 +41,7 @@ def reference() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", ["names", "events", "exceptions"])
+@pytest.mark.parametrize("name", ["names", "events", "exceptions", "objects"])
 def test_a_page_is_what_the_sources_say(reference: ModuleType, name: str) -> None:
     written = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     assert written == reference.page(name), "the page is older than the sources: python docs/reference.py"

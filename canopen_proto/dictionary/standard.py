@@ -286,8 +286,8 @@ _RECORDS: Final = (range(0x1018, 0x1019), indices.RPDO_MAPPINGS, indices.TPDO_MA
 """Objects whose fields are all of one type and which are records all the same."""
 
 
-class _Row(NamedTuple):
-    """One line of a table."""
+class Row(NamedTuple):
+    """One line of a table. names: with their `{n}`, `{m}` and `{s}`. pattern: the first object of the line, but for its names."""
 
     indices: range
     subindices: range
@@ -305,7 +305,7 @@ class _Row(NamedTuple):
         return len(self.subindices) == 1
 
 
-def _rows(table: str) -> Iterator[_Row]:
+def _rows(table: str) -> Iterator[Row]:
     for line in table.strip().splitlines():
         match = _ROW.fullmatch(line)
         assert match is not None, line
@@ -322,16 +322,17 @@ def _rows(table: str) -> Iterator[_Row]:
             pdo_mappable=bool(mappable) or access == Access.RWW,
             adds_node_id=node is not None,
         )
-        yield _Row(indices, subindices, tuple(names.split("|")), pattern)
+        yield Row(indices, subindices, tuple(names.split("|")), pattern)
 
 
-_ALL: Final = (*_rows(_COMMUNICATION), *_rows(_DRIVE))
-_RANGES: Final = tuple(row for row in _ALL if not row.is_field or len(row.indices) > 1)
+ROWS: Final = (*_rows(_COMMUNICATION), *_rows(_DRIVE))
+"""Both tables, line by line."""
+_RANGES: Final = tuple(row for row in ROWS if not row.is_field or len(row.indices) > 1)
 
 STANDARD: Final[Mapping[tuple[int, int], Variable]] = MappingProxyType(
     {
         (row.indices.start, row.subindices.start): row.variable(row.indices.start, row.subindices.start)
-        for row in _ALL
+        for row in ROWS
         if row not in _RANGES
     }
 )
@@ -391,7 +392,7 @@ def standard_object(
 
     record = standard_variable(index, 1).name.partition(":")[0]
     if highest is None:
-        own_rows = (row.subindices.start for row in _ALL if _home(index) in row.indices and row.is_field)
+        own_rows = (row.subindices.start for row in ROWS if _home(index) in row.indices and row.is_field)
         highest = max((1, *own_rows))
     if count is None:
         count = Variable(index, 0, f"{record}:highest_subindex", DataType.UNSIGNED8, Access.CONST, highest)

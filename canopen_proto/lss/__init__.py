@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from canopen_proto.lss.scan import LssProgress as LssProgress
     from canopen_proto.lss.scan import LssTimeoutError as LssTimeoutError
     from canopen_proto.lss.scan import LssTool as LssTool
+    from canopen_proto.lss.scan import Pace as Pace
+    from canopen_proto.lss.scan import Survey as Survey
     from canopen_proto.lss.scan import fastscan as fastscan
     from canopen_proto.lss.scan import survey as survey
     from canopen_proto.lss.slave import LssBitRateSwitched as LssBitRateSwitched
