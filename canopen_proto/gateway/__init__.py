@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from canopen_proto.gateway.dialect import LELY as LELY
     from canopen_proto.gateway.dialect import Dialect as Dialect
     from canopen_proto.gateway.lines import GatewayLines as GatewayLines
+    from canopen_proto.gateway.node_ear import NodeEar as NodeEar
+    from canopen_proto.gateway.node_ear import NodeReport as NodeReport
+    from canopen_proto.gateway.pdo_port import PdoPort as PdoPort
+    from canopen_proto.gateway.pdo_port import PdoReport as PdoReport
     from canopen_proto.gateway.request import GatewayCommand as GatewayCommand
     from canopen_proto.gateway.request import GatewayRequest as GatewayRequest
     from canopen_proto.gateway.request import MappedValue as MappedValue

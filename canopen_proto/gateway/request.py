@@ -81,7 +81,7 @@ class GatewayCommand(Enum):
     RESET_NODE = Syntax((("reset",), ("node",)), About.NODE)
     RESET_COMMUNICATION = Syntax((("reset",), ("comm", "communication")), About.NODE)
     SET_NETWORK = Syntax((("set",), ("network",)), About.GATEWAY, ((0, MAX_NET),))
-    SET_NODE = Syntax((("set",), ("node",)), About.NET, (_U8,))
+    SET_NODE = Syntax((("set",), ("node",)), About.NET, ((0, 127),))
     SET_SDO_TIMEOUT = Syntax((("set",), ("sdo_timeout",)), About.NET, ((1, 0xFFFF),))
     SET_SDO_BLOCK = Syntax((("set",), ("sdo_block",)), About.NET, (_BIT,))
     SET_ID = Syntax((("set",), ("id",)), About.NET, (_U8,))
