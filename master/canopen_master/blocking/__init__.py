@@ -1,0 +1,1 @@
+"""A CANopen master for scripts, notebooks and threads."""
