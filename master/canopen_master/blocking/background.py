@@ -24,12 +24,12 @@ import threading
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from time import monotonic
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 import trio
 
-from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, Slot, held_in_shared_loop
+from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, WaitingPlace, held_in_shared_loop
 from canopen_master.errors import CallTimeoutError, MasterClosedError
 from canopen_master.plain_text import clean_lines
 from canopen_proto.machine import LocalProtocolError
@@ -91,6 +91,13 @@ class Background(Generic[T]):
         return self._nursery is not None
 
     @property
+    def present(self) -> T:
+        """What the context gave. Raises MasterClosedError before."""
+        if self._context is None:
+            raise MasterClosedError
+        return self._context
+
+    @property
     def is_of_this_process(self) -> bool:
         """Whether it was not left behind by a fork."""
         return self._loop is None or self._loop.is_of_this_process
@@ -118,9 +125,7 @@ class Background(Generic[T]):
 
     def call(self, function: Callable[[T], Awaitable[R]]) -> R:
         """Run an async function of the context in the loop; see `run`."""
-        if self._context is None:
-            raise MasterClosedError
-        return self.run(None, function, self._context)
+        return self.run(None, function, self.present)
 
     def run(self, timeout: float | None, function: Callable[P, Awaitable[R]], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run an async function in the loop, wait for its end, and return its result or raise its error.
@@ -128,30 +133,55 @@ class Background(Generic[T]):
         timeout: seconds; then the call is taken back, and once that is done CallTimeoutError is raised. None: no limit.
 
         If the context is over, raises the error that ended it, or MasterClosedError. If interrupted, takes the call back and
-        waits for its clean-up. Raises LocalProtocolError if called in the loop's own thread, which would wait for itself, and in a
-        child process.
+        waits for its clean-up. Raises LocalProtocolError if called in the loop's own thread, which would wait for itself, and
+        in a child process.
         """
-        return self._called(self._begin, _Call(function, args, kwargs, timeout))
+        result: R = self._called(self._begin, _Call(function, args, kwargs, timeout))
+        return result
 
     def do(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """Call a plain function in the loop, and return its result. It must not block. Raises as `run` does."""
-        return self._called(self._do, _Call(function, args, kwargs, None))
+        result: R = self._called(self._do, _Call(function, args, kwargs, None))
+        return result
+
+    def do_at_the_end(self, function: Callable[[], object]) -> None:
+        """Call a plain function in the loop, also while the context is left; where the loop has ended, in this thread."""
+        loop = self._loop
+        if loop is None or loop.is_here:
+            function()
+            return
+        call = _Call(function, (), {}, None)
+        if loop.hand_over(self._do_anyway, call):
+            call.wait(loop.thread)
+            self._result_of(call)
+        else:
+            function()
+
+    def held(self, make: Callable[[], AbstractAsyncContextManager[R]]) -> Held[R]:
+        """Return a context manager that holds an async one in the loop while its block runs. make: is called in the loop."""
+        return Held(self, make)
 
     def _called(self, begin: Callable[[_Call], None], call: _Call) -> Any:
+        loop = self._loop_for(call)
+        try:
+            if loop.hand_over(begin, call):
+                call.wait(loop.thread)
+            else:
+                call.end(error=self._reason())
+        except BaseException:  # interrupted
+            self._take_back(call, loop)
+            raise
+        return self._result_of(call)
+
+    def _loop_for(self, call: _Call) -> LoopThread:
         loop = self._loop
         if loop is None:
             raise MasterClosedError
         if loop.is_here:
             raise LocalProtocolError("the blocking API was called in the master's own thread; call it in another one")
-        try:
-            is_taken = loop.hand_over(begin, call)
-            if is_taken:
-                call.wait(loop.thread)
-        except BaseException:  # interrupted
-            self._take_back(call, loop)
-            raise
-        if not is_taken:
-            raise self._reason()
+        return loop
+
+    def _result_of(self, call: _Call) -> Any:
         error = call.error
         if error is None:
             return call.value
@@ -218,7 +248,10 @@ class Background(Generic[T]):
             return
         if self._nursery is None:
             call.end(error=self._reason())
-            return
+        else:
+            self._do_anyway(call)
+
+    def _do_anyway(self, call: _Call) -> None:
         try:
             call.end(call.function(*call.args, **call.kwargs))
         except BaseException as error:  # noqa: BLE001 - whatever it is belongs to the caller
@@ -249,7 +282,8 @@ class Background(Generic[T]):
         if call.is_done:
             return
         call.scope = worker.scope
-        value, error = None, None
+        value: Any = None
+        error: BaseException | None = None
         try:
             if call.timeout is None:
                 value = await call.function(*call.args, **call.kwargs)
@@ -340,7 +374,7 @@ class _Call:
         self.is_done = False
         self.value: Any = None
         self.error: BaseException | None = None
-        self._slot = Slot()
+        self._slot = WaitingPlace()
 
     def end(self, value: Any = None, error: BaseException | None = None) -> None:
         """Tell the caller."""
@@ -356,6 +390,79 @@ class _Call:
     def wait_once(self) -> None:
         """Wait for the end, LOOK_UP at most."""
         self._slot.wait_once()
+
+
+class _HeldCall(_Call):
+    """A call that holds a context. entered: it is in, or has failed to get there."""
+
+    __slots__ = ("entered",)
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function, (), {}, None)
+        self.entered = threading.Event()
+
+    def end(self, value: Any = None, error: BaseException | None = None) -> None:
+        super().end(value, error)
+        self.entered.set()
+
+
+class Held(Generic[R]):
+    """The context manager that `Background.held` returns. An error of its block reaches the async one; an interrupt cancels
+    it."""
+
+    def __init__(self, background: Background[Any], make: Callable[[], AbstractAsyncContextManager[R]]) -> None:
+        self._background = background
+        self._make = make
+        self._value: R | None = None
+        self._has_entered = False
+        self._leave: trio.Event | None = None
+        self._error: BaseException | None = None  # of the block
+        self._call = _HeldCall(self._hold)
+
+    def __enter__(self) -> R:
+        background, call = self._background, self._call
+        loop = background._loop_for(call)
+        try:
+            if not loop.hand_over(background._begin, call):
+                call.end(error=background._reason())
+            background._wait(call.entered)
+        except BaseException:  # interrupted
+            background._take_back(call, loop)
+            raise
+        if not self._has_entered:
+            background._result_of(call)
+            raise MasterClosedError
+        return self._value  # type: ignore[return-value]  # None only if that is the value
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> bool:
+        background, call = self._background, self._call
+        loop = background._loop_for(call)
+        self._error = error
+        try:
+            if loop.hand_over(self._let_go):
+                call.wait(loop.thread)
+        except BaseException:  # interrupted
+            background._take_back(call, loop)
+            raise
+        if error is not None and (call.error is error or not isinstance(error, Exception)):
+            return False
+        background._result_of(call)
+        return error is not None
+
+    def _let_go(self) -> None:
+        if self._error is not None and not isinstance(self._error, Exception):
+            self._background._cancel(self._call)
+        elif self._leave is not None:
+            self._leave.set()
+
+    async def _hold(self) -> None:
+        async with self._make() as self._value:
+            self._leave = trio.Event()
+            self._has_entered = True
+            self._call.entered.set()
+            await self._leave.wait()
+            if self._error is not None:
+                raise self._error
 
 
 class _Worker:

@@ -4,10 +4,11 @@ All blocking masters of a process share one (`shared_loop`), so that those on on
 
 **The end of a script.** However the main thread ends (its last line, an exception, sys.exit, Ctrl-C), Python then waits for all
 threads that are no daemons. Ours is not a daemon, and what is held in it looks every WATCH_INTERVAL whether the main thread is
-still alive; if not, it ends, so that drives are halted while the interpreter still works. (A daemon thread with an atexit function
-would be too late: from there on Python 3.12 starts no new threads, which transports may need.)
+still alive; if not, it ends, so that drives are halted while the interpreter still works. (A daemon thread with an atexit
+function would be too late: from there on Python 3.12 starts no new threads, which transports may need.)
 
-**Fork.** A child process has the memory of this thread, but not the thread: nothing is handed over there. A loop of its own works.
+**Fork.** A child process has the memory of this thread, but not the thread: nothing is handed over there. It may begin a loop of
+its own.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from canopen_proto.machine import LocalProtocolError
 WATCH_INTERVAL: Final = 0.05
 """The most seconds until the end of a thread is noticed."""
 LOOK_UP: Final = 0.5
-"""The longest single wait of a thread, in seconds: on Windows, and outside the main thread, an interrupt takes effect only when the
-wait is over."""
+"""The longest single wait of a thread, in seconds: on Windows, and outside the main thread, an interrupt takes effect only when
+the wait is over."""
 
 Hold = Callable[[], Awaitable[None]]
 
@@ -62,7 +63,7 @@ class LoopThread:
 
     def hold(self, hold: Hold) -> bool:
         """Begin one more; return False if the loop is ending, so that it takes none."""
-        answer = Slot()
+        answer = WaitingPlace()
 
         def begin() -> None:
             if self._nursery is not None and self._held:
@@ -114,7 +115,7 @@ class LoopThread:
             self.thread.join(LOOK_UP)
 
 
-class Slot:
+class WaitingPlace:
     """A place where one thread waits for another. value: what it was told."""
 
     __slots__ = ("_lock", "value")
