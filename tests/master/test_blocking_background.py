@@ -221,13 +221,13 @@ def test_a_call_that_meets_the_very_end_of_the_context_is_told_so(background: Ba
         try:
             await trio.sleep_forever()
         finally:
-            late.append(_Call(place.answer, (), {}, None))
-            background._soon(lambda: background._begin(late[0]))
+            late.append(_Call(background, place.answer, (), {}, None))
+            background._soon(late[0].begin)
 
     with pytest.raises(OSError, match="cable"):
         background.call(end)
     until(lambda: late[0].is_done)
-    assert str(late[0].error) == "cable"
+    assert str(late[0]._error) == "cable"
     until(lambda: "left" in place.log)
 
 

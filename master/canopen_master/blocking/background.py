@@ -21,6 +21,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+from _thread import allocate_lock, get_ident
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractAsyncContextManager
 from time import monotonic
@@ -29,7 +30,7 @@ from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 import trio
 
-from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, WaitingPlace, held_in_shared_loop
+from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, Work, held_in_shared_loop
 from canopen_master.errors import CallTimeoutError, MasterClosedError
 from canopen_master.plain_text import clean_lines
 from canopen_proto.machine import LocalProtocolError
@@ -41,8 +42,6 @@ R = TypeVar("R")
 TAKE_BACK_TIME: Final = 30.0
 """Seconds that an interrupted call may take to clean up: a procedure takes CLEAN_UP_TIME, 1 s, or as long as a drive brakes. A
 second Ctrl-C ends the waiting."""
-SPARE_TASKS: Final = 8
-"""The most tasks that wait for calls: as many threads may call without one being made."""
 
 
 class Background(Generic[T]):
@@ -57,13 +56,15 @@ class Background(Generic[T]):
         *,
         shares_loop: bool = False,
         owner: threading.Thread | None = None,
+        goes_last: bool = False,
         hurry: Callable[[], object] = lambda: None,
     ) -> None:
         """make: returns the context manager; called in the thread. Entering and leaving it are not cancelled: they must end by
         themselves. failure: why the context ended, None if it was left. clock: trio's; None: the real time. name: of the thread.
 
         shares_loop: it is held in the loop that all share, which has the real time. owner: the context is left when this thread
-        has ended, as it is at the end of the main thread. hurry: called in the loop if an interrupt comes while the context is
+        has ended, as it is at the end of the main thread. goes_last: but not before all contexts of the same loop without this
+        mark: simulated drives outlive their master. hurry: called in the loop if an interrupt comes while the context is
         left.
         """
         self._make = make
@@ -72,12 +73,14 @@ class Background(Generic[T]):
         self._clock = clock
         self._shares_loop = shares_loop
         self._owners = {threading.main_thread(), owner or threading.main_thread()}
+        self.goes_last = goes_last
         self._hurry = hurry
         self._loop: LoopThread | None = None
         self._context: T | None = None
         self._scope = trio.CancelScope()
-        self._nursery: trio.Nursery | None = None  # where calls run; None before and after. Of the loop's thread
-        self._spare: list[_Worker] = []  # the tasks that wait for calls. Of the loop's thread
+        self._is_open = False  # takes calls
+        self._calls: set[_Call] = set()  # that run. Of the loop's thread
+        self._last_call_ended = trio.Event()
         self._begun = threading.Event()
         self._entered = threading.Event()  # or it has failed to
         self._ended = threading.Event()
@@ -88,7 +91,7 @@ class Background(Generic[T]):
     @property
     def is_running(self) -> bool:
         """Whether calls are taken."""
-        return self._nursery is not None
+        return self._is_open
 
     @property
     def present(self) -> T:
@@ -108,11 +111,11 @@ class Background(Generic[T]):
         _handle_interrupts(signal.default_int_handler, _interrupt)
         try:
             if self._shares_loop:
-                self._loop = held_in_shared_loop(self._hold, self._name)
+                self._loop = held_in_shared_loop(self, self._name)
             else:
-                self._loop = LoopThread(self._hold, self._name, self._clock)
+                self._loop = LoopThread(self, self._name, self._clock)
                 self._loop.start()
-            self._wait(self._entered)
+            self.wait(self._entered)
         except BaseException:  # interrupted
             self._begun.wait(LOOK_UP)  # perhaps in Thread.start: the thread may still be starting
             self.stop()
@@ -136,12 +139,12 @@ class Background(Generic[T]):
         waits for its clean-up. Raises LocalProtocolError if called in the loop's own thread, which would wait for itself, and
         in a child process.
         """
-        result: R = self._called(self._begin, _Call(function, args, kwargs, timeout))
+        result: R = self._called(_Call(self, function, args, kwargs, timeout))
         return result
 
     def do(self, function: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
         """Call a plain function in the loop, and return its result. It must not block. Raises as `run` does."""
-        result: R = self._called(self._do, _Call(function, args, kwargs, None))
+        result: R = self._called(_PlainCall(self, function, args, kwargs, None))
         return result
 
     def do_at_the_end(self, function: Callable[[], object]) -> None:
@@ -150,10 +153,12 @@ class Background(Generic[T]):
         if loop is None or loop.is_here:
             function()
             return
-        call = _Call(function, (), {}, None)
-        if loop.hand_over(self._do_anyway, call):
+        if not loop.is_of_this_process:
+            return
+        call = _LastCall(self, function, (), {}, None)
+        if loop.hand_over(call.begin):
             call.wait(loop.thread)
-            self._result_of(call)
+            call.result()
         else:
             function()
 
@@ -161,156 +166,118 @@ class Background(Generic[T]):
         """Return a context manager that holds an async one in the loop while its block runs. make: is called in the loop."""
         return Held(self, make)
 
-    def _called(self, begin: Callable[[_Call], None], call: _Call) -> Any:
-        loop = self._loop_for(call)
+    def _called(self, call: _Call) -> Any:
+        """Hand a call to the loop, and wait for its end. Returns and raises as it does."""
+        loop = self.loop
         try:
-            if loop.hand_over(begin, call):
+            if loop.hand_over(call.begin):
                 call.wait(loop.thread)
             else:
-                call.end(error=self._reason())
+                call.end(error=self.reason())
         except BaseException:  # interrupted
-            self._take_back(call, loop)
+            self.take_back(call)
             raise
-        return self._result_of(call)
+        return call.result()
 
-    def _loop_for(self, call: _Call) -> LoopThread:
+    # ---- for the calls of this module ----
+
+    @property
+    def loop(self) -> LoopThread:
+        """The loop that takes calls. Raises MasterClosedError before there is one, LocalProtocolError in its own thread."""
         loop = self._loop
         if loop is None:
             raise MasterClosedError
-        if loop.is_here:
+        if get_ident() == loop.ident:
             raise LocalProtocolError("the blocking API was called in the master's own thread; call it in another one")
         return loop
 
-    def _result_of(self, call: _Call) -> Any:
-        error = call.error
-        if error is None:
-            return call.value
-        try:
-            raise error
-        finally:
-            call.error = error = None  # else the error and this frame would hold each other
-
-    def _take_back(self, call: _Call, loop: LoopThread) -> None:
+    def take_back(self, call: _Call) -> None:
         """Cancel a call, and wait for its clean-up."""
-        if loop.hand_over(self._cancel, call):
+        loop = self.loop
+        if loop.hand_over(call.cancel):
             until = monotonic() + TAKE_BACK_TIME
             while not call.is_done and monotonic() < until and loop.thread.is_alive():
-                call.wait_once()
+                call.done.acquire(True, LOOK_UP)
+
+    def wait(self, event: threading.Event) -> None:
+        """Wait until something has happened in the loop. Raises MasterClosedError if the loop has ended without."""
+        while not event.wait(LOOK_UP):
+            if self._loop is not None and not self._loop.thread.is_alive() and not event.is_set():
+                raise MasterClosedError  # trio itself has failed; its error was shown
+
+    def begin(self, call: _Call) -> bool:
+        """Return whether a call may begin, and count it; else tell it why. In the loop."""
+        if self._is_open:
+            self._calls.add(call)
+            return True
+        call.end(error=self.reason())
+        return False
+
+    def ended(self, call: _Call) -> None:
+        """Count a call that `begin` has let begin. In the loop."""
+        self._calls.discard(call)
+        if not self._is_open and not self._calls:
+            self._last_call_ended.set()
+
+    def told(self, error: BaseException) -> BaseException:
+        """Return an error that a caller gets."""
+        if self._context is not None and error is self._failure(self._context):
+            self._was_told = True
+        return error
+
+    def reason(self) -> BaseException:
+        """Return why no calls are taken now."""
+        self._was_told = True
+        failure = None if self._context is None else self._failure(self._context)
+        return failure or self._error or MasterClosedError()
 
     # ---- in the loop ----
 
-    async def _hold(self) -> None:
+    async def hold(self) -> None:
+        """See Hold."""
         self._begun.set()
         try:
             await self._stay()
         except BaseException as error:  # noqa: BLE001 - every error belongs to the caller of `stop`
             self._error = error
         finally:
-            self._nursery = None
             self._entered.set()
             if self._error is not None and not self._was_told and self._is_orphaned and self._context is not None:
                 print(clean_lines(str(self._error)), file=sys.stderr)  # no caller is left to get it
+            self.at_the_end()
             self._ended.set()
+
+    def at_the_end(self) -> None:
+        """Is called in the loop once the context has ended."""
 
     async def _stay(self) -> None:
         async with self._make() as context:
             self._context = context
             with self._scope:  # around the body only: entering and leaving are not cancelled
-                if self._is_stopping:
-                    return
-                async with trio.open_nursery() as nursery:
-                    self._nursery = nursery
-                    try:
-                        self._entered.set()
-                        while not (self._is_orphaned or self._is_stopping):
-                            await trio.sleep(WATCH_INTERVAL)
-                        nursery.cancel_scope.cancel()
-                    finally:
-                        self._nursery = None  # here: a nursery takes no task once its last one has ended
+                self._is_open = not self._is_stopping
+                try:
+                    self._entered.set()
+                    while not (self._is_stopping or (self._is_orphaned and self._may_go)):
+                        await trio.sleep(WATCH_INTERVAL)
+                finally:
+                    self._is_open = False
+                    await self._end_calls()
+
+    async def _end_calls(self) -> None:
+        for call in self._calls:
+            call.cancel()
+        if self._calls:
+            with trio.CancelScope(shield=True):
+                await self._last_call_ended.wait()
+
+    @property
+    def _may_go(self) -> bool:
+        return not self.goes_last or self._loop is None or all(each.goes_last for each in self._loop.held)
 
     @property
     def _is_orphaned(self) -> bool:
         """Whether a thread has ended that it was made for."""
         return not all(thread.is_alive() for thread in self._owners)
-
-    def _begin(self, call: _Call) -> None:
-        if call.is_done:
-            return  # it was taken back before
-        if self._nursery is None:
-            call.end(error=self._reason())
-        elif self._spare:
-            self._spare.pop().take(call)
-        else:
-            self._nursery.start_soon(self._serve, _Worker(call))
-
-    def _do(self, call: _Call) -> None:
-        if call.is_done:
-            return
-        if self._nursery is None:
-            call.end(error=self._reason())
-        else:
-            self._do_anyway(call)
-
-    def _do_anyway(self, call: _Call) -> None:
-        try:
-            call.end(call.function(*call.args, **call.kwargs))
-        except BaseException as error:  # noqa: BLE001 - whatever it is belongs to the caller
-            call.end(error=self._told(error))
-
-    def _cancel(self, call: _Call) -> None:
-        if call.scope is not None:
-            call.scope.cancel()
-        elif not call.is_done:
-            call.end(error=MasterClosedError())  # it has not begun, and nobody looks at its result
-
-    async def _serve(self, worker: _Worker) -> None:
-        """Serve one call after the other, until one is cancelled or there are tasks enough that wait."""
-        with worker.scope:
-            while True:
-                await self._serve_call(worker)
-                if worker.scope.cancel_called or len(self._spare) >= SPARE_TASKS:
-                    return
-                self._spare.append(worker)
-                try:
-                    await worker.next_call()
-                finally:
-                    if worker in self._spare:
-                        self._spare.remove(worker)
-
-    async def _serve_call(self, worker: _Worker) -> None:
-        call = worker.call
-        if call.is_done:
-            return
-        call.scope = worker.scope
-        value: Any = None
-        error: BaseException | None = None
-        try:
-            if call.timeout is None:
-                value = await call.function(*call.args, **call.kwargs)
-            else:
-                with trio.move_on_after(call.timeout) as limit:
-                    value = await call.function(*call.args, **call.kwargs)
-                if limit.cancelled_caught:
-                    error = CallTimeoutError(call.timeout)
-        except trio.Cancelled:
-            error = self._reason()
-            raise
-        except BaseException as raised:  # noqa: BLE001 - whatever it is belongs to the caller
-            error = self._told(raised)
-        finally:
-            call.scope = None
-            call.end(value, error)
-
-    def _told(self, error: BaseException) -> BaseException:
-        if self._context is not None and error is self._failure(self._context):
-            self._was_told = True
-        return error
-
-    def _reason(self) -> BaseException:
-        """Return why no calls are taken now."""
-        self._was_told = True
-        failure = None if self._context is None else self._failure(self._context)
-        return failure or self._error or MasterClosedError()
 
     # ---- the end ----
 
@@ -331,7 +298,8 @@ class Background(Generic[T]):
             self._leave()
         except BaseException as raised:  # noqa: BLE001 - raised again below
             interrupt = raised
-            self._soon(self._hurry)
+            if self._context is not None:
+                self._soon(self._hurry)
             self._leave()
         _running.discard(self)
         if not _running:
@@ -345,51 +313,128 @@ class Background(Generic[T]):
     def _leave(self) -> None:
         self._soon(self._scope.cancel)
         if self._begun.is_set():
-            self._wait(self._ended)
+            self.wait(self._ended)
             if self._loop is not None:
                 self._loop.join()
 
-    def _wait(self, event: threading.Event) -> None:
-        while not event.wait(LOOK_UP):
-            if self._loop is not None and not self._loop.thread.is_alive() and not event.is_set():
-                raise MasterClosedError  # trio itself has failed; its error was shown
-
     def _soon(self, function: Callable[[], object]) -> None:
         """Run something in the loop, unless that is over."""
+
+        def job() -> None:
+            function()
+
         if self._loop is not None:
-            self._loop.hand_over(function)
+            self._loop.hand_over(job)
 
 
 class _Call:
-    """One call: what is called, and where its caller waits. scope: cancels it while it runs."""
+    """One call of an async function, and where its caller waits. See Background.run. done: a lock that its end releases."""
 
-    __slots__ = ("_slot", "args", "error", "function", "is_done", "kwargs", "scope", "timeout", "value")
+    __slots__ = ("_args", "_background", "_error", "_function", "_kwargs", "_scope", "_timeout", "_value", "done", "is_done")
 
-    def __init__(self, function: Callable[..., Any], args: Any, kwargs: Any, timeout: float | None) -> None:
-        self.function = function
-        self.args = args
-        self.kwargs = kwargs
-        self.timeout = timeout
-        self.scope: trio.CancelScope | None = None
+    def __init__(
+        self, background: Background[Any], function: Callable[..., Any], args: Any, kwargs: Any, timeout: float | None
+    ) -> None:
+        self._background = background
+        self._function = function
+        self._args = args
+        self._kwargs = kwargs
+        self._timeout = timeout
+        self._scope: trio.CancelScope | None = None  # cancels it while it runs
+        self._value: Any = None
+        self._error: BaseException | None = None
         self.is_done = False
-        self.value: Any = None
-        self.error: BaseException | None = None
-        self._slot = WaitingPlace()
+        self.done = allocate_lock()
+        self.done.acquire()
+
+    # ---- in the loop ----
+
+    def begin(self) -> Work | None:
+        """Return what has to be served. Nothing, if it was taken back before, or the context takes no calls."""
+        return self if not self.is_done and self._background.begin(self) else None
+
+    async def serve(self, scope: trio.CancelScope) -> None:
+        """See Work."""
+        if self.is_done:  # taken back meanwhile
+            self._background.ended(self)
+            return
+        self._scope = scope
+        value: Any = None
+        error: BaseException | None = None
+        try:
+            if self._timeout is None:
+                value = await self._function(*self._args, **self._kwargs)
+            else:
+                with trio.move_on_after(self._timeout) as limit:
+                    value = await self._function(*self._args, **self._kwargs)
+                if limit.cancelled_caught:
+                    error = CallTimeoutError(self._timeout)
+        except trio.Cancelled:
+            error = self._background.reason()
+            raise
+        except BaseException as raised:  # noqa: BLE001 - whatever it is belongs to the caller
+            error = self._background.told(raised)
+        finally:
+            self._scope = None
+            self.end(value, error)
+            self._background.ended(self)
+
+    def cancel(self) -> None:
+        """Cancel it. If it has not begun, it never will."""
+        if self._scope is not None:
+            self._scope.cancel()
+        else:
+            self.end(error=MasterClosedError())
 
     def end(self, value: Any = None, error: BaseException | None = None) -> None:
-        """Tell the caller."""
+        """Tell the caller, who waits for it."""
         if not self.is_done:
-            self.value, self.error, self.is_done = value, error, True
-            self._slot.set()
+            self._value, self._error, self.is_done = value, error, True
+            self.done.release()
+
+    # ---- in the caller's thread ----
 
     def wait(self, thread: threading.Thread) -> None:
-        """Wait for the end. Raises MasterClosedError if the thread has ended without."""
-        if not self._slot.wait(thread):
-            raise MasterClosedError
+        """Wait for the end. Raises MasterClosedError if the thread of the loop has ended without."""
+        while not self.done.acquire(True, LOOK_UP):
+            if not thread.is_alive() and not self.is_done:
+                raise MasterClosedError
 
-    def wait_once(self) -> None:
-        """Wait for the end, LOOK_UP at most."""
-        self._slot.wait_once()
+    def result(self) -> Any:
+        """Return the value, or raise the error."""
+        error, self._error = self._error, None
+        if error is None:
+            return self._value
+        try:
+            raise error
+        finally:
+            error = None  # else the error and this frame would hold each other
+
+
+class _PlainCall(_Call):
+    """A call of a plain function."""
+
+    __slots__ = ()
+
+    def begin(self) -> None:
+        if not self.is_done and self._background.begin(self):
+            self._do()
+            self._background.ended(self)
+
+    def _do(self) -> None:
+        try:
+            self.end(self._function(*self._args, **self._kwargs))
+        except BaseException as error:  # noqa: BLE001 - whatever it is belongs to the caller
+            self.end(error=self._background.told(error))
+
+
+class _LastCall(_PlainCall):
+    """A call of a plain function that is always let begin."""
+
+    __slots__ = ()
+
+    def begin(self) -> None:
+        self._do()
 
 
 class _HeldCall(_Call):
@@ -397,13 +442,17 @@ class _HeldCall(_Call):
 
     __slots__ = ("entered",)
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function, (), {}, None)
+    def __init__(self, background: Background[Any], function: Callable[..., Any]) -> None:
+        super().__init__(background, function, (), {}, None)
         self.entered = threading.Event()
 
     def end(self, value: Any = None, error: BaseException | None = None) -> None:
         super().end(value, error)
         self.entered.set()
+
+    def has_failed_by(self, error: BaseException) -> bool:
+        """Return whether it ended with this error."""
+        return self._error is error
 
 
 class Held(Generic[R]):
@@ -417,41 +466,41 @@ class Held(Generic[R]):
         self._has_entered = False
         self._leave: trio.Event | None = None
         self._error: BaseException | None = None  # of the block
-        self._call = _HeldCall(self._hold)
+        self._call = _HeldCall(background, self._hold)
 
     def __enter__(self) -> R:
         background, call = self._background, self._call
-        loop = background._loop_for(call)
+        loop = background.loop
         try:
-            if not loop.hand_over(background._begin, call):
-                call.end(error=background._reason())
-            background._wait(call.entered)
+            if not loop.hand_over(call.begin):
+                call.end(error=background.reason())
+            background.wait(call.entered)
         except BaseException:  # interrupted
-            background._take_back(call, loop)
+            background.take_back(call)
             raise
         if not self._has_entered:
-            background._result_of(call)
+            call.result()
             raise MasterClosedError
         return self._value  # type: ignore[return-value]  # None only if that is the value
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> bool:
         background, call = self._background, self._call
-        loop = background._loop_for(call)
+        loop = background.loop
         self._error = error
         try:
             if loop.hand_over(self._let_go):
                 call.wait(loop.thread)
         except BaseException:  # interrupted
-            background._take_back(call, loop)
+            background.take_back(call)
             raise
-        if error is not None and (call.error is error or not isinstance(error, Exception)):
+        if error is not None and (call.has_failed_by(error) or not isinstance(error, Exception)):
             return False
-        background._result_of(call)
+        call.result()
         return error is not None
 
     def _let_go(self) -> None:
         if self._error is not None and not isinstance(self._error, Exception):
-            self._background._cancel(self._call)
+            self._call.cancel()
         elif self._leave is not None:
             self._leave.set()
 
@@ -463,34 +512,6 @@ class Held(Generic[R]):
             await self._leave.wait()
             if self._error is not None:
                 raise self._error
-
-
-class _Worker:
-    """A task that serves calls. call: the present one. scope: around the task."""
-
-    __slots__ = ("_task", "call", "scope")
-
-    def __init__(self, call: _Call) -> None:
-        self.call = call
-        self.scope = trio.CancelScope()
-        self._task: trio.lowlevel.Task | None = None
-
-    def take(self, call: _Call) -> None:
-        """Give it a call, while it waits for one."""
-        task, self._task = self._task, None
-        assert task is not None
-        self.call = call
-        trio.lowlevel.reschedule(task)
-
-    async def next_call(self) -> None:
-        """Wait for `take`."""
-        self._task = trio.lowlevel.current_task()
-
-        def abort(_: object) -> trio.lowlevel.Abort:
-            self._task = None
-            return trio.lowlevel.Abort.SUCCEEDED
-
-        await trio.lowlevel.wait_task_rescheduled(abort)
 
 
 _running: set[Background[Any]] = set()

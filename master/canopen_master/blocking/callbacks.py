@@ -88,21 +88,26 @@ class Callbacks:
 
     def handler(self, callback: Callable[[Any], object]) -> Handler:
         """Return a new handler; no event comes to it yet."""
+        return Handler(callback, self._queue)
+
+    def start(self) -> None:
+        """Begin the thread, unless it has begun."""
         with self._lock:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
                 self._thread.start()
-        return Handler(callback, self._queue)
 
     def end(self) -> None:
-        """End the thread, after the events that came; a function that does not return is left behind."""
+        """End the thread, after the events that came."""
+        self._queue.put(None)
+
+    def join(self) -> None:
+        """Wait for the end of the thread; a function that does not return is left behind."""
         thread = self._thread
-        if thread is not None:
-            self._queue.put(None)
-            if threading.current_thread() is not thread:
-                thread.join(LAST_EVENTS_TIME)
-                if thread.is_alive():
-                    LOGGER.warning("a function that was called with an event does not return: it is left behind")
+        if thread is not None and threading.current_thread() is not thread:
+            thread.join(LAST_EVENTS_TIME)
+            if thread.is_alive():
+                LOGGER.warning("a function that was called with an event does not return: it is left behind")
 
     def _run(self) -> None:
         while (handler := self._queue.get()) is not None:

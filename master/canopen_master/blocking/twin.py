@@ -45,12 +45,18 @@ class Hub(Background[Any]):
     def __init__(
         self,
         make: Callable[[], AbstractAsyncContextManager[Any]],
-        failure: Callable[[Any], Exception | None],
-        hurry: Callable[[], object],
+        failure: Callable[[Any], Exception | None] = lambda _: None,
+        hurry: Callable[[], object] = lambda: None,
+        *,
+        goes_last: bool = False,
     ) -> None:
-        super().__init__(make, failure, THREAD_NAME, shares_loop=True, owner=threading.current_thread(), hurry=hurry)
+        owner = threading.current_thread()
+        super().__init__(make, failure, THREAD_NAME, shares_loop=True, owner=owner, goes_last=goes_last, hurry=hurry)
         self.callbacks = Callbacks("canopen events")
         self._twins: dict[int, Twin[Any]] = {}
+
+    def at_the_end(self) -> None:
+        self.callbacks.end()
 
     def twin(self, kind: type[W], inner: object) -> W:
         """Return the twin of an object that lives as long as the master. kind: its class."""
@@ -77,7 +83,7 @@ class Hub(Background[Any]):
             error = self.stop()
         finally:
             if self.is_of_this_process:
-                self.callbacks.end()
+                self.callbacks.join()
         if error is not None:
             raise error
 
@@ -133,6 +139,7 @@ def on(hub: Hub, inner: Watchable, kind: type[E] | tuple[type[E], ...], callback
         handler.begin(lambda: hub.do_at_the_end(lambda: master.unwatch(watcher)))
 
     hub.do(begin, hub.present)
+    hub.callbacks.start()
     return handler
 
 
@@ -220,7 +227,7 @@ def open_context(kind: type[W], make: Callable[[], AbstractAsyncContextManager[A
 class _Standing(Generic[W]):
     def __init__(self, kind: type[W], make: Callable[[], AbstractAsyncContextManager[Any]]) -> None:
         self._kind = kind
-        self._hub = Hub(make, lambda _: None, lambda: None)
+        self._hub = Hub(make, goes_last=True)
 
     def __enter__(self) -> W:
         return self._kind(self._hub, self._hub.start())
