@@ -128,6 +128,8 @@ ATTRIBUTES: Final = {
 }
 """The types of attributes that no annotation gives."""
 
+RENAMED: Final = {"ReadStream.aclose": "close"}
+"""What has another name here."""
 AT_THE_END: Final = {"Subscription.close", "Subscription.__exit__", "Recorder.close"}
 """What ends something, and also has to work while the master is left, or after that."""
 IN_THE_CALLER: Final = {"Recorder.wait"}
@@ -416,6 +418,11 @@ class Writer:
                 "return self._hub.context(", [inner, f"lambda: self._inner.{name}({', '.join(passed)})"], ")", " " * 8
             )
             return
+        if key in RENAMED:
+            yield f"    def {RENAMED[key]}(self) -> None:"
+            yield from said(text_of(node), " " * 8)
+            yield f"        self._hub.end(self._inner.{name})"
+            return
         yield from fitted(f"def {name}(", ["self", *declared(shown)], f") -> {returns}:", "    ")
         yield from said(text_of(node), " " * 8)
         if isinstance(node, ast.AsyncFunctionDef):
@@ -451,9 +458,8 @@ class Writer:
                 yield "    def __enter__(self) -> Self:"
                 yield "        return self"
             case "__aexit__":
-                closing = "aclose" if owner == "ReadStream" else "close"
                 yield "    def __exit__(self, *error: object) -> None:"
-                yield f"        self.{'close' if closing == 'aclose' else closing}()"
+                yield "        self.close()"
 
     def members(self, owner: str, spec: Spec) -> Iterator[list[str]]:
         """Yield the lines of each member of a class."""
@@ -472,14 +478,7 @@ class Writer:
                     continue
                 names_here.add(node.name)
                 if not node.name.startswith("_"):
-                    if owner == "ReadStream" and node.name == "aclose":
-                        yield [
-                            "    def close(self) -> None:",
-                            *said(text_of(node), " " * 8),
-                            "        self._hub.do_at_the_end(self._inner._close)",
-                        ]
-                    else:
-                        yield list(self.method(owner, node, where))
+                    yield list(self.method(owner, node, where))
                 elif lines := list(self.special(owner, node, where)):
                     yield lines
             done |= names_here

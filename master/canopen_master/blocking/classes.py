@@ -576,7 +576,7 @@ class BlockingReadStream(Twin[ReadStream]):
 
     def close(self) -> None:
         """Close the stream. A transfer under way is aborted on the wire."""
-        self._hub.do_at_the_end(self._inner._close)
+        self._hub.end(self._inner.aclose)
 
     def __enter__(self) -> Self:
         return self

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import inspect
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator
-from contextlib import AbstractAsyncContextManager, AbstractContextManager
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable, Iterator
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, suppress
 from types import TracebackType
 from typing import Any, Generic, NoReturn, Protocol, Self, TypeVar, overload
 
@@ -19,6 +19,7 @@ import trio
 
 from canopen_master.blocking.background import Background
 from canopen_master.blocking.callbacks import Callbacks, Handler
+from canopen_master.errors import BusError, MasterClosedError
 from canopen_master.master import Master
 from canopen_master.motion.moving import together
 from canopen_master.node import Node
@@ -72,6 +73,11 @@ class Hub(Background[Any]):
             return self.run(None, inner.__anext__)
         except StopAsyncIteration:
             raise StopIteration from None
+
+    def end(self, close: Callable[[], Awaitable[None]]) -> None:
+        """Close something, unless the end of the master has done it."""
+        with suppress(MasterClosedError, BusError):
+            self.run(None, close)
 
     def context(self, kind: type[W], make: Callable[[], AbstractAsyncContextManager[Any]]) -> AbstractContextManager[W]:
         """Return an async context manager as a plain one. kind: the twin of what it gives."""
