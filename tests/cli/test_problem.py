@@ -93,6 +93,7 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (errors.ChainError(errors.NO_ANSWER, "arm", "no answer"), ExitCode.NO_ANSWER, "CO201"),
         (errors.ChainError(errors.REFUSED, "arm", "refused"), ExitCode.SDO_ABORT, "CO202"),
         (errors.ChainError(errors.GIVEN_UP, "arm", "given up"), ExitCode.SDO_ABORT, "CO203"),
+        (errors.CallTimeoutError(2.0), ExitCode.NO_ANSWER, "CO143"),
         (errors.HaltNotConfirmedError("CO131", "one may move"), ExitCode.DRIVE_FAULT, "CO131"),
         (SdoTransferError(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
         (SdoTransferError(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),

@@ -69,7 +69,7 @@ def _of_expected(error: BaseException) -> CommandError | None:
             return _spoken(error, _of_bus(error.code))
         case errors.BusError():
             return _spoken(error, _of_bus(error.code))
-        case errors.SdoTimeoutError() | errors.NodeSilentError():
+        case errors.SdoTimeoutError() | errors.NodeSilentError() | errors.CallTimeoutError():
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
             return _spoken(error, ExitCode.SDO_ABORT)
