@@ -4,6 +4,7 @@ Every day they are few. All that the tests name: `pytest --hypothesis-profile=fu
 To search further: `pytest --hypothesis-profile=search --timeout=0 tests/core/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
 The tests of each file in an order drawn from a number, files too: `pytest --shuffle=7`.
+The tests of the master on asyncio: `pytest --loop=asyncio tests/master`.
 """
 
 from __future__ import annotations
@@ -71,6 +72,7 @@ def processors() -> int:
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
     parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and the tests of each, in an order of their own")
+    parser.addoption("--loop", choices=["trio", "asyncio"], help="of the tests of the master: see tests/master/loops.py")
     if not pluginmanager.hasplugin("xdist"):  # `-p no:xdist`: then what pyproject.toml tells it means nothing
         for option in ("--numprocesses", "--dist"):
             parser.addoption(option, help="of pytest-xdist, which is not there")

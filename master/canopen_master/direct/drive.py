@@ -24,8 +24,6 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Final, TypeVar
 
-import trio
-
 from canopen_master.direct.hand_sync import HandSync
 from canopen_master.errors import NOT_HEARD, NodeSilentError
 from canopen_master.master import Master
@@ -58,6 +56,7 @@ from canopen_proto.pdo.settings import CYCLIC_TYPES
 from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
 from canopen_proto.sync import SyncReceived, SyncSent
+from canopen_transports.loop import CancelScope, current_loop
 
 T = TypeVar("T")
 
@@ -93,7 +92,7 @@ class DirectDrive:
         self.interval = 10
         self.in_counts = in_counts
         self._producer: PdoProducer | None = None
-        self._running: set[trio.CancelScope] = set()  # its sequences
+        self._running: set[CancelScope] = set()  # its sequences
         self._is_following = False
         self._is_new = False  # the rPDO is to be sent before the next SYNC
         self.comes_back = False  # its last step, which the next SYNC ends, leads back to its path
@@ -243,7 +242,7 @@ class DirectDrive:
 
     async def until_halted(self, function: Callable[[], Awaitable[T]]) -> T:
         """Call a function, and return its result. Raises ProcedureError if `halt` ended it before."""
-        with trio.CancelScope() as scope:
+        with current_loop().cancel_scope() as scope:
             self._running.add(scope)
             try:
                 return await function()
