@@ -203,8 +203,8 @@ class LinkedPdo:
 
 
 class LinkTransfer(NamedTuple):
-    """One PDO on the bus. can_id: 11 bits. sender, receivers: its ends; the master has none. objects: what it carries, as the
-    node has them that the file describes: of the sender, or of the receiver if the master sends. links: whose it is."""
+    """One PDO on the bus. can_id: 11 bits. sender, receivers: its ends; the master has none. links: whose it is. The PDO of the
+    sender, or of the first receiver if the master sends, has its objects."""
 
     can_id: int
     timing: Timing
