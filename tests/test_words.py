@@ -17,9 +17,10 @@ from tests.test_house import modules, statements
 
 TERM = re.compile(r"(?:(?<=[.;)] )|^)((?:[a-z_]+, )*[a-z_]+): ")
 VALUES = {
-    "default", "empty", "errors", "inf", "infinite", "infinity", "neither", "none", "notice", "outputs", "source", "warning",
+    "default", "empty", "errors", "inf", "infinite", "infinity", "neither", "none", "notice", "outputs", "source", "timestamp",
+    "warning",
 }  # fmt: skip
-"""Words that stand like a name, and are a value, or begin a line of a table."""
+"""Words that stand like a name, and are a value, a part of what is returned, or the begin of a line of a table."""
 
 Documented: TypeAlias = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 

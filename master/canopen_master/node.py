@@ -116,7 +116,7 @@ class Node(Peer):
             raise self._unexpected(variable, uploaded, error) from error
 
     async def read_message(self, key: Key, *, block: Block = False) -> Message:
-        """Read an object: its value, its name, the constants that it bears, and when it came (`timestamp`, ns on trio's clock).
+        """Read an object: its value, its name, and the constants that it bears. timestamp: when it came, ns on trio's clock.
 
         Bits 12 and 13 of the statusword depend on the mode of operation. If one is set, 0x6061 is read too.
         """
