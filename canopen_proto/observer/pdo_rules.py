@@ -80,7 +80,7 @@ class PdoTimings:
         self.deadline: Time = NEVER
 
     def settle(self, node_id: int, index: int, subindex: int, value: int) -> None:
-        """Take note of a parameter that a node holds. Other objects do nothing."""
+        """Take note of a parameter that a node holds. Does nothing for other objects."""
         place = place_of(index)
         if place is None or place.is_mapping or subindex > EVENT_TIMER:
             return

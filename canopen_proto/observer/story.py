@@ -134,7 +134,7 @@ class Story:
             self._tell("fault", node_id, f"{which} has left fault: {name} (statusword 0x{word:04X})", now, events)
 
     def _command(self, data: bytes) -> None:
-        """An NMT command may switch a heartbeat off: the next one begins anew."""
+        """An NMT command may switch a heartbeat off: the next one is the first again."""
         if len(data) == 2 and data[1] <= MAX_NODE_ID:
             for node_id in [data[1]] if data[1] else list(self._beats):
                 self._beats.pop(node_id, None)

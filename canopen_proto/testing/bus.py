@@ -119,7 +119,10 @@ class WorldBus:
         return find(pattern, self.observer, self.names, since)
 
     def never(self, pattern: Pattern, *, after: Time | None = None) -> None:
-        """Check that no frame came that fits. Raises AssertionError, which shows the first one, with what was before it."""
+        """Check that no frame came that fits. Raises AssertionError, which shows the first one, with what was before it.
+
+        after: only frames from this time on, ns; None: since `mark`, or from the start.
+        """
         __tracebackhide__ = True
         check_never(pattern, self.observer, self.names, self._since if after is None else after)
 

@@ -4,7 +4,7 @@
     Delay(heartbeat(5), by=2 * SECOND, chance=0.1)    one heartbeat in ten comes 2 s late
     Refuse(5, "controlword", AbortCode.LOCAL_CONTROL) node 5 refuses each access to its controlword
     Pause(5, at=1 * SECOND, lasts=300 * MILLISECOND)  node 5 does nothing for 300 ms
-    Reset(5, on=nmt("start", 5))                      node 5 starts anew as soon as it is started
+    Reset(5, on=nmt("start", 5))                      node 5 starts again as soon as it is started
 
 Which frames or moments: `nth` (the first is 1; one number or several), `chance` (drawn with the seed of the world, and with
 numbers of its own for each fault), `when` (a function of the frame), `since` and `until` (times of the world, ns), `bus`. All
@@ -174,7 +174,7 @@ class Pause(NodeFault):
 
 @dataclass(frozen=True)
 class Reset(NodeFault):
-    """A device starts anew by itself, as by its watchdog: its values are those of power-on, it sends a boot-up."""
+    """A device starts again by itself, as by its watchdog: its values are those of power-on, it sends a boot-up."""
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ class Judge:
         return self._witnessed
 
     def forget(self) -> None:
-        """Look at all frames anew: another device is known now."""
+        """Look at all frames again: another device is known now."""
         self._observer = None
         self._witnessed = []
         self._missed = []

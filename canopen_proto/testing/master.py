@@ -60,7 +60,7 @@ class WorldMaster(WorldMember):
         return self._nodes[node_id]
 
     def read(self, node_id: int, key: Key) -> Value:
-        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLength."""
+        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLengthError."""
         __tracebackhide__ = True
         return self.run(read(self.node(node_id), key))
 

@@ -71,7 +71,8 @@ class World:
     """See this module's text. now: ns since the world began. nodes: the devices, by the node-ID with which they were made; those
     without one (LSS) by 255, 256 ...
 
-    faults: what goes wrong; more with `add_faults`. transmission: how long a frame takes on the bus, least and most, ns.
+    seed: of the faults and times that are left to chance. faults: what goes wrong; more with `add_faults`. transmission: how long
+    a frame takes on the bus, least and most, ns.
     """
 
     def __init__(self, seed: int = 0, faults: Iterable[Fault] = (), *, transmission: tuple[Time, Time] = TRANSMISSION) -> None:

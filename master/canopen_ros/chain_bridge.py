@@ -110,7 +110,7 @@ class ChainBridge:
 
     @property
     def state(self) -> str:
-        """One word: off, ready, following, moving, stopping, halted, fault; failed: the bus or the master is gone."""
+        """One word: off, ready, following, moving, stopping, halted, fault, or failed, if the bus or the master is gone."""
         if self.failure is not None:
             return "failed"
         if self.chain.state is ChainState.FOLLOWING and self.chain.motion is not None:

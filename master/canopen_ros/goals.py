@@ -108,7 +108,7 @@ class GoalResult(NamedTuple):
 class Feedback(NamedTuple):
     """Where all joints of the chain are, in its order; in SI units.
 
-    time: seconds since the motion began. error: desired minus actual, of the same instant.
+    error: desired minus actual, of the same instant. The `time_from_start` of all three is the time since the motion began.
     """
 
     joint_names: tuple[str, ...]

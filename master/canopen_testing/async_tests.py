@@ -40,7 +40,7 @@ class AsyncioMaster:
         self.master = master
 
     async def read(self, node_id: int, key: Key) -> Value:
-        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLength."""
+        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLengthError."""
         return await self.run(read(self.master.node(node_id), key))
 
     async def write(self, node_id: int, key: Key, value: Value) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import stat
@@ -167,6 +168,23 @@ def test_what_cannot_be_written(run: Run, world: Lasting) -> None:
 
 
 # ---- what a backup and a restore keep ----
+
+
+def test_a_folder_that_may_not_be_looked_into(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Root may look into each folder, so the system's refusal is put in its place."""
+    stat_of = Path.stat
+
+    def refuse(path: Path, **options: bool) -> os.stat_result:
+        if "closed" in path.parts:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return stat_of(path, **options)
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    for path in ("closed/sub/out.bin", "closed/out.bin"):
+        status, _, stderr = run("read", "3", "1000", *DEMO, "-o", path)
+        assert status == ExitCode.PERMISSION
+        assert f"CO109: cannot write {path}: Permission denied" in stderr
+        assert "try:   another folder" in stderr
 
 
 def test_a_backup_keeps_bytes_and_compare_and_restore_see_them(run: Run, world: Lasting) -> None:

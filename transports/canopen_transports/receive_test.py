@@ -89,7 +89,7 @@ async def listen_on(
     *,
     listen_only: bool = False,
 ) -> Heard:
-    """Do as `listen` on an open bus. text: its locator, for the result. listen_only: it does not acknowledge."""
+    """Do as `listen` on an open bus, for `seconds`. text: its locator, for the result. listen_only: it does not acknowledge."""
     heard = Heard(text, listen_only)
     with current_loop().move_on_after(seconds):
         while True:

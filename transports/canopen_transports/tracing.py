@@ -248,7 +248,8 @@ class TracingTransport(AsyncResource):
 
 @contextmanager
 def recording(writer: LogWriter, *, devices_are_ours: bool = False) -> Iterator[Trace]:
-    """Record the transports that are opened while the block runs; close the file at its end, however it ends. See `Trace`."""
+    """Record the transports that are opened while the block runs; close the file at its end, however it ends. writer,
+    devices_are_ours: see `Trace`."""
     trace = Trace(writer, devices_are_ours=devices_are_ours)
     token = _trace.set(trace)
     try:

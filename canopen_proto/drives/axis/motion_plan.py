@@ -228,7 +228,8 @@ def plan_motion(
     """Return how a drive with this dictionary follows set-points; see this module's text.
 
     cycle_time: ns between two SYNCs. modes: 0x6502 as the drive shows it; None: not read. wish: the only mode to be considered.
-    axis: of the node, 0 for the first one. lean: as few TPDOs as possible. Raises NoMotionPlanError, which names each mode and
+    axis: of the node, 0 for the first one. lean: as few TPDOs as possible. feed_forward:
+    the velocity offset (0x60B1) goes along, where the drive has room for it. Raises NoMotionPlanError, which names each mode and
     its obstacle.
     """
     wish = wish if wish is None else Mode(wish)  # a plain number is as good

@@ -98,7 +98,7 @@ def check_same_count(path: Path, limits: Sequence[JointLimits]) -> None:
 
 
 def check_cycle(cycle_time: float) -> None:
-    """Raise PathError unless this is the time of a cycle."""
+    """Raise PathError unless this is the time of a cycle: seconds, above 0 and finite."""
     if not 0.0 < cycle_time < math.inf:
         raise PathError(f"A cycle takes {cycle_time!r} s. Try: the period of the SYNC in seconds, such as 0.004.")
 

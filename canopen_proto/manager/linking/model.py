@@ -203,8 +203,8 @@ class LinkedPdo:
 
 
 class LinkTransfer(NamedTuple):
-    """One PDO on the bus. can_id: 11 bits. sender, receivers: its ends; the master has none. objects: what it carries, as the
-    node has them that the file describes: of the sender, or of the receiver if the master sends. links: whose it is."""
+    """One PDO on the bus. can_id: 11 bits. sender, receivers: its ends; the master has none. links: whose it is. The PDO of the
+    sender, or of the first receiver if the master sends, has its objects."""
 
     can_id: int
     timing: Timing
@@ -240,7 +240,7 @@ class LinkPlan:
         """Return the downloads that set up the PDOs of a node, in order; none if no link needs the node. `pack_concise` makes a
         concise DCF of them.
 
-        The first ones destroy PDOs that contradict a link. The others destroy each PDO of a link, map it anew and create it (CiA
+        The first ones destroy PDOs that contradict a link. The others destroy each PDO of a link, map it again and create it (CiA
         301 v4.2.0, 7.5.2.36). The node should be Pre-operational. Nothing is stored (0x1010).
         """
         gone = [pdo for pdo in self.destroyed if pdo.node == node]

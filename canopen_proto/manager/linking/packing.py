@@ -27,7 +27,7 @@ DUMMY_WIDTHS: Final = tuple(
 
 @dataclass(slots=True)
 class Bundle:
-    """The feeds of one PDO, in its order. sender: the name of a node, or MASTER. others: entries of a fixed mapping in place of
+    """The feeds of one PDO, in its order. sender: the name of a node, or MASTER. layout: entries of a fixed mapping in place of
     the feeds' own: what the sender maps between them."""
 
     sender: str

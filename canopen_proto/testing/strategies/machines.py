@@ -201,7 +201,7 @@ class MasterAgainstDevices(RuleBasedStateMachine):
 
     @rule(place=_PLACES)
     def reset(self, place: int) -> None:
-        """Let a device start anew, by itself."""
+        """Let a device start again, by itself. place: of the device among all, from 0."""
         self.world.add_faults(Reset(self._node_id(place), at=self.world.now))
         self.world.advance(0)
 

@@ -46,6 +46,7 @@ def check_values(subject: Subject) -> Iterator[Finding]:
                 text = f"it is {variable.access}, so that {_shown(variable.configured)} cannot be written there"
                 yield subject.of_variable("configured-read-only", variable, text, "ParameterValue")
         elif variable.access is Access.CONST and variable.default is None and variable.subindex:
+            # At subindex 0 most files leave it out: names and versions (0x1008 to 0x100A), numbers of entries.
             yield subject.of_variable("const-default", variable, "it is const, but has no DefaultValue", "AccessType")
         yield from _check_type(subject, variable)
 

@@ -54,7 +54,8 @@ class Rate(click.ParamType):  # type: ignore[type-arg, unused-ignore]
 
 @dataclass
 class RateChange:
-    """The order. rates: kbit/s. locators: of our bus before and after. command: switches our interface, "" for none."""
+    """The order. old, new: kbit/s. locators: of our bus before and after. command: switches our interface, "" for none. delay:
+    before the switch, ns (`LssMaster.activate_bit_timing`). store: let the devices store the new one."""
 
     old: int
     new: int

@@ -26,7 +26,7 @@ MAX_SHOWN: Final = 16
 
 
 class Checked:
-    """A node that was compared. state: the last one that was heard. others: nodes on its bus that are in no list."""
+    """A node that was compared. state: the last one that was heard; None if none was."""
 
     def __init__(self, network: BusNetwork, result: NodeComparison, state: NmtState | None) -> None:
         self.network = network

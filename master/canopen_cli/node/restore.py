@@ -35,7 +35,7 @@ IDENTITY: Final = ((1, "vendor-ID"), (2, "product code"))
 
 @dataclass(frozen=True)
 class SettingsToRestore:
-    """The settings to restore. values: of `dictionary`, by mux; skip: muxes; options: of `plan_restore`."""
+    """The settings to restore. values: of `dictionary`, by mux. options: of `plan_restore`."""
 
     node_id: int
     path: str

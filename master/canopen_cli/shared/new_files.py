@@ -22,21 +22,25 @@ from canopen_master.whole_file import whole_file
 
 
 def check_new_file(settings: Settings, screen: Screen, path: str | Path, *inputs: str) -> None:
-    """Raise a CommandError if there is no folder for the file, if it is one of the inputs, or if it exists and the user does not
-    want it overwritten.
+    """Raise a CommandError if there is no folder for the file, or none that this user may look into, if it is one of the inputs,
+    or if it exists and the user does not want it overwritten. inputs: the files that the command reads.
 
     Without a terminal nobody can be asked: then --force has to say so (CO135, exit status 2). If the path is not a
     regular file (/dev/null, a pipe), nothing is asked: nothing is overwritten there.
     """
     target = Path(path)
-    if not target.parent.is_dir():
+    try:
+        has_folder, is_folder, is_file = target.parent.is_dir(), target.is_dir(), target.is_file()
+    except OSError as error:  # a folder on the way that this user may not look into
+        raise _cannot_write(str(path), error) from error
+    if not has_folder:
         raise CommandError(
             ExitCode.BAD_FILE, "CO341", f"cannot write {path}: there is no folder {target.parent}", tries=("write elsewhere",)
         )
-    if target.is_dir():
+    if is_folder:
         raise CommandError(ExitCode.BAD_FILE, "CO341", f"cannot write {path}: it is a folder", tries=("the name of a file",))
     _check_no_input(target, inputs)
-    if settings.force or not target.is_file():
+    if settings.force or not is_file:
         return
     if not (screen.err.is_terminal and sys.stdin.isatty()):
         tries = (f"another name than {path}", "the same with --force")
@@ -52,10 +56,10 @@ def check_writable(path: str | Path) -> None:
     One that is not there is made and removed again: nothing else tells for sure. Pipes and devices are not tried.
     """
     target = Path(path)
-    is_new = not target.exists()
-    if not is_new and not target.is_file():
-        return
     try:
+        is_new = not target.exists()
+        if not is_new and not target.is_file():
+            return
         with target.open("ab"):
             pass
         if is_new:

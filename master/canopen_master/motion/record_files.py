@@ -2,7 +2,7 @@
 
 A CSV file begins with two lines that begin with `#`: the name of the format, and its head as JSON; then come the names of the
 columns, and the rows. It can be read however the program ended. `pandas.read_csv(FILE, comment="#")` reads it, too.
-A Parquet file is a sixth of the size, and has the same head in the metadata of its schema (`canopen.recording`). It can be read
+A Parquet file is a third of the size, and has the same head in the metadata of its schema (`canopen.recording`). It can be read
 only after it was closed.
 """
 

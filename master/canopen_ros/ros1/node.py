@@ -38,7 +38,7 @@ from canopen_ros.reply import FILE_ERRORS, Reply
 from canopen_ros.ros1 import messages
 from canopen_ros.ros1.action import TrajectoryAction, trajectory_goal
 from canopen_ros.ros1.roscore import RosCore
-from canopen_ros.ros1.rospy_types import Message, Publisher, message_class, rospy, values
+from canopen_ros.ros1.rospy_types import Message, TopicPublisher, message_class, rospy, values
 from canopen_ros.samples import Sample
 from canopen_ros.threads import OutgoingMessages, Portal, open_portal, until_stopped
 
@@ -58,7 +58,7 @@ class BridgeInterface:
         self._bridge = bridge
         self._portal = portal
         self._outgoing = outgoing
-        self._states: dict[str, Publisher] = {}
+        self._states: dict[str, TopicPublisher] = {}
 
     # ---- in a worker's thread: each registration waits for the ROS master ----
 
@@ -80,7 +80,7 @@ class BridgeInterface:
         self._subscribe(TRAJECTORY, chain, partial(self._trajectory, chain))
         TrajectoryAction(chain, self._portal, self._outgoing)
 
-    def _publisher(self, name: Name, chain: str = "") -> Publisher:
+    def _publisher(self, name: Name, chain: str = "") -> TopicPublisher:
         return rospy().Publisher(name.of(chain), message_class("msg", name.type), queue_size=QUEUE, latch=name.latched)
 
     def _subscribe(self, name: Name, chain: ChainBridge, callback: Callable[[Message], None]) -> None:

@@ -13,7 +13,7 @@ Message = Any
 """An instance of a generated message class; its fields stand in the definitions of the messages."""
 
 
-class Publisher(Protocol):
+class TopicPublisher(Protocol):
     def publish(self, message: Message) -> None: ...
 
 
@@ -52,7 +52,7 @@ class Rospy(Protocol):
 
     def signal_shutdown(self, reason: str) -> None: ...
 
-    def Publisher(self, name: str, data_class: type, *, queue_size: int, latch: bool) -> Publisher: ...
+    def Publisher(self, name: str, data_class: type, *, queue_size: int, latch: bool) -> TopicPublisher: ...
 
     def Subscriber(self, name: str, data_class: type, callback: Callable[[Message], None], *, queue_size: int) -> object: ...
 

@@ -95,7 +95,8 @@ def utilisation(messages: Sequence[PeriodicMessage]) -> float:
 
 
 def response_times(messages: Sequence[PeriodicMessage], bitrate: int, *, error_interval: Time = NEVER) -> list[ResponseTime]:
-    """Return the worst-case response time of each message, in the order given. bitrate: bit/s."""
+    """Return the worst-case response time of each message, in the order given. bitrate: bit/s. error_interval:
+    ns, least, between two bus errors; NEVER for none."""
     bit = duration(1, bitrate)
     seen = list(messages)  # as others see them: a queue makes its frames late
     for _ in range(MAX_ROUNDS):
