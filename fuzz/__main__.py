@@ -5,9 +5,9 @@
     python -m fuzz show crash-...
     python -m fuzz keep sdo_server
     python -m fuzz sdo_clients 100000 [SEED]
-    python -m fuzz flash_lives|damaged_recordings [FIRST [COUNT]]
+    python -m fuzz copied_frames|damaged_recordings|flash_lives|lossy_restores [FIRST [COUNT]]
 
-`sdo_clients`, `flash_lives` and `damaged_recordings` need no atheris: they draw as many cases as they are told.
+The last two lines need no atheris: these programs draw as many cases as they are told.
 
 `python -m fuzz.mutants` plants bugs and says whether the inputs below and the tests find them.
 
@@ -17,10 +17,14 @@ not in the repository; `keep` makes it the archive.
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
+from typing import Final
 
 from fuzz.kept import HERE, keep, kept, unpack
+
+PROGRAMS: Final = ("copied_frames", "damaged_recordings", "flash_lives", "lossy_restores")
 
 
 def main(arguments: list[str]) -> int:
@@ -34,14 +38,10 @@ def main(arguments: list[str]) -> int:
         from fuzz.sdo_clients import many
 
         return many(int(arguments[1]), "".join(arguments[2:]) or "0")
-    if arguments and arguments[0] == "flash_lives":
-        from fuzz import flash_lives
-
-        return flash_lives.main(arguments[1:])
-    if arguments and arguments[0] == "damaged_recordings":
-        from fuzz import damaged_recordings
-
-        return damaged_recordings.main(arguments[1:])
+    if arguments and arguments[0] in PROGRAMS:
+        program = importlib.import_module(f"fuzz.{arguments[0]}")
+        status: int = program.main(arguments[1:])
+        return status
     names = sorted(path.name for path in (HERE / "corpus").iterdir())
     if len(arguments) == 2 and arguments[0] == "keep" and arguments[1] in names:
         found = HERE / "found" / arguments[1]
@@ -50,7 +50,7 @@ def main(arguments: list[str]) -> int:
     if not arguments or arguments[0] not in names:
         print(f"usage: python -m fuzz {{{','.join(names)}}} [libFuzzer options]")
         print("       python -m fuzz show FILE | keep TARGET | sdo_clients COUNT [SEED]")
-        print("       python -m fuzz flash_lives | damaged_recordings [FIRST [COUNT]]")
+        print(f"       python -m fuzz {{{','.join(PROGRAMS)}}} [FIRST [COUNT]]")
         return 2
     try:
         import atheris

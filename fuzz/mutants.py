@@ -233,6 +233,7 @@ SDO_MUTANTS: Final = (
         "    transfer.is_given_up = False  # a second copy",
         "the second copy of the refusal refuses the plain transfer too",
         FALL_BACK,
+        in_corpus=False,  # without a copy_guard it changes nothing: the plain transfer is made again
     ),
     Mutant(
         "size_unheard",

@@ -24,11 +24,71 @@ _CONSUMER: Final = "pdo/consumer.py"
 _SLAVE: Final = "lss/slave.py"
 _SDO_CLIENT: Final = "sdo/client.py"
 _CONTENTION: Final = "sdo/contention.py"
+_QUEUE: Final = "sdo/request_queue.py"
 CONTENTION: Final = ("tests/core/test_sdo_contention.py",)
+COPIES: Final = ("tests/core/test_sdo_copies.py",)
+RESTORE: Final = ("tests/manager/test_restore.py",)
 
 SERVICE_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        # ---- SDO: frames that come twice ----
+        (
+            "no_question",
+            _QUEUE,
+            "return command & _IN_ONE_FRAME == _WRITE and self.may_meet_another(transfer, now, timeout)",
+            "return False",
+            "a write is confirmed by the second copy of the answer to the one before",
+            COPIES,
+        ),
+        (
+            "restore_believes_a_copy",
+            _QUEUE,
+            "return command & _IN_ONE_FRAME == _WRITE and self.may_meet_another(transfer, now, timeout)",
+            "return False",
+            "a restore is told as done though the device has refused its last write of an object",
+            RESTORE,
+        ),
+        (
+            "same_question_again",
+            _QUEUE,
+            "named = {transfer.first[1:4], self._answered[1:4], *self.left, *self.overdue}",
+            "named = {transfer.first[1:4]}",
+            "the second copy of the answer to one question answers the next question",
+            COPIES,
+        ),
+        (
+            "given_up_is_forgotten",
+            _SDO_CLIENT,
+            "            self._leave(transfer, now)\n            transfer.abort(AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED)",
+            "            transfer.abort(AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED)",
+            "a write is confirmed by the answer to one that was cancelled",
+            COPIES,
+        ),
+        (
+            "refused_for_another",
+            _SDO_CLIENT,
+            " and self._asks_again(transfer, data):\n                return",
+            ":\n                pass",
+            "a read is called refused, though it was the copy of the write before that was refused",
+            COPIES,
+        ),
+        (
+            "asks_for_ever",
+            _SDO_CLIENT,
+            "            transfer.is_answered |= origin is AbortOrigin.PEER\n",
+            "",
+            "a device that refuses the question is asked again and again",
+            COPIES,
+        ),
+        (
+            "halt_behind_a_question",
+            _QUEUE,
+            "before[1:4] or transfer.is_urgent or now",
+            "before[1:4] or now",
+            "a halt waits for the answer to a question",
+            COPIES,
+        ),
         # ---- SDO: other clients on the channel ----
         (
             "deaf_to_other_clients",

@@ -263,7 +263,8 @@ class Scene:
         is_order_kept = not fates & {Fate.LATE, Fate.COPIED_LATE, "damaged"}
         if is_order_kept or (plan.is_guarded and not plan.second):
             self._check_truth(first, self.content)
-            if plan.second and is_order_kept and (plan.has_guard or not fates):
+            is_told_apart = plan.has_guard or not fates or (not plan.is_upload and plan.second != 2)
+            if plan.second and is_order_kept and is_told_apart:
                 self._check_second(pair.outcomes[1])
         if self._costs_nothing(fates):
             assert isinstance(first, SdoAborted) == plan.is_too_large, first

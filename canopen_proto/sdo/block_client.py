@@ -103,6 +103,13 @@ class BlockDownload(BlockSender):
         self._fed = total
         super().feed(piece, last or total == self._size, now)
 
+    def again(self) -> Transfer | None:
+        content = self._content
+        if not isinstance(content, bytes):
+            return None
+        plain = None if self.plain is None else Download(self.end, self.index, self.subindex, content)
+        return BlockDownload(self.end, self.index, self.subindex, content, len(content), plain)
+
     def _ask_for_more(self) -> None:
         if self._asked_at != self._fed:
             self._asked_at = self._fed

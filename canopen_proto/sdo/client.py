@@ -19,14 +19,22 @@ A frame that is not of this transfer is not acted on, and reported (FrameIgnored
 - anything unexpected before the first response, if the transfer before ended without its last response.
 Everything else unexpected is an abort with 0x05040001 or 0x05030000.
 
-SDO cannot tell two things apart: a second copy (or a late one, after a timeout or `cancel`) of an answer, and the answer to the
-*next* request, if both transfer the same object in the same direction. Two pauses close that gap by time.
+An answer of one frame does not tell which request it is for. So a second copy of an answer (or a late one, after a time-out or
+`cancel`) looks like the answer to the *next* request, if both transfer the same object in the same direction; a refusal does in
+both directions. CAN copies requests too, and a server answers both copies. A question and two pauses close that gap.
+- A question: the client reads another object (QUESTIONS, 0x1000 first) and drops its value. CAN keeps the order of the server's
+  frames: once that answer has come, nothing that was asked for before it is left. A question comes before a write of 1 to 4 bytes
+  to the object of the transfer before, unless that was a read that brought such a value; before any request of one frame for an
+  object whose transfer was given up without an answer; and before a request that is made again, since its refusal may be that of
+  the write before (a read, or a write of which no data were sent). None comes before an urgent request, nor once `timeout` has
+  passed since the server's last word. A question without an answer holds its request for `timeout`.
 - `late_guard`, after a time-out: the same object is not accessed again until its late answer has come (it is reported as
   FrameIgnored), until the server has answered something else, or until that much time is over. Without it, each answer of a
   server that is slower than `timeout` would be taken for the answer to the next request. Both directions wait, since an abort
   does not say which it means. Other objects need not wait, nor do urgent requests (a halt matters more than its confirmation).
-- `copy_guard`: such a request, and any request after a transfer that was given up, waits until that long after the end of the
-  one before. It is 0 by default, for buses that make no copies; about a millisecond will do on a real one.
+- `copy_guard`: a request that looks like the one before, and any request after a transfer that was given up, waits until that
+  long after the end of the one before. It is 0 by default. It is there for two reads of one object in a row, which ask no
+  question: the second may get the answer to the first again. About a millisecond will do on a real bus.
 Under copies that come later still, or out of order, every transfer still ends, but its bytes may be wrong: a segmented transfer
 has a one-bit sequence number and no checksum. Block transfer has one.
 
@@ -75,7 +83,7 @@ from canopen_proto.sdo.codec import (
 from canopen_proto.sdo.contention import SERVICE_ERROR, Contested, OtherClient, is_own_refusal, spread
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request_queue import RequestQueue
-from canopen_proto.sdo.segmented_client import Download, Upload, own
+from canopen_proto.sdo.segmented_client import NOBODY, Download, Upload, own
 from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, Channel, ChannelEnd, Transfer
 
 __all__ = [
@@ -274,6 +282,7 @@ class SdoClient(ChannelEnd):
         if transfer is None:
             return False
         if transfer is self._transfer:
+            self._leave(transfer, now)
             transfer.abort(AbortCode.GENERAL_ERROR, AbortOrigin.CANCELLED)
             self._follow(transfer, now)
             return True
@@ -364,6 +373,8 @@ class SdoClient(ChannelEnd):
             if transfer.state is INITIATED and (transfer.first[0] == INITIATE_UPLOAD or transfer.is_all_sent):
                 # A late answer may be a whole one, and would look like that to the next such request
                 self._queue.expect_late(transfer.first[1:4], now + self.late_guard)
+            else:
+                self._leave(transfer, now)
             transfer.handle_timeout(now)
         self._follow(transfer, now)
 
@@ -397,7 +408,7 @@ class SdoClient(ChannelEnd):
                 transfer.is_answered = transfer.believes
             self._end_contested(transfer, now)
         elif specifier == ABORT:
-            self._on_abort(transfer, is_named, data, frame)
+            self._on_abort(transfer, is_named, data, frame, now)
         elif is_initiate and not is_named:
             self.ignore(frame, "response about another object")
         elif is_initiate and data[:4] == self.last[:4]:
@@ -409,7 +420,14 @@ class SdoClient(ChannelEnd):
         elif self._queue.unsettled and not transfer.is_answered:
             self.ignore(frame, "late response of a transfer that was given up")
         else:
+            if not is_named:
+                self._leave(transfer, now)
             transfer.abort(transfer.fault_of(command))
+
+    def _leave(self, transfer: Transfer, now: Time) -> None:
+        """Our side is about to give a transfer up: the server may answer it all the same."""
+        if not transfer.is_answered:
+            self._queue.leave(transfer.first[1:4], now + self.timeout)
 
     def _is_in_doubt(self, transfer: Transfer, specifier: int, is_named: bool, data: bytes) -> bool:
         """Return whether a frame may be a stranger's doing: one was heard just now."""
@@ -426,7 +444,7 @@ class SdoClient(ChannelEnd):
             return False
         return transfer.is_contested or data != self.last
 
-    def _on_abort(self, transfer: Transfer, is_named: bool, data: bytes, frame: Frame) -> None:
+    def _on_abort(self, transfer: Transfer, is_named: bool, data: bytes, frame: Frame, now: Time) -> None:
         """CiA 301 v4.2.0, 7.2.4.3.17.
 
         If a last segment came twice and the answer to the first copy was lost, the server says that the second one is out of
@@ -437,12 +455,31 @@ class SdoClient(ChannelEnd):
         is_nameless = data[1:4] == NO_MULTIPLEXER
         if is_named or (transfer.has_begun and is_nameless):
             finds_a_copy = transfer.has_begun and SIZE.unpack_from(data, 4)[0] in _OUT_OF_PLACE
+            if is_named and self._queue.may_meet_another(transfer, now, self.timeout) and self._asks_again(transfer, data):
+                return
             is_refusal = is_named and not finds_a_copy
             self._end_by_abort(transfer, data, not is_refusal and transfer.is_all_sent)
             return
         if is_nameless and transfer.in_blocks:
             self._nameless_abort = data
         self.ignore(frame, "abort of another object's transfer")
+
+    def _asks_again(self, transfer: Transfer, data: bytes) -> bool:
+        """Make a request again whose refusal may concern the transfer before; return whether it can be. data: of the refusal."""
+        again = None if transfer.has_begun else transfer.again()
+        if again is None:
+            return False
+        self.last = data
+        transfer.is_given_up = True
+        transfer.state = OVER
+        self._put_first(again, transfer)
+        self._queue.doubted = again
+        return True
+
+    def _put_first(self, again: Transfer, transfer: Transfer) -> None:
+        """Let a request take the place of one that has ended."""
+        again.request_id, again.is_urgent = transfer.request_id, transfer.is_urgent
+        (self._queue.urgent if again.is_urgent else self._queue.others).appendleft(again)
 
     def _end_by_abort(self, transfer: Transfer, data: bytes, not_confirmed: bool) -> None:
         """The server has aborted the transfer; if it is blocks that it refuses, a plain one may take its place."""
@@ -471,6 +508,9 @@ class SdoClient(ChannelEnd):
         self._end_by_abort(transfer, data, False)
 
     def report_abort(self, transfer: Transfer, abort_code: int, origin: AbortOrigin, not_confirmed: bool) -> None:
+        if transfer.request_id == NOBODY:
+            transfer.is_answered |= origin is AbortOrigin.PEER
+            return
         is_silent = origin is AbortOrigin.TIMEOUT and abort_code != AbortCode.CANNOT_TRANSFER  # that is our own side's silence
         waited = transfer.patience if is_silent else 0
         request_id, index, subindex = transfer.request_id, transfer.index, transfer.subindex
@@ -514,15 +554,14 @@ class SdoClient(ChannelEnd):
             self._queue.expect_late(transfer.first[1:4], now + self.late_guard + spread(now))
             self.other.expect(transfer.first[1:4])
         transfer.state = OVER
-        again = transfer.again()
+        again = None if transfer.is_download else transfer.again()
         if again is not None and transfer.is_urgent:
             self._tries += 1
             again = again if self._tries < MAX_URGENT_TRIES else None
         if again is None or now >= since + self.contest_limit:
             self.report_abort(transfer, AbortCode.GENERAL_ERROR, AbortOrigin.CONTESTED, transfer.is_download)
             return
-        again.request_id, again.is_urgent = transfer.request_id, transfer.is_urgent
-        (self._queue.urgent if again.is_urgent else self._queue.others).appendleft(again)
+        self._put_first(again, transfer)
 
     def _yields(self, now: Time) -> bool:
         """Return whether requests wait for a stranger now; then the deadline is set. Requests that waited too long end here."""
@@ -587,7 +626,14 @@ class SdoClient(ChannelEnd):
         transfer.is_urgent = urgent
         if self._transfer is not None:
             line.append(transfer)
-        elif line or queue.urgent or self.copy_guard or queue.overdue or self.other.last:
+        elif (
+            line
+            or queue.urgent
+            or self.copy_guard
+            or queue.overdue
+            or self.other.last
+            or queue.wants_question(transfer, now, self.timeout)
+        ):
             line.append(transfer)
             self._begin_next(now)
         else:
@@ -598,7 +644,7 @@ class SdoClient(ChannelEnd):
         """Begin the transfer whose turn it is, if there is one."""
         if (self.other.last or self._abandoned is not None) and self._yields(now):
             return
-        transfer = self._queue.take(now, self.copy_guard)
+        transfer = self._queue.take(now, self.copy_guard, self.timeout)
         if transfer is not None:
             self._begin(transfer, now)
         else:
@@ -642,7 +688,7 @@ class SdoClient(ChannelEnd):
         self._transfer = None
         self.deadline = NEVER
         queue = self._queue
-        queue.remember(transfer, now)
+        queue.remember(transfer, self.last, now)
         if self._collided_at > -NEVER:
             self._after_collision(transfer, now)
         if queue.urgent or queue.others or self._abandoned is not None:

@@ -2,7 +2,8 @@
 
 The order is first come, first served, whoever asks: any number of tasks, each waiting for its outcome, take turns. Urgent
 requests go before the others, among themselves in their order; after MAX_URGENT_RUN of them one of the others has its turn.
-A request waits longer while a late answer could be taken for its own: see `copy_guard` and `late_guard` in client.py.
+A request waits longer while another answer could be taken for its own: see `copy_guard`, `late_guard` and "A question" in
+client.py.
 """
 
 from __future__ import annotations
@@ -10,8 +11,18 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
+from canopen_proto.indices import DEVICE_TYPE, ERROR_REGISTER, IDENTITY_OBJECT
 from canopen_proto.machine import NEVER, RequestId, Time
-from canopen_proto.sdo.codec import ABORT, INITIATE_DOWNLOAD_RESPONSE, INITIATE_UPLOAD_RESPONSE
+from canopen_proto.sdo.codec import (
+    ABORT,
+    EXPEDITED_BIT,
+    INITIATE_DOWNLOAD,
+    INITIATE_DOWNLOAD_RESPONSE,
+    INITIATE_UPLOAD,
+    INITIATE_UPLOAD_RESPONSE,
+    SPECIFIER,
+)
+from canopen_proto.sdo.segmented_client import Question
 from canopen_proto.sdo.transfer import Transfer
 
 MAX_OVERDUE: Final = 16
@@ -19,16 +30,29 @@ MAX_OVERDUE: Final = 16
 MAX_URGENT_RUN: Final = 64
 """Urgent requests that may go one after the other while others wait: more than any clean-up needs, and a caller that is always in
 a hurry cannot starve the rest."""
+QUESTIONS: Final = (DEVICE_TYPE, ERROR_REGISTER, IDENTITY_OBJECT)
+"""The objects that questions read: every device has them, and reading them does nothing. CiA 301 v4.2.0, 7.5.2.1, .2 and .21."""
+
+_IN_ONE_FRAME: Final = SPECIFIER | EXPEDITED_BIT
+_WRITE: Final = INITIATE_DOWNLOAD | EXPEDITED_BIT
+_VALUE: Final = INITIATE_UPLOAD_RESPONSE | EXPEDITED_BIT
+_REFUSAL: Final = bytes((ABORT,))
+"""The first byte of a refusal."""
 
 
 class RequestQueue:
     """See this module's text.
 
     unsettled: a transfer ended without its last response, and the server has not answered a later one. overdue: by the object's
-    name in a frame, until when a late answer is waited for; empty if not unsettled. held_until: when to ask `take` again.
+    name in a frame, until when a late answer is waited for; empty if not unsettled. left: by that name, until when the server may
+    answer a request that we gave up before the time-out. doubted: a request that was refused, perhaps by an answer to another
+    one, and is made again behind a question. held_until: when to ask `take` again.
     """
 
-    __slots__ = ("_ended", "_first", "_urgent_run", "held_until", "others", "overdue", "unsettled", "urgent")
+    __slots__ = (
+        "_answered", "_answered_at", "_ended", "_first", "_last", "_urgent_run", "doubted", "held_until", "left", "others",
+        "overdue", "unsettled", "urgent",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.urgent: deque[Transfer] = deque()
@@ -39,6 +63,11 @@ class RequestQueue:
         self._urgent_run = 0  # urgent requests that went while others waited, since one of those did
         self._first = bytes(8)  # the initiate frame of the transfer before
         self._ended: Time = -NEVER
+        self.left: dict[bytes, Time] = {}
+        self.doubted: Transfer | None = None
+        self._answered = bytes(8)  # the initiate frame of the last transfer that the server answered
+        self._answered_at: Time = -NEVER
+        self._last = b""  # what the server said last in it
 
     def __len__(self) -> int:
         return len(self.others) + len(self.urgent)
@@ -62,11 +91,12 @@ class RequestQueue:
         self.urgent.clear()
         self.others.clear()
         self.overdue.clear()
+        self.left.clear()
         return waiting
 
-    def take(self, now: Time, copy_guard: Time) -> Transfer | None:
-        """Return the request whose turn it is, and take it out of the queue. None: look at `held_until`. copy_guard: ns, see
-        client.py."""
+    def take(self, now: Time, copy_guard: Time, timeout: Time) -> Transfer | None:
+        """Return the request whose turn it is, and take it out of the queue; or the question that comes before it. None: look at
+        `held_until`. copy_guard, timeout: ns, see client.py."""
         self.held_until = NEVER
         queue = self.urgent or self.others
         if not queue:
@@ -78,6 +108,9 @@ class RequestQueue:
         if now < held_until:
             self.held_until = held_until
             return None
+        if queue[0] is self.doubted or self.wants_question(queue[0], now, timeout):
+            self.doubted = None
+            return Question(queue[0].end, self._unnamed(queue[0]))
         self._urgent_run = min(self._urgent_run + 1, MAX_URGENT_RUN) if is_urgent and self.others else 0
         return queue.popleft()
 
@@ -91,29 +124,73 @@ class RequestQueue:
             held_until = max(held_until, self.overdue.get(first[1:4], -NEVER))
         return held_until
 
+    def wants_question(self, transfer: Transfer, now: Time, timeout: Time) -> bool:
+        """Return whether a question has to come before this request: its one answer could not be told from another one. timeout:
+        as of `take`."""
+        command = transfer.first[0]
+        if command == INITIATE_UPLOAD:
+            return bool(self.left) and self._is_left(transfer, now)
+        return command & _IN_ONE_FRAME == _WRITE and self.may_meet_another(transfer, now, timeout)
+
+    def may_meet_another(self, transfer: Transfer, now: Time, timeout: Time) -> bool:
+        """Return whether the server may still confirm or refuse something else in a frame that names the object of this request:
+        one that was given up, or the transfer before, if a frame of it came twice. timeout: as of `take`."""
+        if self.left and self._is_left(transfer, now):
+            return True
+        before = self._answered
+        if transfer.first[1:4] != before[1:4] or transfer.is_urgent or now >= self._answered_at + timeout:
+            return False
+        if before[0] != INITIATE_UPLOAD:
+            return True
+        is_value = bool(self._last) and self._last[0] & _IN_ONE_FRAME == _VALUE
+        return transfer.is_download and not is_value  # of two reads the second may get the first one's answer: docs/limits.md
+
+    def _is_left(self, transfer: Transfer, now: Time) -> bool:
+        return not transfer.is_urgent and now < self.left.get(transfer.first[1:4], -NEVER)
+
+    def _unnamed(self, transfer: Transfer) -> int:
+        """Return the index of an object, sub 0, of which nothing else that the server may still say speaks."""
+        named = {transfer.first[1:4], self._answered[1:4], *self.left, *self.overdue}
+        return next((index for index in QUESTIONS if index.to_bytes(2, "little") + b"\0" not in named), QUESTIONS[-1])
+
     # ---- what is remembered of the transfers before ----
 
-    def remember(self, transfer: Transfer, now: Time) -> None:
-        """Remember a transfer that has ended."""
-        self._first = transfer.first
+    def remember(self, transfer: Transfer, last: bytes, now: Time) -> None:
+        """Remember a transfer that has ended. last: the last frame of the server that was accepted."""
+        self._first = first = transfer.first
         self._ended = now
         if transfer.is_answered:  # the server has nothing more to say about those before
             self.unsettled = transfer.is_given_up
             if self.overdue:
                 self.overdue.clear()
+            if self.left:
+                self.left.clear()
         elif transfer.is_given_up:
             self.unsettled = True
+        if transfer.is_answered or (last[:1] == _REFUSAL and last[1:4] == first[1:4]):
+            self._answered = first
+            self._answered_at = now
+            self._last = last
 
     def expect_late(self, multiplexer: bytes, until: Time) -> None:
         """Hold requests for this object until its late answer has come, or until then. multiplexer: the three bytes of a frame
         that name the object."""
-        self.overdue.pop(multiplexer, None)
-        self.overdue[multiplexer] = until
-        if len(self.overdue) > MAX_OVERDUE:
-            del self.overdue[next(iter(self.overdue))]
+        _note(self.overdue, multiplexer, until)
+
+    def leave(self, multiplexer: bytes, until: Time) -> None:
+        """Remember that a request for this object was given up, and may be answered until then. multiplexer: as of
+        `expect_late`."""
+        _note(self.left, multiplexer, until)
 
     def is_overdue(self, specifier: int, multiplexer: bytes) -> bool:
         """Return whether a response is the late one to a request that timed out; if so, stop waiting for it. specifier,
         multiplexer: as the response has them."""
         names_it = specifier in (INITIATE_UPLOAD_RESPONSE, INITIATE_DOWNLOAD_RESPONSE, ABORT)
         return names_it and self.overdue.pop(multiplexer, None) is not None
+
+
+def _note(times: dict[bytes, Time], multiplexer: bytes, until: Time) -> None:
+    times.pop(multiplexer, None)
+    times[multiplexer] = until
+    if len(times) > MAX_OVERDUE:
+        del times[next(iter(times))]

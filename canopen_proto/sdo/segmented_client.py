@@ -9,12 +9,14 @@ Download   INITIATED   response 011x: it was expedited    -> OVER       else: se
 from __future__ import annotations
 
 import struct
+from typing import Final
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import Frame
-from canopen_proto.machine import LocalProtocolError, Time
+from canopen_proto.machine import LocalProtocolError, RequestId, Time
 from canopen_proto.sdo.block import MAX_SIZE
 from canopen_proto.sdo.codec import (
+    ABORT,
     DOWNLOAD_SEGMENT,
     DOWNLOAD_SEGMENT_RESPONSE,
     EXPEDITED,
@@ -36,6 +38,9 @@ from canopen_proto.sdo.codec import (
 from canopen_proto.sdo.events import SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.segmented import SegmentedTransfer, SegmentReceiver
 from canopen_proto.sdo.transfer import INITIATED, OVER, SEGMENTS, UNKNOWN_SIZE, Buffer, ChannelEnd, Transfer
+
+NOBODY: Final[RequestId] = 0
+"""The request that a `Question` belongs to: its outcome is not reported."""
 
 
 class Upload(SegmentReceiver):
@@ -80,6 +85,29 @@ class Upload(SegmentReceiver):
         self.state = OVER
 
 
+class Question(Transfer):
+    """Read an object whose value nobody wants, before a request in doubt: see client.py. It has no outcome."""
+
+    __slots__ = ()
+
+    def __init__(self, end: ChannelEnd, index: int) -> None:
+        """index: of that object, at sub 0."""
+        super().__init__(end, index, 0, INITIATE.pack(INITIATE_UPLOAD, index, 0, 0))
+        self.request_id = NOBODY
+        self.is_urgent = False
+
+    def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
+        if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.first[1:4]:
+            return False
+        end = self.end
+        end.last = data
+        self.is_answered = True
+        self.state = OVER
+        if not command & EXPEDITED_BIT:
+            end.send(INITIATE.pack(ABORT, self.index, 0, AbortCode.GENERAL_ERROR))  # of the segments that the server is ready for
+        return True
+
+
 class Download(SegmentedTransfer):
     """Write an object: expedited if it has 1 to 4 bytes, else in segments (no bytes at all have no expedited form)."""
 
@@ -100,6 +128,10 @@ class Download(SegmentedTransfer):
         super().__init__(end, index, subindex, first)
         self._content = content
         self._offset = 0  # what has been sent
+
+    def again(self) -> Transfer | None:
+        is_one_frame = self.first[0] & EXPEDITED_BIT
+        return None if is_one_frame else Download(self.end, self.index, self.subindex, self._content)
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
         end = self.end

@@ -212,8 +212,8 @@ class Transfer:
         self.state = OVER
 
     def again(self) -> Transfer | None:
-        """Return the same request, to be made once more; None if that might do more than the first one (a write), or differ from
-        what the user has got already (a stream)."""
+        """Return the same request, to be made once more; None if that might do more than the first one (a write whose data stand
+        in its first frame), or differ from what the user has given or got already (a stream)."""
         return None
 
     # ---- getters ----

@@ -1,10 +1,12 @@
-"""Random cases by `python -m fuzz flash_lives` and `damaged_recordings` are the same each time, and one that fails is told."""
+"""Random cases by `python -m fuzz flash_lives` and the like are the same each time, and one that fails is told."""
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import pytest
 
-from fuzz import flash_lives
+from fuzz import copied_frames, flash_lives, lossy_restores
 from fuzz.__main__ import main as fuzz
 from tests.manager.test_program_identity import Ways
 from tests.observer import test_observer_gaps
@@ -32,3 +34,22 @@ def test_random_recordings_can_be_damaged_by_hand(capsys: pytest.CaptureFixture[
     monkeypatch.setattr(test_observer_gaps, "OF_THE_RECORDER", ())
     assert fuzz(["damaged_recordings", "0", "20"]) == 1
     assert "has failed: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("program", "plural"), [(copied_frames, "cases"), (lossy_restores, "restores")])
+def test_random_faults_of_the_bus_can_be_played_by_hand(
+    program: ModuleType, plural: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """python -m fuzz copied_frames, lossy_restores: the same, and a false word is told and counted."""
+    name = program.__name__.rpartition(".")[2]
+    assert fuzz([name, "5", "3"]) == 0
+    assert f"3 {plural} from 5 on: 0 failed" in capsys.readouterr().out
+
+    def false(*case: object) -> None:
+        assert case not in (program.case(6), (program.case(6),)), "false"
+
+    monkeypatch.setattr(program, "judge", false)
+    assert fuzz([name, "5", "3"]) == 1
+    printed = capsys.readouterr().out
+    assert f"{program.case(6)}" in printed
+    assert f"3 {plural} from 5 on: 1 failed" in printed

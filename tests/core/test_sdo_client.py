@@ -324,10 +324,10 @@ def test_copy_guard_keeps_requests_apart_whose_answers_look_alike() -> None:
 
 def test_a_request_that_the_guard_holds_goes_at_its_deadline_or_is_cancelled() -> None:
     bench = Bench(copy_guard=2 * MILLISECOND)
-    bench.client.download(0x6040, 0, b"\x06\x00", 0)
-    bench.hear("60 40 60 00")
-    first = bench.client.download(0x6040, 0, b"\x07\x00", bench.now)
-    bench.client.download(0x6040, 0, b"\x0f\x00", bench.now)
+    bench.client.upload(0x6041, 0, 0)
+    bench.hear("4B 41 60 00 37 02 00 00")
+    first = bench.client.upload(0x6041, 0, bench.now)
+    bench.client.upload(0x6041, 0, bench.now)
     take_events(bench.out)
     bench.frames()
     assert bench.client.cancel(first, bench.now)
@@ -335,14 +335,14 @@ def test_a_request_that_the_guard_holds_goes_at_its_deadline_or_is_cancelled() -
     bench.client.handle_timeout(3 * MILLISECOND - 1)
     assert bench.frames() == []
     bench.client.handle_timeout(3 * MILLISECOND)
-    assert bench.frames() == ["60C#2B4060000F000000"]
-    last = bench.client.download(0x6040, 0, b"\x00\x00", 4 * MILLISECOND)
+    assert bench.frames() == ["60C#4041600000000000"]
     bench.now = 4 * MILLISECOND
-    bench.hear("60 40 60 00")
+    bench.hear("4B 41 60 00 37 02 00 00")
+    last = bench.client.upload(0x6041, 0, bench.now)
     assert bench.client.cancel(last, bench.now)
     assert bench.client.deadline == NEVER
-    bench.client.upload(0x6041, 0, bench.now)
-    assert bench.frames() == ["60C#4041600000000000"]
+    bench.client.upload(0x1001, 0, bench.now)
+    assert bench.frames() == ["60C#4001100000000000"]
 
 
 def test_a_timeout_that_was_made_shorter_meanwhile_wakes_the_driver_in_time() -> None:

@@ -366,8 +366,11 @@ def test_what_was_lost_is_no_reason_to_doubt_for_ever(urgent: bool, data: st.Dat
     bench.wait(max(CONTEST_LIMIT, LATE_GUARD + SPREAD))
     bench.outcomes()
     bench.frames()
-    for _ in range(2):
+    for number in range(2):
         bench.client.download(0x6040, 0, b"\x02\0", bench.now, urgent=urgent)
+        if number and not urgent:
+            assert bench.frames() == ["60C#4000100000000000"]  # two writes of one object: a question comes between
+            bench.hear("43 00 10 00 92 01 02 00")
         assert bench.frames() == ["60C#2B40600002000000"]
         bench.hear(f"60 {name} 00 00 00 00")
         (end,) = bench.outcomes()

@@ -236,15 +236,15 @@ def test_a_late_response_to_the_initiation_of_the_same_segmented_download() -> N
     assert bench.outcome() == SdoDownloaded(12, request, 0x2000, 0)
 
 
-def test_after_a_cancel_the_same_request_goes_at_once_and_only_copy_guard_protects_it() -> None:
-    """The limit that docs/limits.md tells of: both answers look alike."""
+def test_after_a_cancel_the_same_request_waits_for_the_answer_to_a_question() -> None:
     bench = Bench()
     bench.client.cancel(bench.client.upload(0x6041, 0, 0), 0)
     again = bench.client.upload(0x6041, 0, 0)
+    assert bench.frames() == ["60C#4041600000000000", "60C#8041600000000008", "60C#4000100000000000"]
     take_events(bench.out)
     bench.hear("4B 41 60 00 37 02 00 00")  # meant for the first
-    assert bench.outcome() == SdoUploaded(12, again, 0x6041, 0, b"\x37\x02")
+    assert ignored(bench) == "response about another object"
+    bench.hear("43 00 10 00 92 01 02 00")
+    assert bench.frames() == ["60C#4041600000000000"]
     bench.hear("4B 41 60 00 37 06 00 00")
-    report = bench.outcome()
-    assert isinstance(report, FrameIgnored)
-    assert report.reason == "no transfer is under way"
+    assert bench.outcome() == SdoUploaded(12, again, 0x6041, 0, b"\x37\x06")

@@ -137,6 +137,24 @@ def test_a_stop_without_an_answer_is_sent_again_and_is_urgent(name: str) -> None
     assert rig.drive.state is not State.OPERATION_ENABLED
 
 
+@pytest.mark.parametrize("name", [*STOPS, "halt"])
+@given(fates=FATES)
+@example([Fate.DELIVERED, Fate.COPIED, Fate.LOST])
+def test_the_answer_to_the_word_before_makes_no_stop_a_success(name: str, fates: list[Fate]) -> None:
+    """It comes twice, right where the answer to the stop is due: a stop asks no question, and what the drive shows counts."""
+    stop = drive.halt if name == "halt" else STOPS[name][0]
+    rig = running()
+    rig.bus._pause, rig.bus._fates = MILLISECOND, iter(fates)
+
+    def both() -> Procedure[None]:
+        yield from write(rig.remote, objects.CONTROLWORD, int(Command.ENABLE_OPERATION))
+        yield from stop(rig.axis)
+
+    if isinstance(rig.outcome(rig.master.run(both(), rig.bus.now)), ProcedureFinished):
+        rig.drive.refresh(rig.bus.now)
+        assert rig.drive.state is not State.OPERATION_ENABLED if name in STOPS else rig.drive._servo.velocity == 0
+
+
 STRANGERS: Final = ("4008100000000000", "6000000000000000", "0001020304050607", "8008100000000405", "A408100002000000")
 
 

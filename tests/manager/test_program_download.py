@@ -137,7 +137,7 @@ def test_each_frame_may_get_lost() -> None:
             bench.flash(IMAGE, expected_id=ID)
         assert (bench.memory.program, bench.device.runs) == (IMAGE, True), number
     assert failures == 0
-    assert total == 64
+    assert total == 66
 
 
 @examples(20)
