@@ -72,7 +72,7 @@ def processors() -> int:
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
     parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and the tests of each, in an order of their own")
-    parser.addoption("--loop", choices=["trio", "asyncio"], help="of the tests of the master: see tests/master/loops.py")
+    parser.addoption("--loop", choices=["trio", "asyncio"], help="of the tests of the master: see tests/loops.py")
     if not pluginmanager.hasplugin("xdist"):  # `-p no:xdist`: then what pyproject.toml tells it means nothing
         for option in ("--numprocesses", "--dist"):
             parser.addoption(option, help="of pytest-xdist, which is not there")

@@ -26,7 +26,7 @@ from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_transports.loop import Nursery, TaskStatus
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import Link, arm_of, drives, position_of
 
 TENTH = 100 * MILLISECOND

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests import loops
 from tests.examples import takes_all
-from tests.master import loops
 
 
 def pytest_configure(config: pytest.Config) -> None:

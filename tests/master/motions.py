@@ -21,7 +21,7 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
-from tests.master.loops import loop
+from tests.loops import loop
 
 FAR = DriveSettings(position=0, track=Track(negative_limit=-1e9, positive_limit=1e9))
 """A drive for which the switch that homing looks for is far away, and the other one too."""

@@ -17,7 +17,7 @@ from canopen_proto.drives.trajectory import JointLimits, Path, Segment
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import drives, simulated
 
 COUNTS = 1e6

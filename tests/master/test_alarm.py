@@ -8,7 +8,7 @@ from contextlib import closing
 import pytest
 
 from canopen_master.participant.alarm import Alarm, CoarseAlarm, FineAlarm, best_alarm
-from tests.master.loops import loop, settled
+from tests.loops import loop, settled
 from tests.transports.support import run
 
 

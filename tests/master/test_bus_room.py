@@ -23,7 +23,7 @@ from canopen_master import (
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.nmt import NmtState
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.path_world import AXIS, DRIVE, RAMPS, swing
 from tests.master.world import drives, simulated, value, virtual_time
 

@@ -19,7 +19,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_transports import open_transport
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import (
     BUS,
     arm_of,

@@ -26,7 +26,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import Transport, open_transport
-from tests.master.loops import loop, settled
+from tests.loops import loop, settled
 from tests.master.world import (
     BUS,
     arm_of,

@@ -25,7 +25,7 @@ from canopen_proto.multiplexer import mux
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
 from tests.drives.drive_dictionaries import NOTHING_MAPPABLE, Changes, changed, empty_pdos, supports, unmappable, without_pdos
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, arm_of, drives, position_of, simulated, virtual_time
 
 DEGREES = AxisSettings(counts_per_unit=1000, max_speed=20.0, following_error_limit=1.0)

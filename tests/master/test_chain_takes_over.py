@@ -13,7 +13,7 @@ from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
 RAMP = 40_000

@@ -12,7 +12,7 @@ import trio
 import trio.testing
 
 from canopen_master.claims.channel_claim import LONG, SHORT, ChannelTakenError, channel_claim
-from tests.master.loops import loop
+from tests.loops import loop
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
 BUS = f"tcp:127.0.0.1:{os.getpid()}"

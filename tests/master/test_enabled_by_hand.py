@@ -34,7 +34,7 @@ from canopen_proto.procedures.steps import download
 from canopen_proto.sdo.client import SdoDownloaded
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports import open_transport
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.motions import FAR
 from tests.master.world import BUS, Link, arm_of, drives, simulated, value, virtual_time
 

@@ -13,7 +13,7 @@ from canopen_proto.machine import Event, LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.sync import SyncReceived, SyncSent
 from canopen_transports import VirtualTransport, open_transport
-from tests.master.loops import jump, loop, settled
+from tests.loops import jump, loop, settled
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 

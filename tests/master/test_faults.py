@@ -11,7 +11,7 @@ from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
-from tests.master.loops import jump, loop
+from tests.loops import jump, loop
 from tests.master.world import (
     BUS,
     arm_of,

@@ -20,7 +20,7 @@ from canopen_proto.drives.trajectory import Path, PathPoint, Segment
 from canopen_proto.pdo.configure import configure_pdo, use_device_pdo
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.simulation.drive.node import DriveNode
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.path_world import AXIS, COUNTS, CYCLE, arms, swing
 from tests.master.world import drives, value, virtual_time
 

@@ -34,7 +34,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import Transport
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, Link, chain_text, drives, position_of, value, virtual_time
 
 DICTIONARY, _ = load_dictionary()

@@ -28,7 +28,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_transports import open_transport
 from tests.core.devices import LIMITED, TEXT, io_device
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, simulated, virtual_time
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")

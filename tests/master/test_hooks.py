@@ -26,7 +26,7 @@ from canopen_proto.pdo.multiplexed import MpdoReceived
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_transports import open_transport
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, virtual_time
 
 
@@ -124,7 +124,7 @@ async def test_without_a_list_all_free_objects_are_served() -> None:
 @virtual_time
 async def test_async_functions_answer_when_they_are_done() -> None:
     script = """
-from tests.master.loops import loop
+from tests.loops import loop
 async def on_read(device, index, subindex):
     await loop.sleep(0.2)
     if index == 0x2001:
@@ -150,7 +150,7 @@ async def on_write(device, index, subindex, value):
 @virtual_time
 async def test_values_go_out_by_event_driven_pdos_and_come_in_by_others() -> None:
     script = """
-from tests.master.loops import loop
+from tests.loops import loop
 def on_write(device, index, subindex, value):
     device["temperature"] = value * 10
     if value == 9:
@@ -176,7 +176,7 @@ def on_write(device, index, subindex, value):
 @virtual_time
 async def test_async_functions_hear_of_pdos_too_and_of_multiplexed_ones() -> None:
     script = """
-from tests.master.loops import loop
+from tests.loops import loop
 async def on_write(device, index, subindex, value):
     await loop.sleep(0.1)
     device["counter"] = value
@@ -229,7 +229,7 @@ def test_a_device_that_has_ended_answers_at_once() -> None:
 @virtual_time
 async def test_steps_and_a_task() -> None:
     script = """
-from tests.master.loops import loop
+from tests.loops import loop
 PERIOD = 0.1
 def setup(device):
     device["counter"] = 1000
@@ -321,7 +321,7 @@ PERIOD = 1
 
 @virtual_time
 async def test_a_device_that_ends_while_a_script_thinks() -> None:
-    script = "from tests.master.loops import loop\nasync def on_read(device, index, subindex):\n    await loop.sleep(100)\n"
+    script = "from tests.loops import loop\nasync def on_read(device, index, subindex):\n    await loop.sleep(100)\n"
     async with animated(script) as rig, loop.open_nursery() as nursery:
         nursery.start_soon(rig.refused, rig.node.read("valve"))
         await loop.sleep(1)

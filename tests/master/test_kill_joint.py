@@ -13,8 +13,8 @@ from canopen_master import ChainFaultError
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand
 from tests.drives.drive_dictionaries import changed, empty_pdos, supports
+from tests.loops import loop
 from tests.master.cell import Joint, homed_arm
-from tests.master.loops import loop
 from tests.master.world import virtual_time
 
 CYCLE = 0.04  # seconds, of homed_arm

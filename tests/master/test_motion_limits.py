@@ -21,7 +21,7 @@ from canopen_master.motion.moving import Moving
 from canopen_proto.drives.trajectory import Path, Segment
 from canopen_transports.loop import CancelScope, Nursery
 from tests.examples import examples
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.path_world import CYCLE, Record, arms, swing
 from tests.master.world import virtual_time
 

@@ -23,8 +23,8 @@ from canopen_master import (
 from canopen_proto.drives.trajectory import Path, PathError, Segment, from_function
 from canopen_proto.machine import LocalProtocolError
 from tests.examples import examples
+from tests.loops import jump, loop
 from tests.master.direct_world import patient
-from tests.master.loops import jump, loop
 from tests.master.path_world import AXIS, CYCLE, Record, arms, swing
 from tests.master.test_path_motion import ON_PATH, WITHIN, distance_from, moved
 from tests.master.world import virtual_time

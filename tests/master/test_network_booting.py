@@ -10,7 +10,7 @@ from canopen_master.machine_file import parse_machine
 from canopen_master.motion.chain import ChainState
 from canopen_master.network_booting import boot_network
 from canopen_transports import open_transport
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import virtual_time
 
 MACHINE = parse_machine("""

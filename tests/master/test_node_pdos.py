@@ -15,7 +15,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.steps import SdoTransferError
-from tests.master.loops import fail_after, loop
+from tests.loops import fail_after, loop
 from tests.master.world import BUS, simulated, virtual_time
 
 FILE = "sample_io.eds"

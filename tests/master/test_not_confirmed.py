@@ -10,7 +10,7 @@ from canopen_proto.network import Network
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
 from canopen_transports import Transport, open_transport
-from tests.master.loops import loop, settled
+from tests.loops import loop, settled
 from tests.master.world import BUS, simulated, virtual_time
 
 

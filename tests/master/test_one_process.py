@@ -7,7 +7,7 @@ import pytest
 from canopen_master import open_master
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.test_stalls import stall
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 

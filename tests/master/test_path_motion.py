@@ -12,7 +12,7 @@ from canopen_master import ChainHaltedError, ChainState, together
 from canopen_master.motion.moving import Moving
 from canopen_proto.drives.trajectory import Path
 from tests.examples import examples
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.path_world import CYCLE, arms, swing
 from tests.master.world import virtual_time
 

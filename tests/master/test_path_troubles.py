@@ -22,8 +22,8 @@ from canopen_proto.drives.axis import TakenOverError, run_at
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulation.drive.answers import Answer
 from canopen_transports.loop import protected
+from tests.loops import fail_after, jump, loop
 from tests.master.direct_world import patient
-from tests.master.loops import fail_after, jump, loop
 from tests.master.path_world import AXIS, COUNTS, Record, arms, demands, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved

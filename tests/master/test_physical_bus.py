@@ -8,7 +8,7 @@ from canopen_proto.heartbeat import HeartbeatLost
 from canopen_transports import open_transport
 from canopen_transports.virtual_wire import WireTransport
 from canopen_transports.wire import FaultKind
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.transports.support import trio_test
 
 

@@ -20,7 +20,7 @@ from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, act, sleep
-from tests.master.loops import fail_after, loop
+from tests.loops import fail_after, loop
 from tests.master.world import BUS, following_arm, simulated, virtual_time
 
 

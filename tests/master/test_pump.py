@@ -9,7 +9,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
 from canopen_proto.sdo.events import SdoUploaded
 from canopen_transports import BusState, BusStateChanged, FrameNotSentError, Received, Report, VirtualTransport, open_transport
-from tests.master.loops import Channel, loop, settled
+from tests.loops import Channel, loop, settled
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 

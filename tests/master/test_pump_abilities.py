@@ -11,7 +11,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.procedures.objects import read
 from canopen_proto.sync import SyncSent
 from canopen_transports import BusState, BusStateChanged, FrameNotSentError, Received, Report, TransportError
-from tests.master.loops import Channel, loop, settled
+from tests.loops import Channel, loop, settled
 from tests.master.world import virtual_time
 
 

@@ -10,7 +10,7 @@ from canopen_master import BusError, open_master
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived
 from canopen_transports import Received, Report, TransportError, open_transport
-from tests.master.loops import jump, loop, settled
+from tests.loops import jump, loop, settled
 from tests.master.world import BUS, virtual_time
 
 

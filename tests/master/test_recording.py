@@ -19,7 +19,7 @@ from canopen_master.motion.record_format import OF_CHAIN, OF_JOINT, RecordedJoin
 from canopen_master.motion.record_reader import MotionRecord, is_record, read_record
 from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.drives.axis.units import Unit
-from tests.master.loops import jump, loop
+from tests.loops import jump, loop
 from tests.master.world import BUS, arm_of, following_arm, simulated, virtual_time
 
 CYCLES = 30

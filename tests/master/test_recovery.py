@@ -21,8 +21,8 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import BusState, BusStateChanged, Received, Report
 from tests.drives.drive_dictionaries import changed, empty_pdos, supports
+from tests.loops import Channel, loop
 from tests.master.cell import WATCHDOG, assert_moves, assert_moves_back, chain_of, fails, homed_arm, joints, move
-from tests.master.loops import Channel, loop
 from tests.master.world import Link, position_of, value, virtual_time
 
 # ---- emergency stop ----

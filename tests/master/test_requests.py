@@ -24,7 +24,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import read, write
 from canopen_proto.procedures.steps import Cancelled, ProcedureError, sleep
 from canopen_transports import open_transport
-from tests.master.loops import loop, settled
+from tests.loops import loop, settled
 from tests.master.world import BUS, simulated, value, virtual_time
 
 

@@ -16,7 +16,7 @@ from canopen_transports import VirtualTransport
 from canopen_transports.loop import CancelScope
 from canopen_transports.record import Record
 from canopen_transports.tracing import tapped
-from tests.master.loops import beside, loop, settled
+from tests.loops import beside, is_interrupt, loop, settled
 from tests.master.world import (
     BUS,
     Breakable,
@@ -267,14 +267,13 @@ def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
                 async with open_master(BUS) as master, loop.open_nursery() as nursery:
                     nursery.start_soon(press)
                     await _home(master, arm_of(master, 3, 4))
-            except* KeyboardInterrupt:
+            finally:
                 assert_all_halted(host)
                 await assert_all_stand(host)
-                raise
 
-    with pytest.raises(BaseExceptionGroup) as caught:
+    with pytest.raises((BaseExceptionGroup, KeyboardInterrupt)) as caught:
         test()
-    assert caught.group_contains(KeyboardInterrupt)
+    assert is_interrupt(caught.value)
     assert all(node.drive.state is State.OPERATION_ENABLED for node in drives(hosts[0]))
 
 
@@ -298,7 +297,8 @@ def test_further_ctrl_c_come_out_when_the_drives_stand(scenario: Scenario, at: f
                     await scenario(master, arm_of(master, 3, 4))
             finally:
                 assert_all_halted(host)
-                await assert_all_stand(host)
+                with loop.cancel_scope(shield=True):  # on asyncio a further Ctrl-C cancels the next await
+                    await assert_all_stand(host)
 
     with pytest.raises(KeyboardInterrupt):
         test()

@@ -20,7 +20,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports import open_transport
 from tests.examples import examples
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, arm_of, drives, following_arm, simulated, virtual_time
 
 DEGREES = AxisSettings(counts_per_unit=1000)

@@ -23,7 +23,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 TWO = drive_dictionary(axes=2)

@@ -8,7 +8,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
 from canopen_proto.procedures.steps import all_of
 from canopen_transports import open_transport
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import assert_all_halted, assert_all_stand, drives, position_of, simulated, virtual_time
 
 BUSES = {"can0": "virtual:one", "can1": "virtual:two"}

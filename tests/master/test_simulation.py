@@ -19,7 +19,7 @@ from canopen_proto.simulation.drive.node import powerball
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import BusState, BusStateChanged, Report, open_transport
 from tests.core.devices import io_device
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.test_pump_abilities import Able
 from tests.master.world import BUS, Breakable, virtual_time
 

@@ -13,7 +13,7 @@ from canopen_proto.drives.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 SPEED = 50_000

@@ -17,7 +17,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.simulation.drive.answers import Answer
 from tests.examples import examples
-from tests.master.loops import jump, loop
+from tests.loops import jump, loop
 from tests.master.path_world import AXIS, COUNTS, CYCLE, Record, arms, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved

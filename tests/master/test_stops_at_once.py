@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from canopen_master import Chain, ChainError, ChainHaltedError, ChainState
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.path_world import arms, swing
 from tests.master.world import virtual_time
 

@@ -33,7 +33,7 @@ from canopen_proto.sdo.block_client import MAX_FED
 from canopen_transports import Transport, open_transport
 from tests.core.block_pair import pattern
 from tests.core.devices import io_device
-from tests.master.loops import fail_after, loop
+from tests.loops import fail_after, loop
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 IMAGE = 0x1F50

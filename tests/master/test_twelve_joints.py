@@ -19,7 +19,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import WireTransport
 from tests.examples import takes_all
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.path_world import AXIS, COUNTS, RAMPS
 from tests.master.world import drives, simulated, virtual_time
 

@@ -39,7 +39,7 @@ from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import open_transport
 from canopen_transports.loop import CancelScope
-from tests.master.loops import loop
+from tests.loops import loop
 from tests.master.motions import FAR, MOTIONS, SPEED
 from tests.master.world import BUS, Link, arm_of, drives, following_arm, simulated, value, virtual_time
 

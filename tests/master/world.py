@@ -14,9 +14,9 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import Received, TransportError, VirtualTransport, open_transport
-from canopen_transports.loop import Nursery
-from tests.master import loops
-from tests.master.loops import loop
+from canopen_transports.loop import Nursery, TaskStatus
+from tests import loops
+from tests.loops import is_trio, loop
 
 BUS = "virtual:test"
 
@@ -37,13 +37,20 @@ def virtual_time(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
 async def simulated(*node_ids: int, bus: str = BUS, makers: Sequence[Any] = ()) -> AsyncIterator[Host]:
     """Powerball joints (or other devices) on a bus, for as long as the block."""
     error: BaseException | None = None
+    scope = loop.cancel_scope()
+
+    async def serve(task_status: TaskStatus[Host]) -> None:
+        with scope:
+            await simulate(await open_transport(bus), [*powerballs(*node_ids), *makers], task_status=task_status)
+
     async with loop.open_nursery() as nursery:
-        host: Host = await nursery.start(simulate, await open_transport(bus), [*powerballs(*node_ids), *makers])
+        host: Host = await nursery.start(serve)
+        scope.shield = not is_trio()  # asyncio.run cancels all tasks at a second Ctrl-C, but no real drive
         try:
             yield host
         except BaseException as raised:  # noqa: BLE001 - raised below: not through the nursery, which would make a group of it
             error = raised
-        nursery.cancel_scope.cancel()
+        scope.cancel()
     if error is not None:
         raise error
 

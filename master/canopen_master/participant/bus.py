@@ -373,3 +373,7 @@ class Bus:
                 await self._work.park()
         self._is_sending = True
         return frame
+
+    def put_back(self, frame: Frame) -> None:
+        """The frame was not sent: it is the next one again."""
+        self._first.appendleft(frame)

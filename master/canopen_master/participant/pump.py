@@ -41,7 +41,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_transports import FrameNotSentError, Received, Report, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
-from canopen_transports.loop import TASK_STATUS_IGNORED, RunVar, TaskStatus, current_loop, protected
+from canopen_transports.loop import TASK_STATUS_IGNORED, CancelScope, RunVar, TaskStatus, current_loop, protected
 
 MAX_CATCH_UP: Final = 4096
 """Frames that are taken in before a due timeout is handled. A bus that brings more, without end, must not hold up the time."""
@@ -89,6 +89,7 @@ class Pump:
         self._loop = current_loop()
         self._token = self._loop.token()
         self._scope = self._loop.cancel_scope(shield=True)
+        self._all_tasks: CancelScope | None = None
         self._alarm: Alarm | None = None
         self._wake: Time = NEVER  # what the alarm is set for
         self._is_pumping = False
@@ -162,6 +163,7 @@ class Pump:
         try:
             with self._loop.holding_interrupts(), self._scope:
                 async with self._loop.open_nursery() as nursery:
+                    self._all_tasks = nursery.cancel_scope
                     for bus in self.buses:
                         bus.push_to(partial(self._pushed, bus))
                         nursery.start_soon(self._receive, bus)
@@ -181,11 +183,22 @@ class Pump:
                 self._token.run_sync_soon(self.pump, idempotent=True)  # which ends this sleep at once
                 return
 
+    def _is_ending(self) -> bool:
+        """Whether a call of a transport was cancelled by us.
+
+        On asyncio anybody's `Task.cancel` may end it, in spite of the shield, if the transport awaits something of its own. It
+        has done nothing then, and is called again.
+        """
+        return self._scope.cancel_called or self._all_tasks is None or self._all_tasks.cancel_called
+
     @protected
     async def _receive(self, bus: Bus) -> None:
         while not bus.failed:
             try:
                 received = await bus.receive()
+            except self._loop.Cancelled:
+                if self._is_ending():
+                    raise
             except Exception as error:  # noqa: BLE001 - a transport of somebody else's may raise anything
                 self._fail(bus, error, "receive")
             else:
@@ -226,6 +239,10 @@ class Pump:
                 await bus.transport.send(frame)
             except FrameNotSentError as refusal:
                 self._turn(bus.drop, refusal.seen)
+            except self._loop.Cancelled:
+                if self._is_ending():
+                    raise
+                bus.put_back(frame)
             except Exception as error:  # noqa: BLE001 - as above
                 self._fail(bus, error, f"send {frame}")
             else:

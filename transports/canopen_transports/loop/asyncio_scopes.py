@@ -162,10 +162,14 @@ class AsyncioTasks:
 
     def check(self) -> None:
         """Raise CancelledError if a scope cancels what is awaited now."""
+        if self._states and self.is_cancelled():
+            raise CancelledError("by a cancel scope")
+
+    def is_cancelled(self) -> bool:
+        """Whether a scope cancels what the present task awaits."""
         task = asyncio.current_task(self.loop)
         state = self._states.get(task) if task is not None else None
-        if state is not None and state.is_cancelled:
-            raise CancelledError("by a cancel scope")
+        return state is not None and state.is_cancelled
 
     def is_shielded(self) -> bool:
         """Whether the present task is within a shield."""
@@ -265,7 +269,7 @@ class AsyncioScope:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        came_from_outside = not self._shield and state.from_outside > self._from_outside
+        came_from_outside = state.from_outside > self._from_outside and not state.is_shielded
         self._tasks.left(state, self)
         if not self.cancel_called or error is None or came_from_outside:
             return False
@@ -303,6 +307,7 @@ class AsyncioNursery:
         self._tasks = tasks
         self._children: dict[Task[None], Callable[[], Any] | None] = {}  # and what runs one that has not begun
         self._errors: list[BaseException] = []
+        self._cancelled: CancelledError | None = None
         self._waiting: Future[None] | None = None
         self._is_closed = False
 
@@ -324,8 +329,8 @@ class AsyncioNursery:
         self._begin()
         try:
             await function(*args)
-        except CancelledError:
-            pass  # by our scope; or somebody has cancelled this task alone
+        except CancelledError as error:
+            self._cancelled = error  # by a scope; or somebody has cancelled this task alone
         except BaseException as error:  # noqa: BLE001 - raised by the end of this nursery
             self._fail(error)
         finally:
@@ -362,7 +367,8 @@ class AsyncioNursery:
             else:
                 status.ended(RuntimeError("the task ended without calling task_status.started()"))
         except CancelledError as error:
-            status.ended(error)
+            if not status.ended(error):
+                self._cancelled = error
         except BaseException as error:  # noqa: BLE001 - raised by `start`, or by the end of this nursery
             if not status.ended(error):
                 self._fail(error)
@@ -391,15 +397,18 @@ class AsyncioNursery:
                         self.cancel_scope.cancel()
         self._is_closed = True
         errors = [each for each in (error, *self._errors) if each is not None and not isinstance(each, CancelledError)]
-        result = BaseExceptionGroup("errors of a nursery", errors) if errors else error
-        if self.cancel_scope.__exit__(kind, result, None):
+        cancelled = error if isinstance(error, CancelledError) else self._cancelled if tasks.is_cancelled() else None
+        if errors and cancelled is not None and tasks.is_cancelled():
+            errors.append(cancelled)  # a scope around this catches it
+        result = BaseExceptionGroup("errors of a nursery", errors) if errors else cancelled
+        if self.cancel_scope.__exit__(None if result is None else type(result), result, None):
             return True
         if result is None or result is error:
             return False
         try:
             raise result
         finally:
-            del errors, result  # they would hold this frame, which holds them
+            del errors, result, cancelled  # they would hold this frame, which holds them
 
 
 class _Started:
@@ -453,4 +462,5 @@ class _Started:
             raise cancelled
         if self._error is not None:
             raise self._error
+        self._tasks.check()
         return self._value

@@ -137,8 +137,13 @@ class AsyncioLoop:
 
         task = self._loop.create_task(run(), name=name)
         self._system_tasks.add(task)  # asyncio holds its tasks weakly
-        task.add_done_callback(self._system_tasks.discard)
+        task.add_done_callback(self._on_system_task_end)
         return task
+
+    def _on_system_task_end(self, task: asyncio.Task[None]) -> None:
+        self._system_tasks.discard(task)
+        if not task.cancelled() and isinstance(error := task.exception(), Exception):
+            raise error  # told by the loop's exception handler
 
     def parking_lot(self) -> AsyncioLot:
         return AsyncioLot(self._tasks)

@@ -119,6 +119,13 @@ def fail_after(seconds: float) -> Iterator[None]:
     assert not scope.cancelled_caught, f"it took longer than {seconds:g} s"
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Whether it is a Ctrl-C, which trio's nurseries put into groups."""
+    if isinstance(error, BaseExceptionGroup):
+        return error.subgroup(KeyboardInterrupt) is not None
+    return isinstance(error, KeyboardInterrupt)
+
+
 class Channel(Generic[T]):
     """A queue between tasks."""
 
