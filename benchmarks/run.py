@@ -12,6 +12,7 @@ pure Python or compiled.
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import platform
 import re
@@ -71,6 +72,7 @@ def main() -> None:
         cases = [case for case in cases if any(word.lower() in case.title.lower() for word in arguments.words)]
     if not cases:
         parser.error("no case has one of these words in its title")
+    gc.freeze()  # else each of hundreds of short rounds waits until the collector has looked at all that was imported
     results = [measure(case, arguments.rounds, arguments.seconds) for case in cases]
     text = report(results, arguments.rounds, arguments.seconds, with_goals=not arguments.words)
     print(text)

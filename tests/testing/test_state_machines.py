@@ -217,4 +217,4 @@ def test_a_promise_of_ones_own_is_checked() -> None:
 
 def test_a_machine_without_a_master_says_so() -> None:
     with pytest.raises(NotImplementedError, match="put your master into the world in start"):
-        run_state_machine_as_test(MasterAgainstDevices, settings=examples(5))
+        run_state_machine_as_test(MasterAgainstDevices, settings=examples(5, explain=False))
