@@ -40,7 +40,7 @@ class AsyncioMaster:
         self.master = master
 
     async def read(self, node_id: int, key: Key) -> Value:
-        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLength."""
+        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLengthError."""
         return await self.run(read(self.master.node(node_id), key))
 
     async def write(self, node_id: int, key: Key, value: Value) -> None:
@@ -65,6 +65,7 @@ def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[.
 
     @functools.wraps(test)
     async def run(**arguments: Any) -> T:
+        __tracebackhide__ = True
         arguments.pop(CLOCK, None)
         in_trio = sniffio.current_async_library() == "trio"
         _check_time(world, in_trio)
@@ -75,8 +76,9 @@ def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[.
     return run
 
 
-def run_in(world: ProgramWorld, test: Callable[..., Awaitable[None]], in_trio: bool, arguments: Mapping[str, Any]) -> None:
+def run_in(world: ProgramWorld, test: Callable[..., Awaitable[None]], in_trio: bool, **arguments: Any) -> None:
     """Run a hosted test in the world."""
+    __tracebackhide__ = True
     if in_trio:
         world.run(functools.partial(test, **arguments))
     else:
