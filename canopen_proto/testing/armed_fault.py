@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
-from canopen_proto.machine import LocalProtocolError, Time
+from canopen_proto.machine import SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.sdo.codec import (
     ABORT,
@@ -36,7 +36,7 @@ from canopen_proto.testing.faults import (
     Replace,
     Sudden,
 )
-from canopen_proto.testing.patterns import Names, Pattern, is_remote, mux_of, sdo_read, sdo_request, sdo_write
+from canopen_proto.testing.patterns import Names, Pattern, as_pattern, is_remote, mux_of, sdo_read, sdo_request, sdo_write
 
 
 class Transit(NamedTuple):
@@ -55,11 +55,16 @@ class Transit(NamedTuple):
 
 
 class ArmedFault:
-    """See this module's text. fault: the value. draws: numbers of its own."""
+    """See this module's text. fault: the value. draws: numbers of its own.
+
+    hits: how often it has hit. last: when, for the last time.
+    """
 
     def __init__(self, fault: Fault, draws: Draws) -> None:
         self.fault = fault
         self._draws = draws
+        self.hits = 0
+        self.last: Time = 0
         self._met = 0
         self._patterns = _patterns_of(fault)
 
@@ -76,6 +81,35 @@ class ArmedFault:
         if fault.when is not None and not fault.when(frame):
             return False
         return self._draws.happens(fault.chance)
+
+    def hit(self, now: Time) -> None:
+        """Take note that it has hit."""
+        self.hits += 1
+        self.last = now
+
+    def __str__(self) -> str:
+        if not self.hits:
+            return f"never hit: {self.fault}"
+        times = "once" if self.hits == 1 else f"{self.hits} times, last"
+        return f"{self.fault}: {times} at {self.last / SECOND:.6f} s"
+
+    def check(self, names: Names) -> None:
+        """Look whether the objects that are meant are some of their nodes, as far as these are known.
+
+        Raises ObjectNotFoundError, ValueRangeError; LocalProtocolError for a lie that no frame can carry.
+        """
+        for pattern in self._patterns:
+            pattern.check(names)
+        if isinstance(self.fault, Lie) and names(self.fault.node_id) is not None:
+            self._told(self.fault, names)
+
+    def _told(self, lie: Lie, names: Names) -> bytes:
+        """Return what a device tells in the place of the truth."""
+        value = Pattern("sdo write", lie.node_id, lie.key, lie.value).data(names)
+        assert value is not None
+        if not 0 < len(value) <= MAX_EXPEDITED:
+            raise LocalProtocolError(f"{lie}: {len(value)} bytes; an answer of one frame has 1..{MAX_EXPEDITED}")
+        return value
 
     def _can_answer(self, frame: Frame) -> bool:
         """Whether a fault that answers for a device can answer this request: one that begins a transfer."""
@@ -102,8 +136,8 @@ class ArmedFault:
                 return [transit, transit._replace(at=at + later, is_loose=True, fate="copy")]
             case Delay(by=by):
                 return [transit._replace(at=at + by, is_late=True, fate="late")]
-            case Reorder(by=by):
-                return [transit._replace(at=at + by, is_loose=True, fate="out of order")]
+            case Reorder(by=by, gateway=gateway):
+                return [transit._replace(at=at + by, is_loose=True, fate=f"out of order behind {gateway}")]
             case Corrupt(flip=flip):
                 return [transit._replace(frame=self._corrupted(frame, flip), fate="corrupted")]
             case Replace(data=data):
@@ -126,13 +160,10 @@ class ArmedFault:
             data = INITIATE.pack(ABORT, index, subindex, fault.code)
         else:
             assert isinstance(fault, Lie)
-            value = Pattern("sdo write", fault.node_id, fault.key, fault.value).data(names)
-            assert value is not None
             if request.data[0] & SPECIFIER == BLOCK_UPLOAD:
                 data = INITIATE.pack(ABORT, index, subindex, AbortCode.INVALID_COMMAND)  # then it is asked without blocks
-            elif not 0 < len(value) <= MAX_EXPEDITED:
-                raise LocalProtocolError(f"{fault}: {len(value)} bytes; an answer of one frame has 1..{MAX_EXPEDITED}")
             else:
+                value = self._told(fault, names)
                 data = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[len(value)], index, subindex, value)
         return Frame(request.can_id - SDO_CLIENT_TO_SERVER + SDO_SERVER_TO_CLIENT, data)
 
@@ -143,9 +174,9 @@ _BEGINNINGS: Final = frozenset((INITIATE_DOWNLOAD, INITIATE_UPLOAD, BLOCK_UPLOAD
 def _patterns_of(fault: Fault) -> Iterable[Pattern]:
     match fault:
         case FrameFault(on=on):
-            return (on,)
+            return (as_pattern(on),)
         case Sudden(on=on):
-            return () if on is None else (on,)
+            return () if on is None else (as_pattern(on),)
         case Refuse(node_id=node_id, key=None):
             return (sdo_request(node_id),)
         case Refuse(node_id=node_id, key=key) if key is not None:

@@ -21,8 +21,9 @@ from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import FrameFault, Lie, Refuse, SecondMaster, Sudden
 from canopen_proto.testing.judge import Judge
 from canopen_proto.testing.member import WorldMember
-from canopen_proto.testing.patterns import Names, Pattern
+from canopen_proto.testing.patterns import Names, Pattern, as_pattern
 from canopen_proto.testing.seen import SeenFrame, check_never, find
+from canopen_proto.testing.times import nanoseconds
 from canopen_proto.testing.trace import Passed
 
 MOST_WAITING: Final = 4096
@@ -66,7 +67,8 @@ class _Late(NamedTuple):
 
 
 class WorldBus:
-    """See this module's text; made by `World.bus`. trace: all frames so far. participants: in the order of joining."""
+    """See this module's text; made by `World.bus`. trace: all frames so far. participants: in the order of joining. bitrate: of
+    its cable, bit/s; 0 without one."""
 
     def __init__(
         self,
@@ -74,12 +76,12 @@ class WorldBus:
         clock: Callable[[], Time],
         names: Names,
         faults: list[ArmedFault],
-        on_sudden: Callable[[Sudden], None],
+        on_sudden: Callable[[ArmedFault], None],
         draws: Draws,
         transmission: tuple[Time, Time],
-        cable: Cable | None,
     ) -> None:
         self.name = name
+        self.bitrate = 0
         self.names = names
         self.participants: list[WorldMember] = []
         self.trace: list[Passed] = []
@@ -89,7 +91,7 @@ class WorldBus:
         self._on_sudden = on_sudden
         self._draws = draws
         self._transmission = transmission
-        self._cable = cable
+        self._cable: Cable | None = None
         self._members: dict[WorldMember, Any] = {}
         self._sent: list[_Sent] = []
         self._late: list[_Late] = []
@@ -109,22 +111,26 @@ class WorldBus:
         """Let `saw` and `never` look only at what comes from now on."""
         self._since = self._clock()
 
-    def saw(self, pattern: Pattern, *, after: Time | None = None) -> SeenFrame:
-        """Return the first frame that fits, for more questions. after: only frames from this time on; default: since `mark`.
+    def saw(self, pattern: Pattern | Frame | str, *, after: Time | float | None = None) -> SeenFrame:
+        """Return the first frame that fits, for more questions. pattern: also a frame, or one as candump writes it. after: only
+        frames from this time on; default: since `mark`.
 
         Raises AssertionError, which says what came instead.
         """
         __tracebackhide__ = True
-        since = self._since if after is None else after
-        return find(pattern, self.observer, self.names, since)
+        return find(as_pattern(pattern), self.observer, self.names, self._from(after))
 
-    def never(self, pattern: Pattern, *, after: Time | None = None) -> None:
+    def never(self, pattern: Pattern | Frame | str, *, after: Time | float | None = None) -> None:
         """Check that no frame came that fits. Raises AssertionError, which shows the first one, with what was before it.
 
         after: only frames from this time on, ns; None: since `mark`, or from the start.
         """
         __tracebackhide__ = True
-        check_never(pattern, self.observer, self.names, self._since if after is None else after)
+        check_never(as_pattern(pattern), self.observer, self.names, self._from(after))
+
+    def _from(self, after: Time | float | None) -> Time:
+        __tracebackhide__ = True
+        return self._since if after is None else nanoseconds(after, "after")
 
     def lines(self, last: int = 20) -> list[str]:
         """Return the last frames in words."""
@@ -140,6 +146,19 @@ class WorldBus:
         self.participants.append(participant)
         if self._cable is not None:
             self._members[participant] = self._cable.join(self._clock(), queue_size=MOST_WAITING)
+
+    def use_cable(self, cable: Cable, bitrate: int) -> None:
+        """Let frames take the time of their bits from now on. Raises LocalProtocolError if it has a cable already, or if frames
+        are under way."""
+        if self._cable is not None:
+            raise LocalProtocolError(f"the bus {self.name} has {self.bitrate} bit/s already: it cannot have {bitrate} bit/s too")
+        if self._sent or self._late:
+            raise LocalProtocolError(
+                f"frames are under way on the bus {self.name}: give it its bit rate before anything is sent, or let time pass"
+            )
+        self._cable, self.bitrate = cable, bitrate
+        for participant in self.participants:
+            self._members[participant] = cable.join(self._clock(), queue_size=MOST_WAITING)
 
     def leave(self, participant: WorldMember) -> None:
         """Take a participant off the bus: it hears nothing more. What it has sent arrives."""
@@ -193,13 +212,17 @@ class WorldBus:
     def arrive(self, frame: Frame, sender: WorldMember | None, now: Time) -> None:
         """Carry a frame past the faults, at the end of its transmission."""
         transits = [Transit(frame, now)]
-        moments, answers = [], []
+        moments: list[ArmedFault] = []
+        answers = []
         for armed in self._faults:
             if sender is self._second_master and isinstance(armed.fault, SecondMaster):
                 continue  # it does not answer itself
             if not armed.meets(frame, self.name, now, self.names):
                 continue
             fault = armed.fault
+            to = fault.to if isinstance(fault, FrameFault) else 0
+            if not isinstance(fault, Sudden) and (not to or any(each.node_id == to for each in self.participants)):
+                armed.hit(now)
             if isinstance(fault, FrameFault):
                 transits = [altered for transit in transits for altered in armed.alter(transit)]
             elif isinstance(fault, Refuse | Lie):
@@ -209,7 +232,7 @@ class WorldBus:
                 ]
                 answers.append((armed.answer(frame, self.names), fault.node_id))
             elif isinstance(fault, Sudden):
-                moments.append(fault)
+                moments.append(armed)
         for transit in transits:
             self._forward(transit, sender, now)
         for answer, node_id in answers:

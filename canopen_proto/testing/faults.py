@@ -17,24 +17,28 @@ identifier. `Corrupt`, `Reorder` and `Copy(later=...)` need a gateway, or a faul
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
-from typing import Final, TypeAlias
+from dataclasses import dataclass, fields
+from typing import ClassVar, Final, TypeAlias
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time, check_node_id
-from canopen_proto.testing.patterns import Pattern, any_frame
+from canopen_proto.testing.patterns import Pattern, any_frame, as_pattern, key_text
+from canopen_proto.testing.times import nanoseconds
 
 ANY_FRAME: Final = any_frame()
+MAX_DATA: Final = 8
+"""Bytes of a frame."""
 
 Positions: TypeAlias = int | Collection[int]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """What all faults have; see this module's text. Raises LocalProtocolError for a chance outside 0..1, a position below 1."""
+    """What all faults have; see this module's text. Raises LocalProtocolError for a chance outside 0..1, a position below 1, a
+    time below 0."""
 
     nth: Positions = ()
     chance: float = 1.0
@@ -42,17 +46,42 @@ class Fault:
     since: Time = 0
     until: Time = NEVER
     bus: str = ""
+    _in_subject: ClassVar[Collection[str]] = ()
+    """Fields that `subject` says."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.chance <= 1:
-            raise LocalProtocolError(f"a chance is 0 to 1, not {self.chance}")
-        if any(number < 1 for number in self.positions):
-            raise LocalProtocolError(f"the first frame is number 1: nth={self.nth}")
+        self._take_times("since", "until")
+        if not isinstance(self.chance, int | float) or not 0 <= self.chance <= 1:
+            raise LocalProtocolError(f"a chance is 0 to 1, not {self.chance!r}")
+        if self.when is not None and not callable(self.when):
+            raise LocalProtocolError(f"when is a function of a frame, not {self.when!r}")
+        if isinstance(self.nth, str | bool) or not isinstance(self.nth, int | Collection):
+            raise LocalProtocolError(f"nth is a number from 1 on, or several: nth=3, nth=(1, 3), not nth={self.nth!r}")
+        if any(not isinstance(number, int) or number < 1 for number in self.positions):
+            raise LocalProtocolError(f"the first frame is number 1: nth={self.nth!r}")
+
+    def __str__(self) -> str:
+        """Return the fault for people: "Lose an SDO answer of node 5, nth=3"."""
+        more = [
+            each.name for each in fields(self) if each.name not in self._in_subject and getattr(self, each.name) != each.default
+        ]
+        said = [f"{name}={_said(name, getattr(self, name))}" for name in more]
+        return ", ".join([f"{type(self).__name__} {self.subject}".strip(), *said])
+
+    @property
+    def subject(self) -> str:
+        """Return what it is about, for people."""
+        return ""
 
     @property
     def positions(self) -> Collection[int]:
         """The numbers of the frames that are hit; empty: all."""
         return (self.nth,) if isinstance(self.nth, int) else self.nth
+
+    def _take_times(self, *names: str) -> None:
+        """Check fields that are times, ns."""
+        for name in names:
+            object.__setattr__(self, name, nanoseconds(getattr(self, name), f"{name} of {type(self).__name__}"))
 
 
 # ---- what happens to frames ----
@@ -62,8 +91,19 @@ class Fault:
 class FrameFault(Fault):
     """Something happens to the frames that are meant. to: only at this receiver, a node-ID; 0: at all of them."""
 
-    on: Pattern = ANY_FRAME
+    on: Pattern | Frame | str = ANY_FRAME
     to: int = 0
+    _in_subject = ("on",)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "on", as_pattern(self.on))
+        if self.to != 0:
+            check_node_id(self.to)
+
+    @property
+    def subject(self) -> str:
+        return str(self.on)
 
 
 @dataclass(frozen=True)
@@ -80,6 +120,10 @@ class Copy(FrameFault):
 
     later: Time = 0
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._take_times("later")
+
 
 @dataclass(frozen=True)
 class Delay(FrameFault):
@@ -87,12 +131,27 @@ class Delay(FrameFault):
 
     by: Time = SECOND
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._take_times("by")
+
 
 @dataclass(frozen=True)
 class Reorder(FrameFault):
-    """The frame comes late, by so many ns, and those behind it overtake it. Only a gateway does so."""
+    """The frame comes late, by so many ns, and those behind it overtake it, also those with its identifier. Only a gateway does
+    so, and a CAN bus never: gateway says which one the frame passes, for people."""
 
     by: Time = 10 * MILLISECOND
+    gateway: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._take_times("by")
+        if not self.gateway:
+            raise LocalProtocolError(
+                "a CAN bus and its controllers keep the order of frames with one identifier, and only a gateway does not. "
+                'Which one do the frames pass? Reorder(..., gateway="CAN to Ethernet"). Without one, a late frame is a Delay'
+            )
 
 
 @dataclass(frozen=True)
@@ -104,12 +163,20 @@ class Corrupt(FrameFault):
 
     flip: bytes = b""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_data("flip", self.flip)
+
 
 @dataclass(frozen=True)
 class Replace(FrameFault):
     """The frame has other data: the device answers something else. data: 0 to 8 bytes."""
 
     data: bytes = b""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_data("data", self.data)
 
 
 # ---- what devices do ----
@@ -125,6 +192,17 @@ class Refuse(Fault):
     node_id: int
     key: Key | None = None
     code: int = AbortCode.GENERAL_ERROR
+    _in_subject = ("node_id", "key")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_node_id(self.node_id)
+        if not isinstance(self.code, int) or not 0 <= self.code < 1 << 32:
+            raise LocalProtocolError(f"an abort code is a number of 32 bits, such as AbortCode.LOCAL_CONTROL, not {self.code!r}")
+
+    @property
+    def subject(self) -> str:
+        return f"{'each object' if self.key is None else key_text(self.key)} of node {self.node_id}"
 
 
 @dataclass(frozen=True)
@@ -137,6 +215,15 @@ class Lie(Fault):
     node_id: int
     key: Key
     value: Value
+    _in_subject = ("node_id", "key")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_node_id(self.node_id)
+
+    @property
+    def subject(self) -> str:
+        return f"about {key_text(self.key)} of node {self.node_id}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,13 +231,17 @@ class Sudden(Fault):
     """Something that happens at a moment: at the time `at` (ns), or when a frame is on the bus that fits `on`; then `nth`,
     `chance` and `when` count. With neither, it happens at the start."""
 
-    on: Pattern | None = None
+    on: Pattern | Frame | str | None = None
     at: Time | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.on is not None and self.at is not None:
             raise LocalProtocolError("a fault happens at a time or on a frame: give `at` or `on`, not both")
+        if self.at is not None:
+            self._take_times("at")
+        if self.on is not None:
+            object.__setattr__(self, "on", as_pattern(self.on))
 
 
 @dataclass(frozen=True)
@@ -158,10 +249,15 @@ class NodeFault(Sudden):
     """Something that a device does at a moment. node_id: 1..127."""
 
     node_id: int
+    _in_subject = ("node_id",)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_node_id(self.node_id)
+
+    @property
+    def subject(self) -> str:
+        return f"node {self.node_id}"
 
 
 @dataclass(frozen=True)
@@ -170,6 +266,10 @@ class Pause(NodeFault):
     whose cable is pulled."""
 
     lasts: Time = NEVER
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._take_times("lasts")
 
 
 @dataclass(frozen=True)
@@ -183,15 +283,53 @@ class BusOff(NodeFault):
 
     lasts: Time = SECOND
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._take_times("lasts")
+
 
 @dataclass(frozen=True)
 class SecondMaster(Sudden):
-    """Another master on the bus sends frames. frames: as candump writes them; one each `apart` ns."""
+    """Another master on the bus sends frames. frames: one or several, as candump writes them; one each `apart` ns."""
 
-    frames: tuple[str, ...] = ()
+    frames: str | tuple[str, ...] = ()
     apart: Time = MILLISECOND
+    _in_subject = ("frames",)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for text in self.frames:
+        self._take_times("apart")
+        if not self.frames:
+            raise LocalProtocolError('what does the second master send? SecondMaster("000#0200")')
+        for text in self.texts:
             Frame.parse(text)
+
+    @property
+    def subject(self) -> str:
+        return " ".join(self.texts)
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The frames."""
+        return (self.frames,) if isinstance(self.frames, str) else self.frames
+
+
+_TIMES: Final = ("since", "until", "at", "by", "later", "lasts", "apart")
+
+
+def _said(name: str, value: object) -> str:
+    """Return the value of a field for people."""
+    if name in _TIMES and isinstance(value, int):
+        return f"{value / SECOND:g} s"
+    if name == "code" and isinstance(value, int):
+        return f"0x{value:08X}"
+    if isinstance(value, bytes):
+        return value.hex(" ").upper()
+    return str(getattr(value, "__qualname__", value))
+
+
+def _check_data(name: str, data: bytes) -> None:
+    if not isinstance(data, bytes | bytearray):
+        raise LocalProtocolError(f"{name} is bytes, such as {name}=bytes(8), not {data!r}")
+    if len(data) > MAX_DATA:
+        raise LocalProtocolError(f"{name} has {len(data)} bytes; a CAN frame has {MAX_DATA} at most")

@@ -91,12 +91,13 @@ class Judge:
         self._missed += [Found(now, finding) for finding in self._observer.idle(now)[0]]
         return sorted(found + self._missed, key=lambda each: each.time)
 
-    def clean(self, but: Collection[str] = ()) -> None:
-        """Check that nothing was wrong. but: rules (canopen_proto.observer.observer.RULES) that may be broken.
+    def clean(self, but: str | Collection[str] = ()) -> None:
+        """Check that nothing was wrong. but: a rule (canopen_proto.observer.observer.RULES) that may be broken, or several.
 
         Raises AssertionError, which names what was wrong, and shows the frames before it.
         """
         __tracebackhide__ = True
+        but = (but,) if isinstance(but, str) else but
         unknown = [rule for rule in but if rule not in RULES]
         if unknown:
             raise ValueError(f"the observer has no rule {unknown[0]!r}: {', '.join(RULES)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import TracebackType
 from typing import Any, Protocol, TypeVar
 
 from canopen_proto.datatypes import Value
@@ -101,9 +102,10 @@ class WorldMaster(WorldMember):
 
     def result(self, request_id: RequestId) -> Any:
         """Return the result of a procedure that is over, or raise its error."""
+        __tracebackhide__ = True
         ended = self._ended.pop(request_id)
         if isinstance(ended, ProcedureFailed):
-            raise ended.error
+            raise ended.error.with_traceback(_of_users(ended.error.__traceback__))
         assert isinstance(ended, ProcedureFinished), f"{ended} was cancelled"
         return ended.result
 
@@ -111,3 +113,13 @@ class WorldMaster(WorldMember):
         if isinstance(event, ProcedureFinished | ProcedureFailed | ProcedureCancelled):
             self._ended[event.request_id] = event
             self._on_end.pop(event.request_id, lambda: None)()
+
+
+def _of_users(traceback: TracebackType | None) -> TracebackType | None:
+    """Return a traceback without the frames of this package: a procedure of the test's own stays in it."""
+    if traceback is None:
+        return None
+    inner = _of_users(traceback.tb_next)
+    if traceback.tb_frame.f_globals.get("__name__", "").startswith("canopen_proto."):
+        return inner
+    return TracebackType(inner, traceback.tb_frame, traceback.tb_lasti, traceback.tb_lineno)

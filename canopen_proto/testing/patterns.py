@@ -16,6 +16,7 @@ from typing import Final, TypeAlias
 from canopen_proto.abort import text_of
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, ObjectDictionary, ObjectNotFoundError, Variable
+from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.dictionary.standard import STANDARD, find_standard
 from canopen_proto.frame import (
     EMCY,
@@ -70,6 +71,20 @@ class Pattern:
     number: int = -1
     text: str = ""
 
+    def __post_init__(self) -> None:
+        if self.node_id != 0:
+            check_node_id(self.node_id)
+
+    def check(self, names: Names) -> None:
+        """Look whether the object, and the value, are some of the node. Does nothing if the node is not known yet.
+
+        Raises ObjectNotFoundError, which names similar ones; ValueRangeError.
+        """
+        __tracebackhide__ = True
+        if self.key is not None and names(self.node_id) is not None:
+            self.variable(names)
+            self.data(names)
+
     def fits(self, frame: Frame, names: Names = lambda node_id: None) -> bool:
         """Whether a frame is meant. names: for the objects of nodes."""
         fits: bool = _FITS[self.service](self, frame, names)
@@ -114,9 +129,9 @@ class Pattern:
             case "sdo abort" if self.number >= 0:
                 return f"SDO abort 0x{self.number:08X} ({text_of(self.number)}){of}"
             case "sdo write":
-                return f"SDO write of {_key_text(self.key)}{value}{to}"
+                return f"SDO write of {key_text(self.key)}{value}{to}"
             case "sdo read":
-                return f"SDO read of {_key_text(self.key)}{of}"
+                return f"SDO read of {key_text(self.key)}{of}"
             case "sdo request":
                 return f"an SDO request{to}"
             case "sdo answer":
@@ -126,6 +141,20 @@ class Pattern:
 
 
 # ---- the patterns ----
+
+
+def as_pattern(meant: object) -> Pattern:
+    """Return what a test gives for a pattern: a frame, or one as candump writes it, is a `can_frame`.
+
+    Raises LocalProtocolError, ValueError for text that is no frame.
+    """
+    __tracebackhide__ = True
+    if isinstance(meant, Pattern):
+        return meant
+    if isinstance(meant, str | Frame):
+        return can_frame(str(meant))
+    called = f": call it, {getattr(meant, '__name__', '')}(...)" if getattr(meant, "__module__", "") == __name__ else ""
+    raise LocalProtocolError(f'{meant!r} is no pattern of frames, such as heartbeat(5) or "705#05"{called}')
 
 
 def any_frame() -> Pattern:
@@ -319,8 +348,10 @@ def _variable(node_id: int, key: Key, names: Names) -> Variable:
     else:
         found = find_standard(*(key if isinstance(key, tuple) else place_of(key)))
     if found is None:
+        known = [] if dictionary is None else [name for each in dictionary for name in each.names]
+        similar = did_you_mean(key, [*known, *_STANDARD_NAMES]) if isinstance(key, str) else ""
         raise ObjectNotFoundError(
-            f"{_key_text(key)} is no object of node {node_id} nor of CiA 301 and CiA 402: give (index, subindex)"
+            f"{key_text(key)} is no object of node {node_id} nor of CiA 301 and CiA 402{similar or ': give (index, subindex)'}"
         )
     return found
 
@@ -333,7 +364,8 @@ def _value_text(value: Value) -> str:
     return f"0x{value:X} ({value})" if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else repr(value)
 
 
-def _key_text(key: Key | None) -> str:
+def key_text(key: Key | None) -> str:
+    """Return an object for people: its name or label, or 0x1018:01."""
     if isinstance(key, Variable):
         return key.label
     if isinstance(key, tuple):

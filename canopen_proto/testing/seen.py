@@ -16,7 +16,8 @@ from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.sdo.codec import MAX_EXPEDITED
 from canopen_proto.testing.judge import Judge, Witnessed
-from canopen_proto.testing.patterns import Names, Pattern
+from canopen_proto.testing.patterns import Names, Pattern, as_pattern
+from canopen_proto.testing.times import nanoseconds
 
 _NEAR: Final = 5
 """Frames that are shown because they are near to what was looked for."""
@@ -55,10 +56,11 @@ class SeenFrame:
         """The frame in words, with its time and its sender."""
         return str(self._witnessed)
 
-    def within(self, limit: Time) -> SeenFrame:
+    def within(self, limit: Time | float) -> SeenFrame:
         """Check that it came not later than so many ns behind the time from which was looked (`after`, `mark`, the start), or
         behind the frame before it (`then`). Raises AssertionError."""
         __tracebackhide__ = True
+        limit = nanoseconds(limit, "within")
         took = self.time - self._since
         if took > limit:
             behind = f"{_time_text(took)} behind {self._since / SECOND:.6f} s, not within {_time_text(limit)}"
@@ -74,15 +76,16 @@ class SeenFrame:
             raise AssertionError(f"{self._pattern} came {len(found)} times, not {count}:\n{lines}")
         return self
 
-    def then(self, pattern: Pattern) -> SeenFrame:
+    def then(self, pattern: Pattern | Frame | str) -> SeenFrame:
         """Return the first frame behind this one that fits another pattern. Raises AssertionError if there is none."""
         __tracebackhide__ = True
-        return find(pattern, self._judge, self._names, self.time, self._place + 1, f" behind {self._pattern}")
+        return find(as_pattern(pattern), self._judge, self._names, self.time, self._place + 1, f" behind {self._pattern}")
 
 
 def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int = 0, behind: str = "") -> SeenFrame:
     """Return the first frame that fits. Raises AssertionError, which says what came instead."""
     __tracebackhide__ = True
+    pattern.check(names)
     place = next(_all(pattern, judge, names, since, first), None)
     if place is not None:
         return SeenFrame(pattern, place, judge, names, since)
@@ -102,6 +105,7 @@ def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int =
 def check_never(pattern: Pattern, judge: Judge, names: Names, since: Time) -> None:
     """Check that no frame fits. Raises AssertionError."""
     __tracebackhide__ = True
+    pattern.check(names)
     place = next(_all(pattern, judge, names, since), None)
     if place is not None:
         witnessed = judge.witnessed()[place]

@@ -22,8 +22,9 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Final, NamedTuple, TypeAlias, TypeVar
+from typing import Final, NamedTuple, TypeAlias, TypeVar, cast
 
+from canopen_proto.declared import DeclaredDevice
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.frame import UNCONFIGURED, Frame
 from canopen_proto.local_node import LocalNode
@@ -36,17 +37,19 @@ from canopen_proto.parameter_storage import SIGNATURES
 from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
+from canopen_proto.testing import patterns
 from canopen_proto.testing.armed_fault import ArmedFault
-from canopen_proto.testing.bus import Cable, WorldBus
+from canopen_proto.testing.bus import WorldBus
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import BusOff, Fault, NodeFault, Pause, Reset, SecondMaster, Sudden
 from canopen_proto.testing.master import WorldMaster
 from canopen_proto.testing.member import OnEvent, OnFrame, WorldMember
-from canopen_proto.testing.patterns import Pattern
+from canopen_proto.testing.patterns import Pattern, as_pattern
+from canopen_proto.testing.times import nanoseconds
 
 P = TypeVar("P", bound=WorldMember)
 
-NodeMaker: TypeAlias = Callable[[Outbox], LocalNode]
+NodeMaker: TypeAlias = Callable[[Outbox], LocalNode | DeclaredDevice]
 """Makes a device with the outbox of the network that it will be attached to."""
 
 TRANSMISSION: Final = (60 * MICROSECOND, 240 * MICROSECOND)
@@ -80,7 +83,7 @@ class World:
         self.seed = seed
         self.nodes: dict[int, LocalNode] = {}
         self.buses: dict[str, WorldBus] = {}
-        self._transmission = transmission
+        self._transmission = (nanoseconds(transmission[0], "transmission"), nanoseconds(transmission[1], "transmission"))
         self._draws = Draws("world", seed)
         self._faults: list[ArmedFault] = []
         self._moments: list[_Moment] = []
@@ -94,25 +97,24 @@ class World:
 
     def bus(self, name: str = "can0") -> WorldBus:
         """Return the bus of this name; it is made when it is first asked for."""
-        return self.buses[name] if name in self.buses else self._new_bus(name, None)
+        if name not in self.buses:
+            draws = Draws(f"bus {name}", self.seed)
+            self.buses[name] = WorldBus(
+                name, lambda: self.now, self._dictionary_of, self._faults, self._happen, draws, self._transmission
+            )
+        return self.buses[name]
 
-    def _new_bus(self, name: str, cable: Cable | None) -> WorldBus:
-        if name in self.buses:
-            raise LocalProtocolError(f"there is a bus {name} already")
-        draws = Draws(f"bus {name}", self.seed)
-        bus = self.buses[name] = WorldBus(
-            name, lambda: self.now, self._dictionary_of, self._faults, self._happen, draws, self._transmission, cable
-        )
-        return bus
+    def device(
+        self, made_of: ObjectDictionary | type[DeclaredDevice] | NodeMaker, node_id: int = 0, *, bus: str = "can0"
+    ) -> LocalNode:
+        """Switch on a device of a dictionary, of a class that is written in Python, or of your own making; return it.
 
-    def device(self, made_of: ObjectDictionary | NodeMaker, node_id: int = 0, *, bus: str = "can0") -> LocalNode:
-        """Switch on a device of a dictionary, or of your own making; return it.
-
-        node_id: 1..127; needed with a dictionary. Raises LocalProtocolError if a device of the world has this node-ID.
+        node_id: 1..127; needed with a dictionary or a class. Raises LocalProtocolError if a device of the world has this node-ID,
+        ObjectNotFoundError if a fault names an object that it has not.
         """
-        make = partial(LocalNode, node_id=node_id, dictionary=made_of) if isinstance(made_of, ObjectDictionary) else made_of
+        __tracebackhide__ = True
         network = Network()
-        node = make(network.out)
+        node = _made(made_of, network.out, node_id)
         place = node.node_id
         while place >= UNCONFIGURED and place in self.nodes:
             place += 1
@@ -129,6 +131,7 @@ class World:
         node.boot(self.now)
         for frame in participant.drain(self.now):
             self._guarded(partial(self.buses[bus].arrive, frame, participant, self.now))
+        self._check_faults()
         return node
 
     def drive(
@@ -184,32 +187,56 @@ class World:
                 return
 
     def add_faults(self, *faults: Fault) -> None:
-        """Let these go wrong too, from now on."""
+        """Let these go wrong too, from now on. Raises ObjectNotFoundError for an object that a device has not."""
+        __tracebackhide__ = True
         for fault in faults:
-            self._faults.append(ArmedFault(fault, Draws(f"fault {len(self._faults)}", self.seed)))
+            if not isinstance(fault, Fault):
+                raise LocalProtocolError(f"{fault!r} is no fault, such as Lose(sdo_answer(5), nth=3)")
+            armed = ArmedFault(fault, Draws(f"fault {len(self._faults)}", self.seed))
+            self._faults.append(armed)
             if isinstance(fault, Sudden) and fault.on is None:
-                self._at(self.now if fault.at is None else fault.at, partial(self._happen, fault))
+                self._at(self.now if fault.at is None else fault.at, partial(self._happen, armed))
+        self._check_faults()
 
-    def after(self, duration: Time, act: Callable[[], object]) -> None:
+    @property
+    def fault_lines(self) -> list[str]:
+        """What each fault has done so far: how often it has hit, and when last. Those that never hit come first."""
+        return [str(armed) for armed in sorted(self._faults, key=lambda armed: armed.hits > 0)]
+
+    def _check_faults(self) -> None:
+        __tracebackhide__ = True
+        for armed in self._faults:
+            armed.check(self._dictionary_of)
+
+    def after(self, duration: Time | float, act: Callable[[], object]) -> None:
         """Call a function when so many ns have passed: `world.after(SECOND, lambda: drive.raise_fault(0x7300, world.now))`."""
-        self._at(self.now + duration, act)
+        __tracebackhide__ = True
+        self._at(self.now + nanoseconds(duration, "after"), act)
 
     # ---- time ----
 
-    def advance(self, duration: Time) -> None:
+    def advance(self, duration: Time | float) -> None:
         """Let so many ns pass."""
-        end = self.now + duration
+        __tracebackhide__ = True
+        end = self.now + nanoseconds(duration, "advance")
         while self.step(end):
             pass
         self.now = max(self.now, end)
 
-    def run_until(self, condition: Callable[[], object] | Pattern, limit: Time = LIMIT) -> None:
+    def run_until(
+        self, condition: Callable[[], object] | Pattern | Frame | str, limit: Time | float = LIMIT, *, told: str = ""
+    ) -> None:
         """Let time pass until a condition holds, or until a frame comes that fits a pattern, on any bus.
 
-        Raises DidNotHappenError if that takes longer than `limit` (ns), or if nothing more will happen.
+        told: what is waited for, for the error; by default its name. Raises DidNotHappenError if that takes longer than `limit`
+        (ns), or if nothing more will happen.
         """
         __tracebackhide__ = True
+        if not callable(condition) or getattr(condition, "__module__", "") == patterns.__name__:
+            condition = as_pattern(condition)
+            condition.check(self._dictionary_of)
         met = self._comes(condition) if isinstance(condition, Pattern) else condition
+        limit = nanoseconds(limit, "limit")
         began, end = self.now, self.now + limit
         self._pump()
         while not met():
@@ -219,9 +246,8 @@ class World:
             if self.next_time() < NEVER:
                 self.now, why = end, f"{limit / SECOND:g} s are over"
             tails = [bus.observer.tail(self.now) for bus in self.buses.values()]
-            raise DidNotHappenError(
-                "\n".join([f"{_name(condition)} did not come true since {began / SECOND:.6f} s: {why}.", *tails])
-            )
+            what = f"{told or _name(condition)} since {began / SECOND:.6f} s: {why}."
+            raise DidNotHappenError("\n".join([what, *tails]))
 
     def next_time(self) -> Time:
         """Return when the next thing happens; NEVER if nothing will."""
@@ -325,16 +351,19 @@ class World:
         elif isinstance(event, LssStoreRequested) and node.lss.is_storing:
             node.lss.complete_store(OK, self.now)
 
-    def _happen(self, fault: Sudden) -> None:
+    def _happen(self, armed: ArmedFault) -> None:
         """Let a sudden fault happen now."""
+        fault = armed.fault
         if isinstance(fault, SecondMaster):
-            for number, text in enumerate(fault.frames):
+            armed.hit(self.now)
+            for number, text in enumerate(fault.texts):
                 self._at(self.now + number * fault.apart, partial(self.bus(fault.bus or "can0").intrude, text))
             return
         assert isinstance(fault, NodeFault)
         participant = next((each for each, _ in self._participants if each.node_id == fault.node_id), None)
         if participant is None or participant.device is None:
             return  # it has another node-ID now, or is not there yet
+        armed.hit(self.now)
         node = participant.device
         if isinstance(fault, Pause):
             participant.paused_until = min(self.now + fault.lasts, NEVER)
@@ -360,5 +389,35 @@ class World:
             participant.device.bus_recovered(self.now)
 
 
+def _made(made_of: ObjectDictionary | type[DeclaredDevice] | NodeMaker, out: Outbox, node_id: int) -> LocalNode:
+    """Make a device."""
+    __tracebackhide__ = True
+    is_class = isinstance(made_of, type) and issubclass(made_of, LocalNode | DeclaredDevice)
+    if (is_class or isinstance(made_of, ObjectDictionary)) and not node_id:
+        raise LocalProtocolError("which node-ID is the device to have? Give it as the second argument: device(..., 5)")
+    node: object
+    if isinstance(made_of, ObjectDictionary):
+        return LocalNode(out, node_id, made_of)
+    if isinstance(made_of, type) and issubclass(made_of, DeclaredDevice):
+        device: type[DeclaredDevice] = made_of
+        node = device(out, node_id)
+    elif callable(made_of) and not is_class:
+        node = cast("NodeMaker", made_of)(out)
+    else:
+        raise LocalProtocolError(
+            f"{made_of!r} is no dictionary, no class of a DeclaredDevice, and no function that makes a device with an outbox: "
+            "lambda out: MyDevice(out, 5, dictionary)"
+        )
+    if isinstance(node, DeclaredDevice):
+        return node.node
+    if not isinstance(node, LocalNode):
+        raise LocalProtocolError(
+            f"the function that makes a device returned {node!r}, which is no LocalNode and no DeclaredDevice"
+        )
+    return node
+
+
 def _name(condition: Callable[[], object] | Pattern) -> str:
-    return str(condition) if isinstance(condition, Pattern) else getattr(condition, "__qualname__", repr(condition))
+    if isinstance(condition, Pattern):
+        return f"{condition} did not come"
+    return f"{getattr(condition, '__qualname__', repr(condition))} did not come true"

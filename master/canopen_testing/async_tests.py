@@ -65,6 +65,7 @@ def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[.
 
     @functools.wraps(test)
     async def run(**arguments: Any) -> T:
+        __tracebackhide__ = True
         arguments.pop(CLOCK, None)
         in_trio = sniffio.current_async_library() == "trio"
         _check_time(world, in_trio)
@@ -75,8 +76,9 @@ def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[.
     return run
 
 
-def run_in(world: ProgramWorld, test: Callable[..., Awaitable[None]], in_trio: bool, arguments: Mapping[str, Any]) -> None:
+def run_in(world: ProgramWorld, test: Callable[..., Awaitable[None]], in_trio: bool, **arguments: Any) -> None:
     """Run a hosted test in the world."""
+    __tracebackhide__ = True
     if in_trio:
         world.run(functools.partial(test, **arguments))
     else:

@@ -32,7 +32,7 @@ class WorldCanBus(can.BusABC):
         self._frames: deque[tuple[Frame, Time]] = deque()
         self._reader, self._writer = socket.socketpair()  # readable while a frame waits, for loops that watch files
         self._participant = self._world.listener(self._take, name=f"can.Bus {channel}", bus=str(channel))
-        self.channel_info = f"bus {channel} of a world in virtual time"
+        self.channel_info = f"the bus {channel} of a world in virtual time"
         self._can_protocol = can.CanProtocol.CAN_20
         super().__init__(channel, can_filters, **options)
 
@@ -50,6 +50,7 @@ class WorldCanBus(can.BusABC):
 
         Raises DidNotHappenError if nothing comes in FOREVER without a timeout.
         """
+        __tracebackhide__ = True
         end = self._world.now + round((FOREVER if timeout is None else timeout) * SECOND)
         while True:
             message = self._taken()
@@ -60,7 +61,11 @@ class WorldCanBus(can.BusABC):
                 return None
             else:
                 try:
-                    self._world.run_until(lambda: self._frames, end - self._world.now)
+                    self._world.run_until(
+                        lambda: self._frames,
+                        end - self._world.now,
+                        told=f"a frame for recv() of {self.channel_info} did not come",
+                    )
                 except DidNotHappenError:
                     if timeout is None:
                         raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 from os import PathLike
 from typing import Protocol
 
+from canopen_proto.declared import DeclaredDevice
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
 from canopen_proto.simulation.drive.node import DriveNode
@@ -14,8 +15,8 @@ from canopen_proto.simulation.drive.settings import DriveSettings
 class SimNode(Protocol):
     """The fixture `sim_node`."""
 
-    def __call__(self, file: str | PathLike[str], node_id: int = 0, *, bus: str = "can0") -> LocalNode:
-        """Switch on a simulated device of a file. See ProgramWorld.device."""
+    def __call__(self, file: str | PathLike[str] | type[DeclaredDevice], node_id: int = 0, *, bus: str = "can0") -> LocalNode:
+        """Switch on a simulated device of a file, or of a class. See ProgramWorld.device."""
 
 
 class SimDrive(Protocol):

@@ -6,6 +6,7 @@ test.
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 if TYPE_CHECKING:
     from os import PathLike
 
+    from canopen_proto.declared import DeclaredDevice
     from canopen_proto.local_node import LocalNode
     from canopen_proto.testing import WorldBus
     from canopen_testing.conformance_fixture import RunCase
@@ -30,6 +32,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("canopen", "CANopen: devices and programs in virtual time, conformance")
     group.addoption("--canopen-trace", metavar="DIR", help="keep the traffic of each test as DIR/TEST.log, as candump writes it")
     group.addoption("--canopen-seed", metavar="N", type=int, default=0, help="the seed of the worlds (default: 0)")
+    group.addoption(
+        "--canopen-limit",
+        metavar="S",
+        type=float,
+        help="how long the program of an async test may run, seconds of its world (a day)",
+    )
     group.addoption("--canopen-bus", metavar="LOCATOR", help="the bus of the device for canopen_check, such as socketcan:can0")
     group.addoption("--canopen-device", metavar="NODE", type=int, help="its node-ID; all cases RESET it and WRITE its objects")
     group.addoption("--canopen-storing", action="store_true", help="also the cases that change what the device stores")
@@ -38,6 +46,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     text = "canopen_faults(*faults, seed=N): what goes wrong in the world of this test (canopen_proto.testing), and its seed"
+    config.addinivalue_line("markers", text)
+    text = "canopen_limit(ns): how long the program of an async test may run, in the time of its world (default: --canopen-limit)"
     config.addinivalue_line("markers", text)
     for name in ("trio", "asyncio"):
         if not any(config.pluginmanager.hasplugin(each) for each in (name, f"pytest_{name}")):
@@ -50,6 +60,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def canopen_world(request: pytest.FixtureRequest) -> Iterator[ProgramWorld]:
     """A world in virtual time: buses, devices, masters, programs. See canopen_testing.ProgramWorld."""
+    __tracebackhide__ = True
     try:
         from canopen_testing import worlds
     except ModuleNotFoundError as error:
@@ -58,10 +69,13 @@ def canopen_world(request: pytest.FixtureRequest) -> Iterator[ProgramWorld]:
     for mark in markers:
         wrong = [f"{name}=" for name in mark.kwargs if name != "seed"]
         wrong += [repr(each) for each in mark.args if not isinstance(each, worlds.Fault)]
+        wrong += [f"seed={seed!r}" for seed in [mark.kwargs.get("seed", 0)] if not isinstance(seed, int)]
         if wrong:
             raise pytest.UsageError(f"canopen_faults takes faults of canopen_proto.testing and seed=, not {', '.join(wrong)}")
     seed = next((mark.kwargs["seed"] for mark in markers if "seed" in mark.kwargs), request.config.getoption("canopen_seed"))
     world = request.node.stash[_WORLD] = worlds.ProgramWorld(seed, [fault for mark in markers for fault in mark.args])
+    mark = request.node.get_closest_marker("canopen_limit")
+    world.limit = worlds.limit_of(mark and (mark.args, mark.kwargs), request.config.getoption("canopen_limit"))
     with worlds.present(world):
         yield world
     folder = request.config.getoption("canopen_trace")
@@ -77,9 +91,11 @@ def canopen_bus(canopen_world: ProgramWorld) -> WorldBus:
 
 @pytest.fixture
 def sim_node(canopen_world: ProgramWorld) -> SimNode:
-    """`sim_node("my.eds", node_id=5)` switches a simulated device on, and returns it: see ProgramWorld.device."""
+    """`sim_node("my.eds", node_id=5)` switches a simulated device of a file, or of a class, on, and returns it: see
+    ProgramWorld.device."""
 
-    def make(file: str | PathLike[str], node_id: int = 0, *, bus: str = "can0") -> LocalNode:
+    def make(file: str | PathLike[str] | type[DeclaredDevice], node_id: int = 0, *, bus: str = "can0") -> LocalNode:
+        __tracebackhide__ = True
         return canopen_world.device(file, node_id, bus=bus)
 
     return make
@@ -131,6 +147,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
+    __tracebackhide__ = True
     world = item.stash.get(_WORLD, None)
     if world is None or not isinstance(item, pytest.Function) or not inspect.iscoroutinefunction(item.obj):
         return (yield)
@@ -147,6 +164,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, object]:
+    __tracebackhide__ = True
     test = pyfuncitem.stash.get(_HOSTED, None)
     if test is None:
         return (yield)
@@ -158,7 +176,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, object, o
         pyfuncitem.obj = lambda **arguments: found(**arguments, **clock)
     else:
         in_trio = _is_for_trio(pyfuncitem)
-        pyfuncitem.obj = lambda **arguments: run_in(world, test, in_trio, arguments)
+        pyfuncitem.obj = functools.partial(run_in, world, test, in_trio)
     try:
         return (yield)
     finally:

@@ -24,23 +24,29 @@ is closed.
 from __future__ import annotations
 
 import asyncio
+import inspect
 import math
 from collections.abc import Awaitable, Callable
 from functools import partial
 from os import PathLike
+from types import TracebackType
 from typing import Any, Final, TypeVar
 
 import trio
 
+from canopen_master.errors import DeviceRefusedError
 from canopen_master.simulation.device_files import models_of
 from canopen_master.simulation.plant import DeviceEntry
+from canopen_proto.declared import DeclaredDevice
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time
+from canopen_proto.machine import NEVER, SECOND, LocalProtocolError, Time, check_node_id
 from canopen_proto.testing import DidNotHappenError, World, WorldBus
+from canopen_proto.testing.times import nanoseconds
 from canopen_proto.testing.world import LIMIT, NodeMaker
 from canopen_testing.present import present
 from canopen_testing.trio_order import seed_order, waits_for_idle
+from canopen_testing.waiting import WaitingTasks, asyncio_waits, trio_waits
 from canopen_testing.working_threads import WorkingThreads, watch_threads
 from canopen_testing.world_line import WorldLine
 from canopen_testing.world_loop import WorldLoop
@@ -50,7 +56,7 @@ from canopen_transports.wire import Wire, WireSettings
 T = TypeVar("T")
 
 DAY: Final = 24 * 3600 * SECOND
-"""The most that a program may take of the world's time, unless it is told."""
+"""How long a program may run in the world's time, unless it is told."""
 CLEAN_UP: Final = 60 * SECOND
 """The most that a cancelled program may take of the world's time."""
 IN_EARNEST: Final = 1.0
@@ -87,17 +93,35 @@ class _Steps(trio.abc.Instrument):
         self._on_end()
 
 
-class ProgramWorld(World, trio.abc.Clock):
-    """See this module's text. allows_threads: let threads of a program run beside the world's time, unseen and in no order."""
+def check_main(main: object, run: str) -> None:
+    """Look whether this is a function to be awaited. Raises LocalProtocolError."""
+    __tracebackhide__ = True
+    if not callable(main):
+        if inspect.iscoroutine(main):
+            main.close()
+        raise LocalProtocolError(
+            f"{run} calls the program itself: give the function, as in {run}(main) or {run}(main, 5), not the coroutine of main()"
+        )
 
+
+class ProgramWorld(World, trio.abc.Clock):
+    """See this module's text.
+
+    limit: how long a program may run, ns, unless `run` is told. allows_threads: let threads of a program run beside the world's
+    time, unseen and in no order.
+    """
+
+    limit: Time = DAY
     allows_threads = False
     _steps: _Steps
-    _limit: Time = 0  # until when the program may run
+    _until: Time = 0  # when the program has run for its limit
     _left = IN_EARNEST
     _left_working = WORKING
     _program = ""
+    _waits: Callable[[], WaitingTasks]
     _cancel: Callable[[], object] | None = None  # ends the program, where that can be done from outside
     _stuck: DidNotHappenError | None = None
+    _stuck_at: TracebackType | None = None
 
     # ---- what is in it ----
 
@@ -105,34 +129,47 @@ class ProgramWorld(World, trio.abc.Clock):
         """Return the bus of this name; it is made when it is first asked for.
 
         bitrate: bit/s: frames take the time of their bits, and the lowest identifier goes first; 0: any time, as the seed draws.
-        Raises LocalProtocolError if the bus is there already, with another bit rate or with devices.
+        Raises LocalProtocolError if the bus has another bit rate already, or if frames are under way on it.
         """
-        if not bitrate:
-            return super().bus(name)
-        settings = WireSettings(bitrate=bitrate, seed=self.seed, acknowledge=False)
-        return self._new_bus(name, Wire(settings, self.now))
+        there = super().bus(name)
+        if bitrate and bitrate != there.bitrate:
+            there.use_cable(Wire(WireSettings(bitrate=bitrate, seed=self.seed, acknowledge=False), self.now), bitrate)
+        return there
 
     def device(
-        self, made_of: ObjectDictionary | NodeMaker | str | PathLike[str], node_id: int = 0, *, bus: str = "can0"
+        self,
+        made_of: ObjectDictionary | type[DeclaredDevice] | NodeMaker | str | PathLike[str],
+        node_id: int = 0,
+        *,
+        bus: str = "can0",
     ) -> LocalNode:
-        """Switch on a device of a file (EDS, DCF, XDD, or a sample's name), of a dictionary, or of your own making; return it.
+        """Switch on a device of a file (EDS, DCF, XDD, Python, or a sample's name), of a dictionary, of a class, or of your own
+        making; return it.
 
         A file of a CiA 402 drive makes a drive that moves. node_id: 0 with a file: the one that it names.
         Raises what `canopen_master.simulation.device_files.models_of` does, and as `World.device`.
         """
+        __tracebackhide__ = True
         if isinstance(made_of, str | PathLike):
-            (made_of,) = models_of([DeviceEntry(str(made_of), (node_id,) if node_id else ())])
+            try:
+                (made_of,) = models_of([DeviceEntry(str(made_of), (check_node_id(node_id),) if node_id else ())])
+            except DeviceRefusedError as error:
+                if not node_id:  # what it says to try is for a command
+                    error.tries = (f'sim_node("{made_of}", node_id=5), or world.device("{made_of}", 5)',)
+                raise
         return super().device(made_of, node_id, bus=bus)
 
     # ---- programs ----
 
-    def run(self, main: Callable[..., Awaitable[T]], *args: object, limit: Time = DAY) -> T:
+    def run(self, main: Callable[..., Awaitable[T]], *args: object, limit: Time | float | None = None) -> T:
         """Run a trio program to its end in this world; return its result, or raise its error.
 
         Raises DidNotHappenError if it takes longer than `limit` (ns of the world), or waits for what never comes; it is cancelled
         then.
         """
-        self._begin("await trio.sleep", limit)
+        __tracebackhide__ = True
+        check_main(main, "world.run")
+        self._begin("await trio.sleep", limit, trio_waits)
         try:
             with present(self):
                 return trio.run(partial(self.watched, main, *args), clock=self)
@@ -149,16 +186,18 @@ class ProgramWorld(World, trio.abc.Clock):
 
         Raises DidNotHappenError as `run` does. Without this, the error comes out of trio's loop, as a TrioInternalError.
         """
+        __tracebackhide__ = True
         with trio.CancelScope() as scope:
             self._cancel = scope.cancel
             return await main(*args)
         assert self._stuck is not None
-        raise self._stuck
+        raise self._stuck.with_traceback(self._stuck_at)
 
-    def run_asyncio(self, main: Callable[..., Any], *args: object, limit: Time = DAY) -> Any:
+    def run_asyncio(self, main: Callable[..., Any], *args: object, limit: Time | float | None = None) -> Any:
         """Run an asyncio program to its end in this world; return its result, or raise its error. Raises as `run` does."""
 
         async def watched() -> Any:
+            __tracebackhide__ = True
             task = asyncio.current_task()
             assert task is not None
             self._cancel = task.cancel
@@ -169,30 +208,38 @@ class ProgramWorld(World, trio.abc.Clock):
                     raise
                 raise self._stuck from None
 
-        self._begin("await asyncio.sleep", limit)
+        __tracebackhide__ = True
+        check_main(main, "world.run_asyncio")
+        self._begin("await asyncio.sleep", limit, asyncio_waits)
         try:
             with present(self), asyncio.Runner(loop_factory=lambda: WorldLoop(self)) as runner:
                 return runner.run(watched())
+        except DidNotHappenError as error:
+            raise error.with_traceback(self._stuck_at) from error.__cause__  # not within asyncio
         finally:
             self._end()
 
-    def _begin(self, program: str, limit: Time) -> None:
-        """A program begins. program: how it lets time pass."""
-        self._program, self._limit = program, self.now + limit
+    def _begin(self, program: str, limit: Time | float | None, waits: Callable[[], WaitingTasks]) -> None:
+        """A program begins. program: how it lets time pass. waits: returns where its tasks wait."""
+        self._program, self._waits = program, waits
+        self._until = self.now + (self.limit if limit is None else nanoseconds(limit, "limit"))
         self._stuck, self._left, self._left_working = None, IN_EARNEST, WORKING
 
     def _end(self) -> None:
         self._cancel, self._program = None, ""
 
-    def advance(self, duration: Time) -> None:
+    def advance(self, duration: Time | float) -> None:
+        __tracebackhide__ = True
         self._check_no_program()
         super().advance(duration)
 
-    def run_until(self, condition: Any, limit: Time = LIMIT) -> None:
+    def run_until(self, condition: Any, limit: Time | float = LIMIT, *, told: str = "") -> None:
+        __tracebackhide__ = True
         self._check_no_program()
-        super().run_until(condition, limit)
+        super().run_until(condition, limit, told=told)
 
     def _check_no_program(self) -> None:
+        __tracebackhide__ = True
         if self._program:
             raise LocalProtocolError(f"in a program of the world time passes where it awaits: {self._program}")
 
@@ -211,7 +258,7 @@ class ProgramWorld(World, trio.abc.Clock):
             if self._cancel is None or self._stuck is not None:
                 raise
             self._stuck = stuck
-            self._limit, self._left, self._left_working = self.now + CLEAN_UP, IN_EARNEST, WORKING
+            self._until, self._left, self._left_working = self.now + CLEAN_UP, IN_EARNEST, WORKING
             self._cancel()
             return 0.0
 
@@ -220,18 +267,15 @@ class ProgramWorld(World, trio.abc.Clock):
         self._left_working -= _LOOK
         if self._left_working > 0:
             return _LOOK
-        raise DidNotHappenError(
+        raise self._told(
             f"the program waits for the thread of {', '.join(names)}, which works for {WORKING:g} s of real time. Meanwhile the "
-            f"world's time stands still, at {self.now / SECOND:g} s; with `world.allows_threads = True` it goes on.\n"
-            f"{self._tails()}"
+            f"world's time stands still, at {self.now / SECOND:g} s; with `world.allows_threads = True` it goes on."
         )
 
     def _pass_time(self, end: Time) -> float:
-        if self.now >= self._limit:
-            raise DidNotHappenError(
-                f"the program has run for its limit, until {self.now / SECOND:g} s of the world.\n{self._tails()}"
-            )
-        latest = min(end, self._limit)
+        if self.now >= self._until:
+            raise self._told(f"the program has run for its limit, until {self.now / SECOND:g} s of the world.")
+        latest = min(end, self._until)
         has_happened = self.step(latest)
         if not has_happened and (end < NEVER or self.next_time() < NEVER):
             self.now, has_happened = latest, True
@@ -241,13 +285,16 @@ class ProgramWorld(World, trio.abc.Clock):
         self._left -= _LOOK
         if self._left > 0:
             return _LOOK
-        raise DidNotHappenError(
+        raise self._told(
             f"the program waits for what never comes: at {self.now / SECOND:g} s of the world nothing more will happen, and "
-            f"nothing came from a file or a process for {IN_EARNEST:g} s of real time.\n{self._tails()}"
+            f"nothing came from a file or a process for {IN_EARNEST:g} s of real time."
         )
 
-    def _tails(self) -> str:
-        return "\n".join(bus.observer.tail(self.now) for bus in self.buses.values())
+    def _told(self, why: str) -> DidNotHappenError:
+        """Return the error about a program that is stuck: why, where it waits, and the last frames."""
+        lines, self._stuck_at = self._waits()
+        where = ["The program waits here:", *lines] if lines else []
+        return DidNotHappenError("\n".join([why, *where, *(bus.observer.tail(self.now) for bus in self.buses.values())]))
 
     # ---- trio's clock ----
 
@@ -255,7 +302,7 @@ class ProgramWorld(World, trio.abc.Clock):
         """Let every bus of this run be one of the world."""
         self._steps = _Steps(self.seed, self._end)
         if not self._program:  # by `trio.run`, not by `run`
-            self._begin("await trio.sleep", DAY)
+            self._begin("await trio.sleep", None, trio_waits)
         trio.lowlevel.add_instrument(self._steps)
         virtual.stand_in(lambda name: WorldLine(self, name))
 

@@ -21,7 +21,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 _HAS_EVENT: Final = sys.version_info >= (3, 13)
 _PASSED_ON: Final = ("threading", "concurrent.futures", "canopen_testing.real_time")
@@ -40,13 +40,7 @@ class ThreadStartedError(RuntimeError):
     """Code under test starts a thread, which runs in real time, in a world whose time is virtual."""
 
 
-class Tolerant(Protocol):
-    """The part of a ProgramWorld that counts here."""
-
-    allows_threads: bool
-
-
-class _Place(NamedTuple):
+class _Replaced(NamedTuple):
     """Where a function is to be replaced: its module, its name there, and the two functions."""
 
     module: Any
@@ -55,19 +49,20 @@ class _Place(NamedTuple):
     watched: Callable[..., Any]
 
 
-_worlds: dict[int, list[Tolerant]] = {}  # for which `virtual_time` is entered, by thread
+_worlds: dict[int, list[Callable[[], bool]]] = {}  # for which `virtual_time` is entered, by thread
 
 
 @contextmanager
-def virtual_time(world: Tolerant) -> Iterator[None]:
-    """Let `time.sleep` in this thread raise WallClockWaitError, and the start of another thread ThreadStartedError."""
+def virtual_time(allows_threads: Callable[[], bool]) -> Iterator[None]:
+    """Let `time.sleep` in this thread raise WallClockWaitError; and the start of another one ThreadStartedError, but where it is
+    allowed."""
     _watch()
     thread = threading.get_ident()
-    _worlds.setdefault(thread, []).append(world)
+    _worlds.setdefault(thread, []).append(allows_threads)
     try:
         yield
     finally:
-        _worlds[thread].remove(world)
+        _worlds[thread].remove(allows_threads)
         if not _worlds[thread]:
             del _worlds[thread]
         if not _worlds:
@@ -110,8 +105,8 @@ def _starting(start: Callable[..., Any]) -> Callable[..., Any]:
 
 _real_sleep: Final = time.sleep
 _STARTS: Final = ((_thread, "start_new_thread"), (threading, "_start_new_thread"), (threading, "_start_joinable_thread"))
-_places: list[_Place] = [
-    _Place(module, name, start, _starting(start))
+_places: list[_Replaced] = [
+    _Replaced(module, name, start, _starting(start))
     for module, name in _STARTS
     if (start := getattr(module, name, None)) is not None  # of this version of Python
 ]
@@ -124,7 +119,7 @@ def _find_sleep() -> None:
         _searched.add(name)
         contents = getattr(sys.modules[name], "__dict__", {})
         found = [each for each, value in [*contents.items()] if value is _real_sleep]
-        _places.extend(_Place(sys.modules[name], each, _real_sleep, _sleep) for each in found)
+        _places.extend(_Replaced(sys.modules[name], each, _real_sleep, _sleep) for each in found)
 
 
 def _refuse_sleep(seconds: float) -> None:
@@ -139,7 +134,7 @@ def _refuse_sleep(seconds: float) -> None:
 def _refuse_thread(function: Any) -> None:
     __tracebackhide__ = True
     worlds = _worlds.get(threading.get_ident())
-    if not worlds or worlds[-1].allows_threads or _starter().startswith(_ALLOWED):
+    if not worlds or worlds[-1]() or _starter().startswith(_ALLOWED):
         return
     thread = getattr(function, "__self__", None)
     name = f"the thread {thread.name!r}" if isinstance(thread, threading.Thread) else "a thread"

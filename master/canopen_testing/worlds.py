@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import pytest
+
+from canopen_proto.machine import SECOND, LocalProtocolError, Time
 from canopen_proto.testing import Fault as Fault
+from canopen_proto.testing.times import nanoseconds
 from canopen_testing.present import present as present
+from canopen_testing.program_world import DAY
 from canopen_testing.program_world import ProgramWorld as ProgramWorld
 from canopen_transports.candump_text import CandumpWriter
 from canopen_transports.record import Record
@@ -17,9 +22,30 @@ SHOWN: Final = 20
 FOUND: Final = 10
 
 
+def limit_of(marked: tuple[tuple[Any, ...], dict[str, Any]] | None, option: float | None) -> Time:
+    """Return how long the program of a test may run, ns. marked: the arguments of its marker. option: seconds.
+
+    Raises UsageError.
+    """
+    __tracebackhide__ = True
+    if marked is None:
+        return DAY if option is None else round(option * SECOND)
+    try:
+        (limit,), options = marked
+        if options:
+            raise ValueError
+        return nanoseconds(limit, "canopen_limit")
+    except LocalProtocolError as error:
+        raise pytest.UsageError(str(error)) from None
+    except ValueError:
+        raise pytest.UsageError("canopen_limit takes one time, such as 10 * SECOND") from None
+
+
 def sections_of(world: ProgramWorld) -> list[tuple[str, str]]:
-    """Return what the report of a failure shows: the last frames of each bus, and what the observer found wrong."""
-    sections = []
+    """Return what the report of a failure shows: what the faults have done, the last frames of each bus, and what the observer
+    found wrong."""
+    faults = world.fault_lines
+    sections = [("CANopen: what the faults have done", "\n".join(faults))] if faults else []
     for name, bus in world.buses.items():
         head = f"CANopen: the last frames on {name} (seed {world.seed}, {world.now / 1e9:.6f} s)"
         sections.append((head, "\n".join(bus.lines(SHOWN)) or "no frame"))

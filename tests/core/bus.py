@@ -23,16 +23,28 @@ import heapq
 import random
 from collections.abc import Callable, Iterable, Iterator
 from enum import Enum
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Machine, Outbox, Time
+from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Machine, Outbox, RequestId, Time
 from canopen_proto.network import Network
+from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 
 M = TypeVar("M", bound=Machine | Network)
 E = TypeVar("E", bound=Event)
 
 MAX_STEPS = 2_000_000  # a machine whose deadline does not move, or two that chat for ever, end here and not never
+
+
+Ended = ProcedureFinished | ProcedureFailed | ProcedureCancelled
+
+
+def result_of(ended: Ended) -> Any:
+    """The result of a procedure; its error is raised."""
+    if isinstance(ended, ProcedureFailed):
+        raise ended.error
+    assert isinstance(ended, ProcedureFinished), ended
+    return ended.result
 
 
 class Fate(Enum):
@@ -182,6 +194,20 @@ class Bus:
         while not condition():
             assert self.step(), "the bus is idle and the condition does not hold"
             assert self.now <= end, f"the condition does not hold after {limit} ns"
+
+    def outcome(self, request_id: RequestId, limit: Time = 600 * SECOND) -> Ended:
+        """Run until a procedure has ended; return how."""
+        found: list[Ended] = []
+        seen = 0
+
+        def has_ended() -> bool:
+            nonlocal seen
+            new, seen = self.events[seen:], len(self.events)
+            found.extend(event for event in new if isinstance(event, Ended) and event.request_id == request_id)
+            return bool(found)
+
+        self.run_until(has_ended, limit)
+        return found[0]
 
     def take_events(self, kind: type[E]) -> list[E]:
         """The events of one type; they are taken out of `events`."""

@@ -20,17 +20,13 @@ from canopen_proto.drives.cia402.objects import (
     VELOCITY_ACTUAL_VALUE,
 )
 from canopen_proto.frame import COB_ID_INVALID, COB_ID_NO_RTR
-from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import SECOND
-from canopen_proto.network import Network
 from canopen_proto.pdo.configure import exchange_pdos
 from canopen_proto.pdo.settings import PdoSettings, cyclic_objects
 from canopen_proto.pdo.slots import choose_pdos, described_pdos
-from canopen_proto.procedures.runner import ProcedureFinished
-from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import Shape
-from tests.core.bus import Bus
+from canopen_proto.testing import World
 
 STANDARD = drive_dictionary(Shape.STANDARD)
 SCHUNK = drive_dictionary(Shape.SCHUNK_POWERBALL)
@@ -109,27 +105,20 @@ class Scene:
     """A device and a master's view of it, which may have another dictionary."""
 
     def __init__(self, device: ObjectDictionary, ours: ObjectDictionary) -> None:
-        self.bus = Bus(0)
-        master, other = Network(), Network()
-        self.node = RemoteNode(master.out, 5, ours)
-        self.device = LocalNode(other.out, 5, device)
-        master.attach(self.node)
-        other.attach(self.device)
-        self.master = master
-        self.bus.attach(master)
-        self.bus.attach(other)
-        self.device.boot(self.bus.now)
-        self.bus.run(SECOND)
+        self.world = World()
+        self.device = self.world.device(device, 5)
+        self.master = self.world.master()
+        self.node = self.master.node(5, ours)
 
     def exchange(self) -> list[int]:
         """Exchange what our dictionary describes; return the commands that no RPDO carries."""
         described = described_pdos(self.node.dictionary, 5)
         self.pdos, missing = choose_pdos(described, COMMANDS, (STATUSWORD, POSITION_ACTUAL_VALUE))
-        before = len(self.bus.sent)
-        request_id = self.master.run(exchange_pdos(self.node, self.pdos), self.bus.now)
-        self.bus.run(5 * SECOND)
-        assert any(isinstance(each, ProcedureFinished) and each.request_id == request_id for each in self.bus.events)
-        self.written = [frame for _, frame in self.bus.sent[before:] if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
+        trace = self.world.bus().trace
+        before = len(trace)
+        self.master.run(exchange_pdos(self.node, self.pdos), 5 * SECOND)
+        frames = [each.frame for each in trace[before:]]
+        self.written = [frame for frame in frames if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
         return list(missing)
 
 

@@ -12,18 +12,16 @@ from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Outbox, Requ
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster
 from canopen_proto.pdo.configure import use_device_pdo
-from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_proto.sync import SyncConsumer, SyncProducer
-from tests.core.bus import Bus
+from tests.core.bus import Bus, Ended, result_of
 
 T = TypeVar("T")
 
 CYCLE = 10 * MILLISECOND
-Ended = ProcedureFinished | ProcedureFailed | ProcedureCancelled
 
 MILLIDEGREES = AxisSettings(counts_per_unit=MILLIDEGREES_PER_RADIAN)
 """What the simulated drives count, and radians outside."""
@@ -91,23 +89,8 @@ class Rig:
 
     def outcome(self, request_id: RequestId, limit: Time = 120 * SECOND) -> Ended:
         """Run the bus until a procedure has ended."""
-        found: list[Ended] = []
-        seen = 0
-
-        def ended() -> bool:
-            nonlocal seen
-            new, seen = self.bus.events[seen:], len(self.bus.events)
-            found.extend(event for event in new if isinstance(event, Ended) and event.request_id == request_id)
-            return bool(found)
-
-        self.bus.run_until(ended, limit)
-        return found[0]
+        return self.bus.outcome(request_id, limit)
 
     def run(self, procedure: Procedure[T]) -> T:
         """Run a procedure to its end: its result, or what it raised."""
-        ended = self.outcome(self.master.run(procedure, self.bus.now))
-        if isinstance(ended, ProcedureFailed):
-            raise ended.error
-        assert isinstance(ended, ProcedureFinished)
-        result: T = ended.result
-        return result
+        return result_of(self.outcome(self.master.run(procedure, self.bus.now)))  # type: ignore[no-any-return]

@@ -17,18 +17,14 @@ from canopen_proto.drives.axis.set_points import SET_POINT_OF
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.frame import COB_ID_INVALID, Frame
-from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import mux
-from canopen_proto.network import Network
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.rules import PdoWriteRules
 from canopen_proto.pdo.settings import PdoSettings, muxes_of
-from canopen_proto.procedures.runner import ProcedureFinished
-from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import Shape
-from tests.core.bus import Bus
+from canopen_proto.testing import World
 from tests.drives.drive_dictionaries import (
     NOTHING_MAPPABLE,
     TELLS,
@@ -371,26 +367,18 @@ class Scene:
     """A device and its master, which has read another file."""
 
     def __init__(self, device: ObjectDictionary, made: MotionPlan) -> None:
-        self.bus = Bus(0)
-        master, other = Network(), Network()
-        self.node = RemoteNode(master.out, NODE, made.dictionary)
-        self.device = LocalNode(other.out, NODE, device)
-        master.attach(self.node)
-        other.attach(self.device)
-        self.bus.attach(master)
-        self.bus.attach(other)
-        self.device.boot(self.bus.now)
-        self.bus.run(SECOND)
-        self.master = master
+        self.world = World()
+        self.device = self.world.device(device, NODE)
+        self.master = self.world.master()
+        self.node = self.master.node(NODE, made.dictionary)
         self.written = self.exchange(made)
 
     def exchange(self, made: MotionPlan) -> list[Frame]:
         """Returns the requests that write."""
-        before = len(self.bus.sent)
-        request_id = self.master.run(exchange_planned(self.node, made), self.bus.now)
-        self.bus.run(5 * SECOND)
-        assert any(isinstance(each, ProcedureFinished) and each.request_id == request_id for each in self.bus.events)
-        frames = [frame for _, frame in self.bus.sent[before:]]
+        trace = self.world.bus().trace
+        before = len(trace)
+        self.master.run(exchange_planned(self.node, made), 5 * SECOND)
+        frames = [each.frame for each in trace[before:]]
         return [frame for frame in frames if frame.can_id == 0x605 and frame.data[0] & 0xE0 == 0x20]
 
     def settings(self, direction: Direction, number: int) -> PdoSettings:

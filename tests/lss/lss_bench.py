@@ -16,9 +16,9 @@ from canopen_proto.lss.slave import LssSlave, LssStoreRequested
 from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
+from canopen_proto.procedures.runner import ProcedureCancelled
 from canopen_proto.procedures.steps import Procedure
-from tests.core.bus import Bus
+from tests.core.bus import Bus, result_of
 
 T = TypeVar("T")
 
@@ -95,25 +95,11 @@ class LssBench:
         return self.end_of(request_id)  # type: ignore[no-any-return]
 
     def end_of(self, request_id: int):  # type: ignore[no-untyped-def]
-        kinds = (ProcedureFinished, ProcedureFailed, ProcedureCancelled)
-        ended: list[Event] = []
-        seen = 0
-
-        def look() -> bool:
-            nonlocal seen
-            ended.extend(each for each in self.bus.events[seen:] if isinstance(each, kinds) and each.request_id == request_id)
-            seen = len(self.bus.events)
-            return bool(ended)
-
-        self.bus.run_until(look, limit=3600 * SECOND)
+        end = self.bus.outcome(request_id, 3600 * SECOND)
         self.bus.run(MILLISECOND)  # what it sent last arrives
-        look()
-        (end,) = ended
         self.events += self.bus.events
         self.bus.events.clear()
-        if isinstance(end, ProcedureFailed):
-            raise end.error
-        return end.result if isinstance(end, ProcedureFinished) else end
+        return end if isinstance(end, ProcedureCancelled) else result_of(end)
 
     @property
     def ids(self) -> list[int]:

@@ -16,10 +16,9 @@ from canopen_proto.manager.boot.network_boot import NetworkBoot
 from canopen_proto.manager.boot.outcome import BootEnded
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
-from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
-from tests.core.bus import Bus
+from tests.core.bus import Bus, result_of
 
 T = TypeVar("T")
 Object: TypeAlias = tuple[int, int]
@@ -205,22 +204,7 @@ class BootBench:
         return self.outcome(self.master.run(procedure, self.bus.now), limit)
 
     def outcome(self, request_id: int, limit: Time = 120 * SECOND) -> T:  # type: ignore[type-var]
-        seen = 0
-        ended: list[ProcedureFinished | ProcedureFailed | ProcedureCancelled] = []
-
-        def has_ended() -> bool:
-            nonlocal seen
-            new, seen = self.bus.events[seen:], len(self.bus.events)
-            kinds = ProcedureFinished | ProcedureFailed | ProcedureCancelled
-            ended.extend(event for event in new if isinstance(event, kinds) and event.request_id == request_id)
-            return bool(ended)
-
-        self.bus.run_until(has_ended, limit)
-        if isinstance(ended[0], ProcedureFailed):
-            raise ended[0].error
-        assert isinstance(ended[0], ProcedureFinished)
-        result: T = ended[0].result
-        return result
+        return result_of(self.bus.outcome(request_id, limit))  # type: ignore[no-any-return]
 
     def network_boot(self, startup: int = 1, *entries: BootEntry, boot_time: Time = 0, **others: Any) -> NetworkBoot:
         """The boot-up of the network with a value of 0x1F80; by default of all nodes, all mandatory."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, SECOND, Event, Outcome, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Event, Time
 from canopen_proto.manager.programs.download import (
     DownloadLimits,
     ProgramDownload,
@@ -17,14 +17,12 @@ from canopen_proto.manager.programs.download import (
 from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
-from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.simulation.boot_loader import BootLoader, BootLoaderSettings, ProgramMemory
-from tests.core.bus import Bus
+from tests.core.bus import Bus, Ended, result_of
 from tests.core.devices import whole_device
 
 NODE = 6
-ENDED = (ProcedureFinished, ProcedureFailed, ProcedureCancelled)
 
 
 class LossyBus(Bus):
@@ -65,7 +63,7 @@ class FlashBench:
         self.memory = ProgramMemory() if memory is None else memory
         self.limits = limits
         self.progress: list[ProgramProgress] = []
-        self.ended: list[Outcome] = []
+        self.ended: list[Ended] = []
         self.bus.on_event = self._on_event
         self.network: Network | None = None
         self.has_heartbeat = heartbeat
@@ -92,14 +90,14 @@ class FlashBench:
     def _on_event(self, event: Event) -> None:
         if isinstance(event, ProgramProgress):
             self.progress.append(event)
-        if isinstance(event, ENDED):
+        if isinstance(event, Ended):
             self.ended.append(event)
 
     def begin(self, image: bytes, so_far: ProgramDownload | None = None, **options: Any) -> int:
         options.setdefault("limits", self.limits)
         return self.master.run(download_program(self.remote, self.nmt, image, so_far, **options), self.bus.now)
 
-    def outcome(self, limit: Time = 600 * SECOND) -> Outcome:
+    def outcome(self, limit: Time = 600 * SECOND) -> Ended:
         self.bus.run_until(lambda: bool(self.ended), limit)
         (outcome,) = self.ended
         self.ended.clear()
@@ -108,12 +106,7 @@ class FlashBench:
     def flash(self, image: bytes, **options: Any) -> ProgramDownload:
         """Write a program; raise what the procedure raises."""
         self.begin(image, **options)
-        outcome = self.outcome()
-        if isinstance(outcome, ProcedureFailed):
-            raise outcome.error
-        assert isinstance(outcome, ProcedureFinished), outcome
-        result: ProgramDownload = outcome.result
-        return result
+        return result_of(self.outcome())  # type: ignore[no-any-return]
 
     @property
     def steps(self) -> list[ProgramStep]:

@@ -10,9 +10,8 @@ from canopen_proto.frame import COB_ID_NO_RTR, RPDO1, TPDO1
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.manager.linking import KnownNode, LinkPlan
-from canopen_proto.network import Network
 from canopen_proto.pdo.settings import communication_index, mapping_index
-from tests.core.bus import Bus
+from canopen_proto.testing import World
 from tests.core.pdo_device import OFF, U8, U32, communication, mapping
 
 UNSIGNED = frozenset({0x05, 0x06, 0x07})
@@ -65,26 +64,22 @@ class Linked:
     """Simulated devices on a bus that have taken the writes of a plan while Pre-operational, and are Operational now."""
 
     def __init__(self, plan: LinkPlan) -> None:
-        self.bus = Bus()
+        self.world = World()
         self.plan = plan
         self.nodes: dict[str, LocalNode] = {}
         for each in plan.members:
-            network = self.bus.attach(Network())
-            node = LocalNode(network.out, each.node_id, each.dictionary)
-            network.attach(node)
-            self.nodes[each.name] = node
-            node.boot(self.bus.now)
+            node = self.nodes[each.name] = self.world.device(each.dictionary, each.node_id)
             for index, subindex, data in plan.writes_of(each.name):
-                refusal = node.write(index, subindex, data, self.bus.now)
+                refusal = node.write(index, subindex, data, self.world.now)
                 assert refusal is None, f"{each.name} 0x{index:04X}:{subindex:02X}={data.hex()}: {refusal!r}"
         self.run()
-        self.bus.send("000#0100")
+        self.world.bus().send("000#0100")
         self.run()
 
     def sync(self) -> None:
-        self.bus.send("080#")
+        self.world.bus().send("080#")
         self.run()
 
     def run(self) -> None:
         """Let the frames arrive: event timers run for ever."""
-        self.bus.run(MILLISECOND)
+        self.world.advance(MILLISECOND)

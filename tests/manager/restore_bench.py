@@ -12,20 +12,18 @@ from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Outcome, Time
+from canopen_proto.machine import MILLISECOND, SECOND, Event, Outbox, Time
 from canopen_proto.manager.parameters.restore import Restoration, plan_restore, restore
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtMaster, NmtState
-from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import ObjectAccessPending
 from canopen_proto.sdo.server import PENDING, Pending
-from tests.core.bus import Bus, Fate
+from tests.core.bus import Bus, Ended, Fate, result_of
 from tests.core.devices import LIMITED, TEXT, whole_device
 
 T = TypeVar("T")
-ENDED = (ProcedureFinished, ProcedureFailed, ProcedureCancelled)
 SECRET, IMAGE, GAIN, HIDDEN, FACTORY = 0x2010, 0x2011, 0x2012, 0x2013, 0x2014
 HEARTBEAT_MS = 200
 
@@ -117,7 +115,7 @@ class Bench:
         self.device = Strict(self.network.out, 5, self.dictionary)
         self.network.attach(self.device)
         self.host_stores = True
-        self._ended: list[Outcome] = []
+        self._ended: list[Ended] = []
         self.bus.on_event = self._serve
         self.device.boot(0)
         if start:
@@ -134,7 +132,7 @@ class Bench:
         self.device.writes.clear()
 
     def _serve(self, event: Event) -> None:
-        if isinstance(event, ENDED):
+        if isinstance(event, Ended):
             self._ended.append(event)
         if isinstance(event, ObjectAccessPending) and event.index == 0x1010 and self.host_stores:
             self.device.complete(event.access_id, None, self.bus.now)
@@ -153,7 +151,7 @@ class Bench:
     def start(self, procedure: Procedure[Any]) -> int:
         return self.master.run(procedure, self.bus.now)
 
-    def outcome(self, limit: Time = 600 * SECOND) -> Outcome:
+    def outcome(self, limit: Time = 600 * SECOND) -> Ended:
         self.bus.run_until(lambda: bool(self._ended), limit)
         (outcome,) = self._ended
         self._ended.clear()
@@ -162,12 +160,7 @@ class Bench:
 
     def run(self, procedure: Procedure[T]) -> T:
         self.start(procedure)
-        outcome = self.outcome()
-        if isinstance(outcome, ProcedureFailed):
-            raise outcome.error
-        assert isinstance(outcome, ProcedureFinished), outcome
-        result: T = outcome.result
-        return result
+        return result_of(self.outcome())  # type: ignore[no-any-return]
 
     def held(self, keys: Iterable[int]) -> dict[int, Value]:
         """What the device has now."""

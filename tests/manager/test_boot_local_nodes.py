@@ -5,18 +5,13 @@ from __future__ import annotations
 from canopen_proto.dictionary.concise import from_concise, pack_concise
 from canopen_proto.dictionary.download_order import download_order
 from canopen_proto.dictionary.standard import standard_object
-from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import MILLISECOND, SECOND, Event
+from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.manager.boot.assignment import Assignment, Startup
 from canopen_proto.manager.boot.entry import BootEntry, NetworkEntry
 from canopen_proto.manager.boot.network_boot import BootReport, NetworkBoot
 from canopen_proto.multiplexer import mux
-from canopen_proto.network import Network
-from canopen_proto.nmt import NmtMaster, NmtState
-from canopen_proto.procedures.runner import ProcedureFinished
-from canopen_proto.remote_node import RemoteNode
-from canopen_proto.sdo.events import ObjectAccessPending
-from tests.core.bus import Bus
+from canopen_proto.nmt import NmtState
+from canopen_proto.testing import World
 from tests.core.devices import INPUT, LIMITED, TEXT, whole_device
 
 NODES = (2, 3, 4)
@@ -36,29 +31,13 @@ class Plant:
     """Three devices that store what they are told to, and their master."""
 
     def __init__(self) -> None:
-        self.bus = Bus()
-        self.master = self.bus.attach(Network())
-        self.nmt = NmtMaster(self.master.out)
-        self.master.attach(self.nmt)
-        self.remotes = {node_id: RemoteNode(self.master.out, node_id, DICTIONARY) for node_id in NODES}
-        self.devices = {}
-        for node_id, remote in self.remotes.items():
-            self.master.attach(remote)
-            network = self.bus.attach(Network())
-            device = self.devices[node_id] = LocalNode(network.out, node_id, DICTIONARY)
-            network.attach(device)
-        self.bus.on_event = self.store
-        for device in self.devices.values():
-            device.boot(0)
-        self.bus.run(MILLISECOND)
-
-    def store(self, event: Event) -> None:
-        if isinstance(event, ObjectAccessPending):
-            self.devices[event.node_id].complete(event.access_id, None, self.bus.now)
+        self.world = World()
+        self.devices = {node_id: self.world.device(DICTIONARY, node_id) for node_id in NODES}
+        self.master = self.world.master()
+        self.remotes = {node_id: self.master.node(node_id) for node_id in NODES}
 
     def start(self, *, restore: bool = False) -> BootReport:
-        self.bus.sent.clear()
-        self.bus.events.clear()
+        self.before = len(self.world.bus().trace)
         order = download_order(DICTIONARY, SETTINGS, 0)
         entries = {
             node_id: BootEntry(
@@ -75,15 +54,15 @@ class Plant:
             )
             for node_id in NODES
         }
-        boot = NetworkBoot(self.master, self.nmt, NetworkEntry(Startup(start_all=True), entries), self.remotes)
-        self.master.run(boot.start(), self.bus.now)
-        self.bus.run(SECOND)
-        (ended,) = self.bus.take_events(ProcedureFinished)
-        assert isinstance(ended.result, BootReport)
-        return ended.result
+        network = NetworkEntry(Startup(start_all=True), entries)
+        boot = NetworkBoot(self.master.runs, self.master.nmt, network, self.remotes)
+        report = self.master.run(boot.start(), SECOND)
+        self.world.advance(MILLISECOND)  # the last command arrives
+        return report
 
     def writes(self) -> int:
-        return sum(frame.can_id >> 7 == 0x600 >> 7 and frame.data[0] >> 5 == 1 for _, frame in self.bus.sent)
+        frames = [each.frame for each in self.world.bus().trace[self.before :]]
+        return sum(frame.can_id >> 7 == 0x600 >> 7 and frame.data[0] >> 5 == 1 for frame in frames)
 
 
 def test_our_devices_are_booted_and_keep_their_configuration() -> None:

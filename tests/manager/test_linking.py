@@ -370,19 +370,19 @@ def test_a_value_written_here_arrives_there() -> None:
     assert linked.nodes["b"].values.store[0x200900] == -123456
     assert linked.nodes["c"].values.store[0x200900] == -123456
     assert linked.nodes["c"].values.store[0x200100] == 7
-    assert linked.bus.trace().count("181#C01DFEFF07") == 2
+    linked.world.bus().saw("181#C01DFEFF07").times(2)
 
 
 def test_an_event_driven_value_arrives_at_once() -> None:
     linked = Linked(plan_links(TWO, [link("a 2006", "b 2007", Timing(every=0))]))
-    linked.nodes["a"].set_value(0x2006, 0, -5, linked.bus.now)
+    linked.nodes["a"].set_value(0x2006, 0, -5, linked.world.now)
     linked.run()
     assert linked.nodes["b"].values.store[0x200700] == -5
 
 
 def test_what_the_master_sends_arrives() -> None:
     linked = Linked(plan_links(TWO, [link("master", ["b 2009"])]))
-    linked.bus.send("202#01000000")
+    linked.world.bus().send("202#01000000")
     linked.sync()
     assert linked.nodes["b"].values.store[0x200900] == 1
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+import re
 from pathlib import Path
 
 import pytest
@@ -191,11 +192,84 @@ def test_a_failure_ends_with_the_last_frames_and_what_was_wrong(suite: pytest.Py
     run = suite.runpytest()
     run.assert_outcomes(failed=2, errors=1)
     text = run.stdout.str()
-    assert "DidNotHappenError: an emergency of node 5 did not come true since 1.000000 s: 1 s are over." in text
+    assert "DidNotHappenError: an emergency of node 5 did not come since 1.000000 s: 1 s are over." in text
     assert text.count("CANopen: the last frames on can0") == 3
     assert "CANopen: what was wrong on can0" in text
     assert "boot-up: node 5: it boots in the middle of operation" in text
-    assert "canopen_proto/testing/seen.py" not in text, "the inside of an assertion is not shown"
+    assert not re.findall(r"\n\S*canopen_(?:proto|testing)/\S+:\d+", text), "our inside is not shown"
+
+
+OF_FAULTS = """
+import pytest
+from canopen_proto import SECOND
+from canopen_proto.testing import Lose, Pause, heartbeat, sdo_answer
+
+@pytest.mark.canopen_faults(Lose(heartbeat(5), nth=(2, 3)), Lose(sdo_answer(5), nth=3), Pause(5, at=SECOND))
+def test_it(canopen_world, sim_drive):
+    sim_drive(5).set_value(0x1017, 0, 100, 0)
+    canopen_world.advance(2 * SECOND)
+    assert False
+"""
+
+
+def test_a_failure_tells_what_the_faults_have_done(suite: pytest.Pytester) -> None:
+    suite.makepyfile(OF_FAULTS)
+    text = suite.runpytest().stdout.str()
+    lines = text.partition("CANopen: what the faults have done")[2].splitlines()[1:4]
+    assert lines == [
+        "never hit: Lose an SDO answer of node 5, nth=3",
+        "Lose heartbeat of node 5, nth=(2, 3): 2 times, last at 0.200153 s",
+        "Pause node 5, at=1 s: once at 1.000000 s",
+    ]
+
+
+LIMITED = """
+import asyncio
+import pytest
+import trio
+from canopen_proto import SECOND
+
+async def waits():
+    await trio.sleep(1000)  # for nothing
+
+@pytest.mark.canopen_limit(5 * SECOND)
+async def test_marked(canopen_world):
+    await waits()
+
+@pytest.mark.asyncio
+async def test_by_option(canopen_world):
+    await asyncio.sleep(1000)
+
+@pytest.mark.canopen_limit(5)
+async def test_in_seconds(canopen_world):
+    pass
+"""
+
+
+def test_a_test_has_a_limit_and_shows_where_it_waits(suite: pytest.Pytester) -> None:
+    suite.makepyfile(LIMITED)
+    run = suite.runpytest("--canopen-limit", "7")
+    run.assert_outcomes(failed=2, errors=1)
+    text = run.stdout.str()
+    assert "the program has run for its limit, until 5 s of the world." in text
+    assert re.search(r"The program waits here:\nE +test_a\w+.py:7 in waits: await trio.sleep\(1000\)  # for nothing\n", text)
+    assert "the program has run for its limit, until 7 s of the world." in text
+    assert "await asyncio.sleep(1000)" in text
+    assert "canopen_limit is 5: times are nanoseconds here; 5 seconds are 5 * SECOND" in text
+    assert not re.findall(r"\n\S*canopen_(?:proto|testing)/\S+:\d+", text), "our inside is not shown"
+
+
+def test_a_bit_rate_for_the_bus_of_the_fixtures(suite: pytest.Pytester) -> None:
+    suite.makepyfile("""
+        async def test_it(canopen_bus, canopen_master, canopen_world, sim_drive):
+            canopen_world.bus("can0", bitrate=125_000)
+            sim_drive(5)
+            assert canopen_world.bus("can0", bitrate=125_000) is canopen_bus
+            before = canopen_world.now
+            assert await canopen_master.node(5).read((0x1018, 1)) is not None
+            assert canopen_world.now - before > 1_500_000
+    """)
+    suite.runpytest().assert_outcomes(passed=1)
 
 
 def test_the_traffic_can_be_read_again(suite: pytest.Pytester) -> None:

@@ -344,7 +344,9 @@ def test_a_read_of_a_bus_on_which_nothing_happens_ends_with_its_timeout() -> Non
     with WorldCanBus("can0", world=world) as bus:
         assert bus.recv(0.5) is None
         assert world.now == SECOND // 2
-        with pytest.raises(DidNotHappenError, match="nothing more will happen"):
+        with pytest.raises(
+            DidNotHappenError, match=r"a frame for recv\(\) of the bus can0 .* did not come .* nothing more will happen"
+        ):
             bus.recv()
 
 
@@ -367,8 +369,26 @@ def test_with_a_bit_rate_frames_take_the_time_of_their_bits_and_the_lowest_goes_
     first, second = (each.time for each in bus.trace)
     assert 111 * 8_000 - 24_000 <= first <= 135 * 8_000
     assert 111 * 8_000 <= second - first <= 135 * 8_000
-    with pytest.raises(LocalProtocolError, match="there is a bus can0 already"):
+    assert world.bus("can0", bitrate=125_000) is bus
+    with pytest.raises(LocalProtocolError, match="can0 has 125000 bit/s already: it cannot have 500000 bit/s too"):
         world.bus("can0", bitrate=500_000)
+
+
+def test_a_bus_gets_its_bit_rate_as_long_as_nothing_is_under_way() -> None:
+    world = ProgramWorld()
+    bus, master = world.bus(), world.master()
+    world.drive(5)
+    assert world.bus(bitrate=10_000) is bus
+    began = world.now
+    assert master.read(5, "device_type") == 0x0002_0192
+    assert world.now - began > 20 * MILLISECOND, "two frames of eight bytes"
+    bus.send("705#05")
+    other = ProgramWorld()
+    other.bus().send("705#05")
+    with pytest.raises(LocalProtocolError, match="frames are under way on the bus can0"):
+        other.bus(bitrate=125_000)
+    other.advance(MILLISECOND)
+    assert other.bus(bitrate=125_000).bitrate == 125_000
 
 
 def test_two_nodes_with_one_id_drive_each_other_off_the_bus() -> None:
@@ -438,6 +458,46 @@ def test_a_program_that_waits_for_what_never_comes_is_told(monkeypatch: pytest.M
         beating.run(forever, limit=60 * SECOND)
 
 
+def test_a_stuck_program_is_shown_where_it_waits() -> None:
+    async def reads(bus: str) -> None:
+        async with open_master(bus) as master, trio.open_nursery() as nursery:
+            nursery.start_soon(trio.sleep_forever)
+            nursery.start_soon(looks)
+            with master.events(EmcyReceived) as events:
+                async for _ in events:  # for an emergency
+                    raise AssertionError
+
+    async def looks() -> None:
+        while True:
+            await trio.sleep(1)  # and looks again
+
+    async def awaits() -> None:
+        await looks_in_asyncio()
+
+    async def looks_in_asyncio() -> None:
+        await asyncio.gather(asyncio.Event().wait(), waits(2))  # for both
+
+    async def waits(seconds: float) -> None:
+        while True:
+            await asyncio.sleep(seconds)  # and again
+
+    with pytest.raises(DidNotHappenError) as told:
+        world_of().run(reads, "virtual:can0", limit=5 * SECOND)
+    where = str(told.value).partition("The program waits here:\n")[2].partition("The last frames")[0]
+    assert [line.partition(": ")[2] for line in where.splitlines()] == [
+        "async for _ in events:  # for an emergency",
+        "await trio.sleep(1)  # and looks again",
+    ]
+    assert all(line.startswith("  test_programs.py:") for line in where.splitlines())
+    with pytest.raises(DidNotHappenError) as told:
+        world_of().run_asyncio(awaits, limit=5 * SECOND)
+    where = str(told.value).partition("The program waits here:\n")[2].partition("The last frames")[0]
+    assert [line.partition(": ")[2] for line in where.splitlines()] == [
+        "await asyncio.gather(asyncio.Event().wait(), waits(2))  # for both",
+        "await asyncio.sleep(seconds)  # and again",
+    ]
+
+
 def test_a_program_that_is_ended_has_time_to_clean_up() -> None:
     cleaned: list[str] = []
 
@@ -501,6 +561,36 @@ for run, program in ((world.run_asyncio, in_asyncio), (world.run, in_trio)):
 def test_a_program_that_does_not_end_when_it_is_cancelled_is_left() -> None:
     """In a process of its own: its tasks are thrown away while they run, and Python tells of that."""
     assert [float(each) for each in life(STUBBORN, "0").split()] == [pytest.approx(70, abs=5)] * 2
+
+
+def test_a_program_has_the_limit_of_its_world() -> None:
+    world = ProgramWorld()
+    world.limit = 10 * SECOND
+    with pytest.raises(DidNotHappenError, match="has run for its limit, until 10 s"):
+        world.run(trio.sleep, 3600)
+    with pytest.raises(DidNotHappenError, match="has run for its limit, until 20 s"):
+        trio.run(world.watched, trio.sleep, 3600, clock=world)
+    with pytest.raises(DidNotHappenError, match="has run for its limit, until 30 s"):
+        world.run_asyncio(asyncio.sleep, 3600)
+    world.run(trio.sleep, 15, limit=20 * SECOND)
+
+
+def test_a_mistake_is_told_at_once_with_the_right_form() -> None:
+    world = ProgramWorld()
+
+    async def main() -> None:
+        pass
+
+    for run, name in ((world.run, "world.run"), (world.run_asyncio, "world.run_asyncio")):
+        with pytest.raises(LocalProtocolError, match=rf"give the function, as in {name}\(main\)"):
+            run(main())
+    with pytest.raises(LocalProtocolError, match="limit is 5: times are nanoseconds"):
+        world.run(main, limit=5)
+    with pytest.raises(DeviceRefusedError, match='sim_node."sample_drive.eds", node_id=5.') as told:
+        world.device("sample_drive.eds")
+    assert "--id" not in str(told.value)
+    with pytest.raises(LocalProtocolError, match="node-ID 300 is outside 1..127"):
+        world.device("sample_drive.eds", 300)
 
 
 def test_a_program_cannot_let_time_pass_without_awaiting() -> None:

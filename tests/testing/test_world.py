@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
 
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
-from canopen_proto.dictionary import Access, Object, Variable
+from canopen_proto.declared import DeclaredDevice, Nameplate, variable
+from canopen_proto.dictionary import Access, Object, ObjectNotFoundError, Variable
 from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Outbox
@@ -145,7 +148,7 @@ def test_run_until_a_frame_comes() -> None:
 
 def test_a_function_that_the_world_calls_cannot_let_time_pass() -> None:
     world = World()
-    world.listener(lambda frame, now: world.advance(1))
+    world.listener(lambda frame, now: world.advance(MILLISECOND))
     with pytest.raises(LocalProtocolError, match="time is passing already"):
         world.drive(5)
     world.bus().send("705#7F")
@@ -243,7 +246,7 @@ def test_by_chance_and_by_predicate() -> None:
 def test_a_late_frame_holds_up_those_behind_it_and_a_loose_one_does_not() -> None:
     late = Delay(heartbeat(5), by=250 * MILLISECOND, nth=3)
     assert times(beating(late), "705#7F") == [0, 100, 450, 450, 450, 500, 600, 700, 800, 900, 1000]
-    loose = Reorder(heartbeat(5), by=250 * MILLISECOND, nth=3)
+    loose = Reorder(heartbeat(5), by=250 * MILLISECOND, nth=3, gateway="to Ethernet")
     assert times(beating(loose), "705#7F") == [0, 100, 300, 400, 450, 500, 600, 700, 800, 900, 1000]
 
 
@@ -427,3 +430,126 @@ def test_for_good_is_for_good() -> None:
     world = beating(BusOff(5, at=500 * MILLISECOND, lasts=NEVER))
     world.advance(3600 * SECOND)
     assert times(world, "705#7F")[-1] == 400
+
+
+# ---- what is refused at once, and what is taken ----
+
+
+class Station(DeclaredDevice):
+    nameplate = Nameplate("Station")
+    level = variable(0x2000, "Level", DataType.INTEGER16, 7)
+
+
+@pytest.mark.parametrize(("wrong", "told"), [
+    (lambda world: world.advance(0.5), r"advance is 0.5: times are nanoseconds here; 0.5 seconds are 0.5 \* SECOND"),
+    (lambda world: world.advance(2), r"2 seconds are 2 \* SECOND"),
+    (lambda world: world.advance(-SECOND), "advance is -1000000000: a time is never negative"),
+    (lambda world: world.advance("2"), r"advance is '2': it takes nanoseconds, such as 100 \* MILLISECOND"),
+    (lambda world: world.advance(True), "it takes nanoseconds"),
+    (lambda world: world.advance(math.inf), "use NEVER"),
+    (lambda world: world.after(0.1, print), r"after is 0.1: .* 0.1 \* SECOND"),
+    (lambda world: world.run_until(lambda: True, limit=10), r"limit is 10: .* 10 \* SECOND"),
+    (lambda world: world.run_until(heartbeat), r"heartbeat.* is no pattern of frames.*: call it, heartbeat\(...\)"),
+    (lambda world: world.bus().saw(5), "5 is no pattern of frames"),
+    (lambda world: world.bus().saw("605#4"), "not a classical CAN frame"),
+    (lambda world: world.bus().saw("705#00").within(0.1), r"within is 0.1: .* 0.1 \* SECOND"),
+    (lambda world: world.bus().saw("705#00", after=1.5), r"after is 1.5"),
+    (lambda world: world.bus().saw(sdo_write(5, "controlwort")), "controlwort is no object of node 5 .*did you mean controlword"),
+    (lambda world: world.bus().never(heartbeat(300)), "node-ID 300 is outside 1..127"),
+    (lambda world: world.add_faults("lose"), "'lose' is no fault, such as Lose"),
+    (lambda world: world.add_faults(Refuse(5, "controlwort")), "did you mean controlword"),
+    (lambda world: world.add_faults(Lose(sdo_read(5, "statuswort"))), "did you mean statusword"),
+    (lambda world: world.add_faults(Lie(5, "controlword", 70_000)), "70000"),
+    (lambda world: world.add_faults(Lie(5, "manufacturer_device_name", "longer")), "6 bytes; an answer of one frame has 1..4"),
+    (lambda world: world.device(LocalNode, 6), "is no dictionary, no class of a DeclaredDevice, and no function"),
+    (lambda world: world.device(5), "5 is no dictionary"),
+    (lambda world: world.device(Station), "which node-ID is the device to have"),
+    (lambda world: world.device(STANDARD), "which node-ID is the device to have"),
+    (lambda world: world.device(lambda out: out), "the function that makes a device returned"),
+    (lambda world: Lose(nth="3"), r"nth is a number from 1 on, or several: nth=3, nth=\(1, 3\), not nth='3'"),
+    (lambda world: Lose(nth=(1, "3")), r"the first frame is number 1"),
+    (lambda world: Lose(nth=0), "the first frame is number 1"),
+    (lambda world: Lose(chance="0.5"), "a chance is 0 to 1, not '0.5'"),
+    (lambda world: Lose(when=5), "when is a function of a frame, not 5"),
+    (lambda world: Lose(heartbeat), "call it, heartbeat"),
+    (lambda world: Lose(to=200), "node-ID 200 is outside"),
+    (lambda world: Lose(since=-1), "since of Lose is -1"),
+    (lambda world: Delay(by=-SECOND), "by of Delay is -1000000000: a time is never negative"),
+    (lambda world: Delay(by=0.5), r"by of Delay is 0.5: .* 0.5 \* SECOND"),
+    (lambda world: Copy(later=1), "later of Copy is 1"),
+    (lambda world: Pause(5, at=-1), "at of Pause is -1"),
+    (lambda world: Pause(5, lasts=1), "lasts of Pause is 1"),
+    (lambda world: BusOff(5, lasts=2.5), "lasts of BusOff is 2.5"),
+    (lambda world: Replace(data=bytes(9)), "data has 9 bytes; a CAN frame has 8 at most"),
+    (lambda world: Replace(data="00"), r"data is bytes, such as data=bytes\(8\), not '00'"),
+    (lambda world: Corrupt(flip=1), "flip is bytes"),
+    (lambda world: Refuse(5, code="abort"), "an abort code is a number of 32 bits"),
+    (lambda world: Refuse(0, 0x6040), "node-ID 0 is outside"),
+    (lambda world: Lie(200, 0x6040, 1), "node-ID 200 is outside"),
+    (lambda world: SecondMaster(at=SECOND), "what does the second master send"),
+    (lambda world: SecondMaster("000#1"), "not a classical CAN frame"),
+    (lambda world: Reorder(tpdo(5)), r'only a gateway does not. .* Reorder\(..., gateway="CAN to Ethernet"\)'),
+])  # fmt: skip
+def test_a_mistake_is_told_at_once_with_the_right_form(wrong: Callable[[World], object], told: str) -> None:
+    world = World()
+    world.drive(5)
+    with pytest.raises((LocalProtocolError, ValueError), match=told):
+        wrong(world)
+
+
+def test_a_fault_for_a_device_that_comes_later_is_checked_when_it_comes() -> None:
+    world = World(faults=[Refuse(5, "controlwort"), Refuse(6, "level")])
+    world.device(Station, 6)
+    with pytest.raises(ObjectNotFoundError, match="did you mean controlword"):
+        world.drive(5)
+
+
+def test_what_is_clear_is_taken() -> None:
+    world = World(faults=[Lose("705#7F", nth=2), SecondMaster("000#0105", at=SECOND)])
+    world.drive(5).set_value(0x1017, 0, 100, 0)
+    made = [world.device(Station, 6), world.device(lambda out: Station(out, 7))]
+    assert [type(each) for each in made] == [LocalNode, LocalNode]
+    assert world.master().read(7, "level") == 7
+    world.advance(0.5 * SECOND)
+    assert world.now > SECOND // 2
+    world.run_until("705#7F", limit=0.2 * SECOND)
+    world.run_until(Frame.parse("705#05"))
+    bus = world.bus()
+    bus.saw("705#").then("000#0105").then("705#05").within(0.2 * SECOND)
+    bus.never("123#")
+    bus.observer.clean(but="late heartbeat")
+
+
+# ---- what the faults have done ----
+
+
+def test_each_fault_tells_how_often_it_has_hit_and_when_last() -> None:
+    faults = [
+        Lose(heartbeat(5), nth=(2, 4)),
+        Pause(5, at=450 * MILLISECOND, lasts=20 * MILLISECOND),
+        Reset(5, on=nmt("start", 5)),
+        BusOff(6, at=SECOND),
+        SecondMaster(("000#0200", "000#0100"), at=800 * MILLISECOND),
+        Refuse(5, (0x1018, 1)),
+        Refuse(5, "controlword", AbortCode.LOCAL_CONTROL, since=SECOND),
+        Lie(5, (0x1018, 2), 1),
+        Corrupt(tpdo(5), flip=b"\x01", to=6),
+        Delay(any_frame(), when=bool, by=SECOND, chance=0),
+        Reorder(emcy(5), gateway="to Ethernet"),
+    ]
+    world = beating(*faults)
+    with pytest.raises(SdoTransferError):
+        world.master().read(5, (0x1018, 1))
+    assert world.fault_lines == [
+        "never hit: Reset node 5, on=NMT command start to node 5",
+        "never hit: BusOff node 6, at=1 s",
+        "never hit: Refuse controlword of node 5, since=1 s, code=0x08000021",
+        "never hit: Lie about 0x1018:02 of node 5, value=1",
+        "never hit: Corrupt TPDO 1 of node 5, to=6, flip=01",
+        "never hit: Delay any frame, chance=0, when=bool",
+        "never hit: Reorder an emergency of node 5, gateway=to Ethernet",
+        "Lose heartbeat of node 5, nth=(2, 4): 2 times, last at 0.300208 s",
+        "Pause node 5, at=0.45 s, lasts=0.02 s: once at 0.450000 s",
+        "SecondMaster 000#0200 000#0100, at=0.8 s: once at 0.800000 s",
+        "Refuse 0x1018:01 of node 5: once at 1.000624 s",
+    ]

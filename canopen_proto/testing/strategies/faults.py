@@ -10,7 +10,7 @@ from hypothesis.errors import InvalidArgument
 from hypothesis.strategies import SearchStrategy
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.machine import MILLISECOND, SECOND
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.testing.faults import (
     BusOff,
     Copy,
@@ -33,7 +33,9 @@ CAN_FAULTS: Final = (Lose, Copy, Delay, Refuse, Pause, Reset, BusOff)
 """What happens on a CAN bus without gateways, and to right devices."""
 ALL_FAULTS: Final = (*CAN_FAULTS, Reorder, Corrupt, Replace, Lie, SecondMaster)
 
-_TIMES: Final = st.sampled_from([each * MILLISECOND for each in (0, 10, 100, 1000)]) | st.integers(0, 5 * SECOND)
+_TIMES: Final = st.sampled_from([each * MILLISECOND for each in (0, 10, 100, 1000)]) | st.integers(
+    0, 5 * SECOND // MICROSECOND
+).map(lambda time: time * MICROSECOND)
 _LATE: Final = st.sampled_from([each * MILLISECOND for each in (1, 20, 400, 2000)])
 _LONG: Final = st.sampled_from([each * MILLISECOND for each in (50, 500, 5000)])
 _NTH: Final = st.integers(1, 5)
@@ -81,6 +83,8 @@ def _fault(draw: st.DrawFn, nodes: Sequence[int], kinds: Sequence[type[Fault]]) 
     met: dict[str, Any] = {"on": draw(_services(node_id)), "nth": draw(_NTH)}
     if kind in (Delay, Reorder):
         met["by"] = draw(_LATE)
+    if kind is Reorder:
+        met["gateway"] = "gateway"
     if kind is Corrupt:
         met["flip"] = bytes((1 << draw(st.integers(0, 7)),)).rjust(1 + draw(st.integers(0, 7)), b"\0")
     if kind is Replace:
