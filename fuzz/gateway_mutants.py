@@ -157,8 +157,11 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "answer_of_another_request",
             "gateway/client.py",
-            "        if isinstance(message, GatewayAnswer) and message.sequence in self._open:\n            self._answered(message.sequence,",
-            "        if isinstance(message, GatewayAnswer) and self._open:\n            self._answered(min(self._open),",
+            "        if isinstance(message, GatewayAnswer) and message.sequence in self._open:\n",
+            (
+                "        if isinstance(message, GatewayAnswer) and self._open:\n"
+                "            message = replace(message, sequence=min(self._open))\n"
+            ),
             "a late answer is taken for that of the next request",
             CLIENT,
         ),
