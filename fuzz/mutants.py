@@ -25,6 +25,7 @@ from fuzz.boot_mutants import BOOT_MUTANTS
 from fuzz.data_mutants import DATA_MUTANTS
 from fuzz.drive_mutants import DRIVE_MUTANTS
 from fuzz.flash_mutants import FLASH_MUTANTS
+from fuzz.gateway_mutants import GATEWAY_MUTANTS
 from fuzz.lss_mutants import LSS_MUTANTS
 from fuzz.master_mutants import MASTER_MUTANTS
 from fuzz.mutant import Mutant
@@ -419,6 +420,7 @@ WINGS: Final = {
     "data": DATA_MUTANTS,
     "observer": OBSERVER_MUTANTS,
     "ros": ROS_MUTANTS,
+    "gateway": GATEWAY_MUTANTS,
 }
 MUTANTS: Final = tuple(mutant for wing in WINGS.values() for mutant in wing)
 

@@ -7,7 +7,7 @@ once in each period. A value that is late is late: periods that were missed are 
 from __future__ import annotations
 
 import math
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -59,12 +59,14 @@ class ValueStream:
 
     async def __aenter__(self) -> AsyncIterator[ValueSeen]:
         self._count(len(self._objects))
-        return self._values()
+        self._running = self._values()
+        return self._running
 
     async def __aexit__(self, *exc: object) -> None:
         self._count(-len(self._objects))
+        await self._running.aclose()
 
-    async def _values(self) -> AsyncIterator[ValueSeen]:
+    async def _values(self) -> AsyncGenerator[ValueSeen, None]:
         due = trio.current_time()
         while True:
             for place in self._objects:

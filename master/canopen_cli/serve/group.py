@@ -11,7 +11,7 @@ from canopen_cli.shared.lazy import LazyGroup
 COMMANDS: Final = {
     "ascii": (
         "serve.ascii:serve_ascii",
-        "A text gateway (CiA 309-3) on TCP and a Unix socket, read-only unless it is allowed more.",
+        "Serve a machine as a text gateway (CiA 309-3), until Ctrl-C.",
     ),
 }
 
