@@ -5,9 +5,10 @@
     python -m fuzz show crash-...
     python -m fuzz keep sdo_server
     python -m fuzz sdo_clients 100000 [SEED]
-    python -m fuzz flash_lives|damaged_recordings [FIRST [COUNT]]
+    python -m fuzz flash_lives|damaged_recordings|blocking_threads [FIRST [COUNT]]
 
-`sdo_clients`, `flash_lives` and `damaged_recordings` need no atheris: they draw as many cases as they are told.
+`sdo_clients`, `flash_lives`, `damaged_recordings` and `blocking_threads` need no atheris: they draw as many cases
+as they are told.
 
 `python -m fuzz.mutants` plants bugs and says whether the inputs below and the tests find them.
 
@@ -42,6 +43,10 @@ def main(arguments: list[str]) -> int:
         from fuzz import damaged_recordings
 
         return damaged_recordings.main(arguments[1:])
+    if arguments and arguments[0] == "blocking_threads":
+        from fuzz import blocking_threads
+
+        return blocking_threads.main(arguments[1:])
     names = sorted(path.name for path in (HERE / "corpus").iterdir())
     if len(arguments) == 2 and arguments[0] == "keep" and arguments[1] in names:
         found = HERE / "found" / arguments[1]
