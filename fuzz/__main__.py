@@ -5,7 +5,7 @@
     python -m fuzz show crash-...
     python -m fuzz keep sdo_server
     python -m fuzz sdo_clients 100000 [SEED]
-    python -m fuzz copied_frames|damaged_recordings|flash_lives|lossy_restores [FIRST [COUNT]]
+    python -m fuzz blocking_threads|copied_frames|damaged_recordings|flash_lives|lossy_restores [FIRST [COUNT]]
 
 The last two lines need no atheris: these programs draw as many cases as they are told.
 
@@ -24,7 +24,7 @@ from typing import Final
 
 from fuzz.kept import HERE, keep, kept, unpack
 
-PROGRAMS: Final = ("copied_frames", "damaged_recordings", "flash_lives", "lossy_restores")
+PROGRAMS: Final = ("blocking_threads", "copied_frames", "damaged_recordings", "flash_lives", "lossy_restores")
 
 
 def main(arguments: list[str]) -> int:

@@ -11,7 +11,9 @@ COUNT = 1000
 Case = TypeVar("Case")
 
 
-def run_cases(name: str, plural: str, case_of: Callable[[int], Case], judge: Callable[[Case], None], arguments: list[str]) -> int:
+def run_cases(
+    name: str, plural: str, case_of: Callable[[int], Case], judge: Callable[[Case], object], arguments: list[str]
+) -> int:
     """Judge so many cases from a number on: [FIRST [COUNT]]. The exit status: 0, or 1 if one has failed, which is printed."""
     first, count = [*map(int, arguments), *(0, COUNT)[len(arguments) :]]
     failed = 0

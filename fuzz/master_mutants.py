@@ -20,7 +20,11 @@ AT_ONCE: Final = ("tests/master/test_stops_at_once.py",)
 PATH_MOTION: Final = ("tests/master/test_path_motion.py",)
 PATH_TROUBLES: Final = ("tests/master/test_path_troubles.py",)
 
+BACKGROUND: Final = ("tests/master/test_blocking_background.py",)
+BLOCKING: Final = ("tests/master/test_blocking.py",)
+
 _MEMBER: Final = "canopen_master/motion/member.py"
+_BACKGROUND: Final = "canopen_master/blocking/background.py"
 _LATE_SYNC: Final = "canopen_master/motion/late_sync.py"
 
 MASTER_MUTANTS: Final = tuple(
@@ -217,6 +221,46 @@ MASTER_MUTANTS: Final = tuple(
             "if missed_at is not None:",
             "a heartbeat that was late once is the reason for whatever happens later",
             WATCHDOG,
+        ),
+        (
+            "interrupted_call_goes_on",
+            _BACKGROUND,
+            "            self.take_back(call)\n            raise\n        return call.result()",
+            "            raise\n        return call.result()",
+            "Ctrl-C returns while the drives of the call still move",
+            BLOCKING,
+        ),
+        (
+            "begun_after_it_was_taken_back",
+            _BACKGROUND,
+            "        if self.is_done:  # taken back meanwhile\n",
+            "        if False:\n",
+            "a call that its caller has given up moves a drive later",
+            BACKGROUND,
+        ),
+        (
+            "its_thread_may_die",
+            _BACKGROUND,
+            "self._owners = {threading.main_thread(), owner or threading.main_thread()}",
+            "self._owners = {threading.main_thread()}",
+            "drives go on when the thread has ended that held their master",
+            BLOCKING,
+        ),
+        (
+            "drives_gone_before_their_master",
+            _BACKGROUND,
+            "return not self.goes_last or",
+            "return True or",
+            "simulated drives end before the master has halted them",
+            BACKGROUND,
+        ),
+        (
+            "left_with_calls_under_way",
+            _BACKGROUND,
+            "            with trio.CancelScope(shield=True):\n                await self._last_call_ended.wait()\n",
+            "            pass\n",
+            "the master ends beside calls that still clean up",
+            BACKGROUND,
         ),
         (
             "back_beyond_its_limits",

@@ -143,8 +143,16 @@ class Node(Peer):
         NodeIdTakenError or NotHeldError, with nothing sent, if it cannot.
         """
         variable, meant, _ = self.remote.encode(key, value)
-        async with self._commanding(variable.mux, meant):
-            await self._download(lambda now: self.remote.write(variable, meant, now, block=block), f"writing {meant!r} to")
+        attempt = f"writing {meant!r} to"
+
+        def submit(now: Time) -> RequestId:
+            return self.remote.write(variable, meant, now, block=block)
+
+        if variable.mux in self._controlwords:
+            async with self._commanding(variable.mux, meant):
+                await self._download(submit, attempt)
+        else:
+            await self._download(submit, attempt)
 
     async def matches(self, key: Key, constant: str) -> bool:
         """Read an object, and return whether it bears a constant: `(value & mask) == constant`."""

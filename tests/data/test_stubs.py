@@ -165,7 +165,8 @@ def test_a_file_cannot_have_code_run() -> None:
 
 USE = """
 from canopen_master import Node
-from canopen_proto import PdoReceived, Procedure, RemoteNode
+from canopen_master.blocking import BlockingNode, open_master
+from canopen_proto import EmcyReceived, PdoReceived, Procedure, RemoteNode
 from canopen_proto.procedures import read, write
 from drive import Drive
 from station import Station
@@ -192,6 +193,27 @@ async def wrong(node: Node, pdo: PdoReceived) -> str:
     value: str | None = pdo.get(Drive.statusword)  # type: ignore[assignment]
     text: str = await node.read(Drive.statusword)  # type: ignore[arg-type]
     return value or text
+
+
+def blocking(node: BlockingNode, pdo: PdoReceived) -> tuple[int, str, EmcyReceived]:
+    node[Drive.controlword] = 6
+    node["controlword"] = "sm_shutdown"
+    node.write(Drive.controlword, 6, timeout=1.0)
+    node.on(EmcyReceived, lambda emergency: print(emergency.code))
+    with node.events(EmcyReceived) as emergencies:
+        return node[Drive.statusword], node.read(Drive.manufacturer_device_name), emergencies.receive()
+
+
+def wrong_blocking(node: BlockingNode) -> str:
+    node[Drive.statusword] = 6  # type: ignore[call-overload]
+    node[Drive.controlword] = "six"  # type: ignore[misc]
+    node.read_int("statusword", timeout="1")  # type: ignore[arg-type]
+    node.reed("statusword")  # type: ignore[attr-defined]
+    node.on(EmcyReceived, lambda emergency: emergency.kode)  # type: ignore[attr-defined]
+    with open_master("virtual:demo", sdo_timeout="1") as master:  # type: ignore[arg-type]
+        number: int = master.node(5).read_str("device_name")  # type: ignore[assignment]
+    text: str = node[Drive.statusword]  # type: ignore[assignment]
+    return text or str(number)
 
 
 def wrong_steps(node: RemoteNode) -> Procedure[str]:

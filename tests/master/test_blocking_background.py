@@ -284,3 +284,151 @@ def test_an_interrupt_of_start_leaves_no_thread(place: Place) -> None:
     thread.join(LIMIT)
     assert place.log == ["left"]
     assert not any(each.name == "canopen master" for each in threading.enumerate())
+
+
+class Inner:
+    """What the contexts below give. log: how they ended."""
+
+    def __init__(self) -> None:
+        self.log: list[str] = []
+
+    @contextlib.asynccontextmanager
+    async def held(self, *, swallows: bool = False, leaving: Exception | None = None) -> AsyncIterator[int]:
+        try:
+            yield 42
+        except ValueError as error:
+            self.log.append(f"raised {error}")
+            if not swallows:
+                raise
+        except trio.Cancelled:
+            self.log.append("cancelled")
+            raise
+        else:
+            self.log.append("left")
+        if leaving is not None:
+            raise leaving
+
+
+def test_a_context_is_held_in_the_loop_while_a_block_runs(background: Background[Place]) -> None:
+    inner = Inner()
+    with background.held(inner.held) as value:
+        assert value == 42
+        assert inner.log == []
+        assert background.call(Place.answer) == 42
+    assert inner.log == ["left"]
+
+
+def test_an_error_of_the_block_reaches_the_context_and_goes_on(background: Background[Place]) -> None:
+    inner = Inner()
+    error = ValueError("of mine")
+    with pytest.raises(ValueError, match="of mine") as caught, background.held(inner.held):
+        raise error
+    assert caught.value is error
+    assert inner.log == ["raised of mine"]
+    with background.held(lambda: inner.held(swallows=True)):
+        raise ValueError("of mine")
+
+
+def test_an_interrupt_of_the_block_cancels_the_context(background: Background[Place]) -> None:
+    inner = Inner()
+    with pytest.raises(KeyboardInterrupt), background.held(inner.held):
+        raise KeyboardInterrupt
+    assert inner.log == ["cancelled"]
+
+
+def test_what_leaving_a_held_context_raises_is_raised_at_the_end_of_the_block(background: Background[Place]) -> None:
+    with pytest.raises(OSError, match="not halted"), background.held(lambda: Inner().held(leaving=OSError("not halted"))):
+        pass
+
+
+def test_a_held_context_that_cannot_be_entered_raises_at_once(background: Background[Place]) -> None:
+    @contextlib.asynccontextmanager
+    async def closed() -> AsyncIterator[int]:
+        raise OSError("no such file")
+        yield 0
+
+    with pytest.raises(OSError, match="no such file"):
+        background.held(closed).__enter__()
+
+
+def test_a_held_context_ends_with_what_holds_it(background: Background[Place]) -> None:
+    inner = Inner()
+    with pytest.raises(MasterClosedError), background.held(inner.held):
+        background.stop()
+        assert inner.log == ["cancelled"]
+    with pytest.raises(MasterClosedError):
+        background.held(inner.held).__enter__()
+
+
+def test_a_call_that_was_taken_back_before_it_began_never_begins(background: Background[Place], place: Place) -> None:
+    """The loop is busy, so that the call waits; it is given up meanwhile, and the loop must not do it then."""
+    done: list[str] = []
+    goes_on = threading.Event()
+
+    async def late(place: Place) -> None:
+        done.append("late")
+
+    busy = threading.Thread(target=background.do, args=(goes_on.wait, LIMIT))
+    busy.start()
+    until(lambda: background._calls)
+    calls = [_Call(background, late, (place,), {}, None) for _ in range(3)]
+    for call in calls:
+        background.loop.hand_over(call.begin)
+        background.loop.hand_over(call.cancel)
+    goes_on.set()
+    busy.join(LIMIT)
+    until(lambda: all(call.is_done for call in calls))
+    assert background.call(Place.answer) == 42
+    assert done == []
+
+
+def test_an_interrupt_of_stop_is_raised_once_the_context_is_left() -> None:
+    place, hurried = Place(), threading.Event()
+
+    @contextlib.asynccontextmanager
+    async def slow() -> AsyncIterator[Place]:
+        yield place
+        place.log.append("leaving")
+        while not hurried.is_set():
+            await trio.sleep(0.005)
+        place.log.append("left")
+
+    background = Background(slow, hurry=hurried.set)
+    background.start()
+    thread = interrupt_when(lambda: place.log)
+    with pytest.raises(KeyboardInterrupt):
+        background.stop()
+    thread.join(LIMIT)
+    assert place.log == ["leaving", "left"]
+
+
+def test_what_goes_last_outlives_the_others_when_its_thread_has_ended() -> None:
+    log: list[str] = []
+
+    @contextlib.asynccontextmanager
+    async def named(name: str) -> AsyncIterator[str]:
+        yield name
+        log.append(name)
+
+    backgrounds: list[Background[str]] = []
+
+    def hold() -> None:
+        owner = threading.current_thread()
+        for name, goes_last in (("drives", True), ("master", False)):
+            backgrounds.append(
+                Background(
+                    lambda name=name: named(name),  # type: ignore[misc]
+                    shares_loop=True,
+                    owner=owner,
+                    goes_last=goes_last,
+                )
+            )
+            backgrounds[-1].start()
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    thread.join(LIMIT)
+    for background in backgrounds:
+        until(lambda: not background.is_running)  # noqa: B023 - it is waited for here
+        background.stop()
+    assert log == ["master", "drives"]

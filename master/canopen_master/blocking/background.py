@@ -234,7 +234,7 @@ class Background(Generic[T]):
     # ---- in the loop ----
 
     async def hold(self) -> None:
-        """See Hold."""
+        """See Holdable."""
         self._begun.set()
         try:
             await self._stay()

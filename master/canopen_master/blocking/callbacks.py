@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
+from canopen_master.errors import MasterClosedError
 from canopen_master.participant.subscription import QUEUE_SIZE
 from canopen_proto.machine import Event
 
@@ -113,5 +114,7 @@ class Callbacks:
         while (handler := self._queue.get()) is not None:
             try:
                 handler.call()
+            except MasterClosedError:  # it has called the master, which was closed meanwhile: no more events come
+                LOGGER.debug("%r was called while the master was closed", handler)
             except Exception:  # noqa: BLE001 - the user's code; it may do better with the next event
                 threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))

@@ -34,13 +34,13 @@ SPARE_TASKS: Final = 8
 """The most tasks that wait for work: so many threads may call at once without one being made."""
 
 
-class Hold(Protocol):
+class Holdable(Protocol):
     """Something that is held in a loop. goes_last: at the end of the process it waits for what is not."""
 
     goes_last: bool
 
     async def hold(self) -> None:
-        """Hold it until its end. It must not raise."""
+        """Holdable it until its end. It must not raise."""
 
 
 class Work(Protocol):
@@ -59,12 +59,12 @@ class LoopThread:
     work itself, which costs one turn of the loop less than if it woke another task for it.
     """
 
-    def __init__(self, first: Hold, name: str, clock: trio.abc.Clock | None = None) -> None:
+    def __init__(self, first: Holdable, name: str, clock: trio.abc.Clock | None = None) -> None:
         """first: is begun at once. clock: trio's; None: the real time."""
         self._clock = clock
         self._pid = os.getpid()
         self.ident = 0
-        self.held: list[Hold] = [first]
+        self.held: list[Holdable] = [first]
         self._nursery: trio.Nursery | None = None
         self._spare: list[_Server] = []  # the tasks that wait
         self._jobs: deque[Callable[[], Work | None]] = deque()
@@ -90,7 +90,7 @@ class LoopThread:
         while not self._has_begun.wait(LOOK_UP) and self.thread.is_alive():
             pass
 
-    def hold(self, hold: Hold) -> bool:
+    def hold(self, hold: Holdable) -> bool:
         """Begin one more; return False if the loop is ending, so that it takes none."""
         answer = WaitingPlace()
 
@@ -140,7 +140,7 @@ class LoopThread:
                 waker.close()
             self._do_jobs()  # those of contexts that have ended: each is told so
 
-    async def _hold(self, hold: Hold) -> None:
+    async def _hold(self, hold: Holdable) -> None:
         try:
             await hold.hold()
         finally:
@@ -302,8 +302,8 @@ _shared: LoopThread | None = None
 _starting = threading.Lock()
 
 
-def held_in_shared_loop(hold: Hold, name: str) -> LoopThread:
-    """Hold something in the loop that all share; return the loop. It is begun if there is none."""
+def held_in_shared_loop(hold: Holdable, name: str) -> LoopThread:
+    """Holdable something in the loop that all share; return the loop. It is begun if there is none."""
     global _shared
     with _starting:
         shared = _shared
