@@ -75,13 +75,13 @@ def check_can_id(cob_id: int) -> AbortCode | None:
     return AbortCode.INVALID_VALUE if restricted else None
 
 
-def check_cob_id(cob_id: int, standing: int, *, in_use: bool, allowed: Container[int] = ()) -> AbortCode | None:
-    """Return the abort code if a COB-ID may not replace the present one (`standing`), else None.
+def check_cob_id(cob_id: int, present: int, *, in_use: bool, allowed: Container[int] = ()) -> AbortCode | None:
+    """Return the abort code if a COB-ID may not replace the present one, else None.
 
     in_use: the present COB-ID is valid, so its CAN-ID may not change. allowed: restricted CAN-IDs that this object may have.
     """
     refusal = None if cob_id & CAN_ID_AND_FRAME in allowed else check_can_id(cob_id)
-    if refusal is None and in_use and (cob_id ^ standing) & CAN_ID_AND_FRAME:
+    if refusal is None and in_use and (cob_id ^ present) & CAN_ID_AND_FRAME:
         return AbortCode.DEVICE_STATE
     return refusal
 

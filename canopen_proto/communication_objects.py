@@ -162,7 +162,7 @@ class CommunicationObjects(Owner):
         self._set_emcy_consumers(now)
 
     def set_node_id(self, node_id: int) -> None:
-        """Be another node from now on (LSS), before `reload`."""
+        """Take another node-ID (LSS); call `reload` then."""
         self.node_id = self.emcy.node_id = self.heartbeat.node_id = node_id
         self.guarding.set_node_id(node_id)
 
@@ -219,18 +219,18 @@ class CommunicationObjects(Owner):
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         if index == indices.PREDEFINED_ERROR_FIELD:
             return None if value == 0 and subindex == 0 else AbortCode.INVALID_VALUE
-        standing = self.values.store.get(mux(index, subindex))
-        if not isinstance(value, int) or not isinstance(standing, int) or value == standing:
+        present = self.values.store.get(mux(index, subindex))
+        if not isinstance(value, int) or not isinstance(present, int) or value == present:
             return None
         match index:
             case indices.COB_ID_SYNC:
-                return check_cob_id(value, standing, in_use=bool(standing & value & PRODUCES))
+                return check_cob_id(value, present, in_use=bool(present & value & PRODUCES))
             case indices.COMMUNICATION_CYCLE_PERIOD if value and value < MIN_SYNC_PERIOD_US:
                 return AbortCode.INVALID_VALUE
             case indices.COB_ID_TIME_STAMP:
-                return check_cob_id(value, standing, in_use=bool(standing & _TIME_BITS and value & _TIME_BITS))
+                return check_cob_id(value, present, in_use=bool(present & _TIME_BITS and value & _TIME_BITS))
             case indices.COB_ID_EMERGENCY if not value & COB_ID_INVALID:
-                return check_cob_id(value, standing, in_use=not standing & COB_ID_INVALID)
+                return check_cob_id(value, present, in_use=not present & COB_ID_INVALID)
             case indices.CONSUMER_HEARTBEAT_TIME:
                 return self._check_monitor(subindex, value)
             case indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:
@@ -238,7 +238,7 @@ class CommunicationObjects(Owner):
                     return AbortCode.DEVICE_STATE
                 return None if _is_overflow(value) else AbortCode.INVALID_VALUE
             case indices.EMERGENCY_CONSUMER if not value & COB_ID_INVALID:
-                return check_cob_id(value, standing, in_use=is_valid(standing))
+                return check_cob_id(value, present, in_use=is_valid(present))
             case indices.ERROR_BEHAVIOR if value > LAST_ERROR_BEHAVIOUR:
                 return AbortCode.INVALID_VALUE
         return None
@@ -252,8 +252,8 @@ class CommunicationObjects(Owner):
         node_id, period = value >> 16 & 0xFF, value & 0xFFFF
         if not 1 <= node_id <= MAX_NODE_ID or period == 0:
             return None  # an entry that is not used
-        for other, standing in self._entries(indices.CONSUMER_HEARTBEAT_TIME).items():
-            if other != subindex and standing & 0xFFFF and standing >> 16 & 0xFF == node_id:
+        for other, present in self._entries(indices.CONSUMER_HEARTBEAT_TIME).items():
+            if other != subindex and present & 0xFFFF and present >> 16 & 0xFF == node_id:
                 return AbortCode.PARAMETER_INCOMPATIBLE
         return None
 

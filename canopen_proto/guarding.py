@@ -146,6 +146,7 @@ class GuardingMaster(Machine):
 
     __slots__ = (
         "_next_request",
+        "_reported",
         "_toggle",
         "_unanswered_since",
         "expected",
@@ -165,6 +166,7 @@ class GuardingMaster(Machine):
         self.state: NmtState | None = None
         self.expected: NmtState | None = None
         self.lost = False
+        self._reported: NmtState | None = None  # the unexpected state that was reported last, if it is one still
         self._toggle: int | None = None  # of the next answer; None: either
         self._next_request: Time = NEVER
         self._unanswered_since: Time = NEVER  # when the oldest request was sent that waits for an answer
@@ -201,7 +203,7 @@ class GuardingMaster(Machine):
     def expect(self, state: NmtState | None) -> None:
         """Say which NMT state the node should have, None for any. Another one is reported: GuardingStateUnexpected."""
         self.expected = state
-        self.state = None  # so that the next state is reported, whatever it is
+        self._reported = None
 
     def receive(self, frame: Frame, now: Time) -> None:
         """Take an answer. Events, in this order: GuardingAnswered; NodeGuardingRecovered; GuardingStateUnexpected.
@@ -234,8 +236,11 @@ class GuardingMaster(Machine):
         if self.lost:
             self.lost = False
             out.events.append(NodeGuardingRecovered(self.node_id, state))
-        previous, self.state = self.state, state
-        if self.expected is not None and state is not self.expected and state is not previous:
+        self.state = state
+        if self.expected is None or state is self.expected:
+            self._reported = None
+        elif state is not self._reported:
+            self._reported = state
             out.events.append(GuardingStateUnexpected(self.node_id, state, self.expected))
 
     def handle_timeout(self, now: Time) -> None:

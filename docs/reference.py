@@ -25,7 +25,9 @@ from typing import Final, NamedTuple
 from canopen_proto.dictionary.standard import ROWS, Row
 
 DOCS: Final = Path(__file__).parent
-PACKAGES: Final = tuple(f"canopen_{name}" for name in ("proto", "data", "transports", "master", "check", "testing", "ros"))
+PACKAGES: Final = tuple(
+    f"canopen_{name}" for name in ("proto", "data", "transports", "master", "check", "testing", "ros", "gateway")
+)
 """The packages that are read. canopen_cli is a command: its interface is what it prints, and how it ends."""
 PROGRAMS: Final = {"canopen_ros": "parameters, topics and services of a ROS node are its interface"}
 """Packages without public names, and why."""

@@ -50,6 +50,7 @@ FOLDERS: Final = {
     "canopen_master": "master",
     "canopen_check": "master",
     "canopen_ros": "master",
+    "canopen_gateway": "master",
     "canopen_cli": "master",
 }
 """The folder of the repository that each package but the core is in."""

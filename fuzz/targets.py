@@ -19,6 +19,19 @@ from canopen_data.xdd import read_xdd
 from canopen_master.machine_file import machine_text, parse_machine
 from canopen_proto.dictionary import Values
 from canopen_proto.frame import Frame
+from canopen_proto.gateway import (
+    DIALECTS,
+    GatewayAnswered,
+    GatewayClient,
+    GatewayCommand,
+    GatewayLines,
+    GatewayRequest,
+    parse_message,
+    parse_request,
+    print_answer,
+    print_request,
+)
+from canopen_proto.gateway.client import PATIENCE
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, HeartbeatRecovered, NodeBooted
 from canopen_proto.machine import SECOND, LocalProtocolError, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoStreamUploaded, SdoUploaded
@@ -237,6 +250,26 @@ def heartbeat(data: bytes) -> None:
         consumer.out.events.clear()
 
 
+def gateway_text(data: bytes) -> None:
+    """The text protocol of CiA 309-3, in both dialects: any bytes are lines of bounded length; each line is a request that can be
+    typed again, a refusal, or nothing; and a client that hears these bytes gives each of its requests one outcome."""
+    for dialect in DIALECTS.values():
+        lines = GatewayLines(limit=200)
+        for line in lines.feed(data):
+            request = parse_request(line, dialect)
+            if isinstance(request, GatewayRequest):
+                assert parse_request(print_request(request, dialect), dialect) == request
+            elif request is not None:
+                assert parse_message(print_answer(request, dialect).removesuffix(dialect.line_end)) == request
+        assert lines.pending <= 200
+        client = GatewayClient(dialect)
+        sent = {client.send(GatewayRequest(GatewayCommand.READ, numbers=(0x1000, 0)), 0) for _ in range(3)}
+        client.receive(data, 0)
+        client.handle_timeout(PATIENCE)
+        answered = [each.request.sequence for each in client.take_messages() if isinstance(each, GatewayAnswered)]
+        assert sorted(answered) == sorted(sent)
+
+
 TARGETS: Final[dict[str, Callable[[bytes], None]]] = {
     target.__name__: target
     for target in (
@@ -250,5 +283,6 @@ TARGETS: Final[dict[str, Callable[[bytes], None]]] = {
         xdd_files,
         eds_files,
         machine_files,
+        gateway_text,
     )
 }

@@ -4,6 +4,7 @@ Every day they are few. All that the tests name: `pytest --hypothesis-profile=fu
 To search further: `pytest --hypothesis-profile=search --timeout=0 tests/core/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
 The tests of each file in an order drawn from a number, files too: `pytest --shuffle=7`.
+The tests of the master on asyncio: `pytest --loop=asyncio tests/master`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import atexit
 import compileall
 import gc
+import importlib
 import os
 import random
 import signal
@@ -70,6 +72,7 @@ def processors() -> int:
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
     parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and the tests of each, in an order of their own")
+    parser.addoption("--loop", choices=["trio", "asyncio"], help="of the tests of the master: see tests/master/loops.py")
     if not pluginmanager.hasplugin("xdist"):  # `-p no:xdist`: then what pyproject.toml tells it means nothing
         for option in ("--numprocesses", "--dist"):
             parser.addoption(option, help="of pytest-xdist, which is not there")
@@ -79,6 +82,18 @@ def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginMa
 def pytest_xdist_auto_num_workers() -> int:
     """Two processes more than there are processors: a third of the time goes to waiting for commands, terminals and sockets."""
     return processors() + 2
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Leave the assertions of the packages as they are. Where a wheel is installed, pytest takes all their modules for parts of a
+    plugin, and each worker compiles them once more. It has their fronts, as a pytest that a test runs in this process wants."""
+    hook = getattr(config.pluginmanager, "rewrite_hook", None)
+    if hasattr(hook, "_must_rewrite"):  # there is no setting for it
+        ours = {name for name in hook._must_rewrite if name.startswith("canopen_")}
+        for name in ours:
+            importlib.import_module(name)
+        hook._must_rewrite -= ours
+        hook._marked_for_rewrite_cache.clear()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -99,6 +114,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     for first in range(count):
         child = os.fork()
         if not child:
+            gc.disable()  # trees of syntax are no garbage: a fourth of the time
             try:
                 if first == 0:
                     for package in ("canopen_proto", "transports", "master", "data"):

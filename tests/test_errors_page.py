@@ -29,6 +29,7 @@ PACKAGES = (
     "canopen_master",
     "canopen_check",
     "canopen_ros",
+    "canopen_gateway",
     "canopen_cli",
 )
 CODE = re.compile(r"\bCO[0-9]{3}\b")

@@ -29,7 +29,16 @@ ARROWS = {
     "canopen_master": {"canopen_proto", "canopen_data", "canopen_transports"},
     "canopen_testing": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check"},
     "canopen_ros": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master"},
-    "canopen_cli": {"canopen_proto", "canopen_data", "canopen_transports", "canopen_master", "canopen_check", "canopen_ros"},
+    "canopen_gateway": {"canopen_proto", "canopen_transports", "canopen_master"},
+    "canopen_cli": {
+        "canopen_proto",
+        "canopen_data",
+        "canopen_transports",
+        "canopen_master",
+        "canopen_check",
+        "canopen_ros",
+        "canopen_gateway",
+    },
 }
 """What each package may import. Nobody imports the command line; nor, but tests, the strategies, which need hypothesis."""
 

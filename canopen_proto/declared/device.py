@@ -122,8 +122,8 @@ class DeclaredDevice(Machine):
         """Act on a SYNC: what the synchronous RPDOs brought has been written, the TPDOs of this SYNC are sent."""
 
     def stop(self, error_code: int) -> None:
-        """Bring the outputs to their safe state: the connection is lost (0x8130), Operational was left (0x8100), or the device's
-        own work failed (0x6200)."""
+        """Bring the outputs to their safe state. error_code: why: the connection is lost (0x8130), Operational was left (0x8100),
+        or the device's own work failed (0x6200)."""
 
     # ---- what a device does ----
 
@@ -146,17 +146,19 @@ class DeclaredDevice(Machine):
         self.node.pdos.trigger(variable.mux, self.now)
 
     def raise_error(self, code: int, vendor_data: bytes = b"") -> None:
-        """Report an error: EMCY, 0x1001, 0x1003. code: 0x0100..0xFFFF. See `EmcyProducer.raise_error`."""
+        """Report an error: EMCY, 0x1001, 0x1003. code: 0x0100..0xFFFF. vendor_data: up to 5 bytes. Else as
+        `EmcyProducer.raise_error`."""
         self.node.communication.emcy.raise_error(code, int(register_bits_of(code)), vendor_data, self.now)
 
     def clear_error(self, code: int) -> None:
-        """Report that an error is gone."""
+        """Report that an error is gone. code: as it was raised. See `EmcyProducer.clear`."""
         self.node.communication.emcy.clear(code, self.now)
 
     def acting(self, now: Time) -> Settling:
-        """Stand around every change that comes from outside of the device's methods. Then drain the network, as always.
+        """Return a context manager for a change that comes from outside of the device's methods: `with device.acting(now): ...`.
+        At its end the node does what follows from the change. Drain the network then.
 
-        now: the time of the network's clock.
+        now: the time of the network's clock, ns.
         """
         self.now = now
         return self.node._settling(now)

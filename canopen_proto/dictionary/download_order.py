@@ -123,15 +123,15 @@ def download_order(
     values: Mapping[Mux, Value],
     node_id: int,
     *,
-    standing: Mapping[Mux, Value] | None = None,
+    present: Mapping[Mux, Value] | None = None,
 ) -> DownloadOrder:
     """Return the writes that set a device to these values, as this module's text describes.
 
-    values: by mux. standing: the device's present values, as far as they are known; strict devices want the CAN-ID unchanged in
+    values: by mux. present: the device's present values, as far as they are known; strict devices want the CAN-ID unchanged in
     the write that destroys a PDO. Raises ObjectNotFoundError for a mux that the dictionary does not have, and ValueRangeError if
     an object's type cannot hold its value; limits of objects are not checked.
     """
-    order = _Order(dictionary, node_id, standing or {})
+    order = _Order(dictionary, node_id, present or {})
     for key, value in values.items():
         order.add(key, value)
     return order.result()
@@ -140,10 +140,10 @@ def download_order(
 class _Order:
     """One `download_order` at work."""
 
-    def __init__(self, dictionary: ObjectDictionary, node_id: int, standing: Mapping[Mux, Value]) -> None:
+    def __init__(self, dictionary: ObjectDictionary, node_id: int, present: Mapping[Mux, Value]) -> None:
         self.dictionary = dictionary
         self.node_id = node_id
-        self.standing = standing
+        self.present = present
         self.values: dict[Mux, Value] = {}
         self.left_out: dict[Mux, str] = {}
 
@@ -175,8 +175,8 @@ class _Order:
             if switch is None or idle is None:
                 middle += self._settings(key, value)
                 continue
-            if key in self.standing:
-                before = self._write(key, self.standing[key])
+            if key in self.present:
+                before = self._write(key, self.present[key])
                 off.append((rank, key, 0, self._switched_off(before, switch) or before))
             else:
                 off.append((rank, key, 0, idle))
@@ -243,8 +243,8 @@ class _Order:
 
     def _known(self, key: Mux) -> Value | None:
         variable = self.dictionary.get(*split_mux(key))
-        if key in self.standing:
-            return self.standing[key]
+        if key in self.present:
+            return self.present[key]
         if variable is None or (variable.default is None and variable.configured is None):
             return None
         return variable.initial_of(self.node_id)

@@ -12,6 +12,12 @@ heartbeats that were held back does not look so.
 A boot-up of a node that has sent something since its last one, and was not told to reset, is told: it was switched off and on, or
 has reset itself; or the recording lacks the command.
 
+A heartbeat is late by its most impatient consumer (0x1016). Without one, a node that falls silent is late by SILENT of its own
+periods: of its 0x1017, once the recording has shown that and a heartbeat, or of _STEADY heartbeats in an even rhythm.
+
+Two heartbeats at once are a copy, or were held back, but for the first one of a new 0x1017, which comes at once, and for one that
+is in time behind one that was late.
+
 Two masters are not seen by NMT commands: CAN does not tell who has sent them. A node that is operational behind its boot-up
 without a command is no fault: it may start by itself (CiA 301 v4.2.0, 7.3.2.2.1; 0x1F80).
 """
@@ -51,6 +57,10 @@ _SAME_TOGGLES: Final = 7
 """Guarding answers in a row with the same toggle bit that no loss makes: each time an odd number of answers would be missing."""
 COPY: Final = 5 * MILLISECOND
 """The same heartbeat within this time is a copy, or was held back."""
+SILENT: Final = 2.5
+"""Periods without a heartbeat behind which a node is silent: one of two that are missing may be the recorder's loss."""
+_STEADY: Final = 3
+"""Intervals in a row that are as long as the one before: a rhythm."""
 _TOGGLE: Final = 0x80
 
 
@@ -58,8 +68,9 @@ class _View:
     """One node, as it was heard. state: None if it is not known. since: when it got there at the latest."""
 
     __slots__ = (
-        "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_reset", "is_said", "is_told", "is_up", "last",
-        "limit", "pairs", "period", "same_toggles", "since", "state", "suspect", "suspected", "toggle", "turns",
+        "byte", "deadline", "guard_time", "guarded", "interval", "is_asked", "is_late", "is_reset", "is_said", "is_told", "is_up",
+        "last", "limit", "pairs", "period", "rhythm", "same_toggles", "since", "state", "steady", "suspect", "suspected",
+        "toggle", "turns",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -71,6 +82,9 @@ class _View:
         self.is_told = False  # that an SDO went to the stopped node
         self.is_said = False  # the state, by the node itself
         self.period: Time = 0  # of its heartbeat (0x1017); 0 if it is not known, or switched off
+        self.rhythm: Time = 0  # the longest of some even intervals between its heartbeats; 0 if it has shown none
+        self.steady = 0  # intervals in a row that are as long as the one before
+        self.is_late = False  # its last heartbeat came late
         self.last: Time = -NEVER  # its last heartbeat
         self.interval: Time = 0  # from the heartbeat before it
         self.pairs = 0  # heartbeats in a row that came in two rhythms
@@ -84,6 +98,30 @@ class _View:
         self.is_up = False  # it has sent something since it booted
         self.is_reset = False  # it was told to boot
         self.toggle: int | None = None  # the toggle bit of its last guarding answer
+
+    def wait(self, now: Time) -> None:
+        """Begin to wait for its next heartbeat."""
+        if self.limit < NEVER:
+            self.deadline = now + self.limit
+        else:
+            period = self.period or self.rhythm
+            self.deadline = now + int(SILENT * period) if period else NEVER
+
+    def beat(self, interval: Time) -> None:
+        """Take the time from one heartbeat to the next; endless before the second one."""
+        before, self.interval = self.interval, interval
+        if interval >= NEVER:
+            self.is_late, self.steady = False, 0
+            return
+        period = self.period or self.rhythm
+        self.is_late = interval * 4 > period * 5 > 0
+        self.steady = self.steady + 1 if abs(interval - before) * 8 <= before else 0
+        if self.steady >= _STEADY:
+            self.rhythm = max(interval, before)
+
+    def has_new_period(self, period: Time) -> None:
+        """Forget its rhythm. period: the new one; 0 if it is not known, or there is none."""
+        self.period, self.rhythm, self.steady, self.pairs, self.last = period, 0, 0, 0, -NEVER
 
 
 class NodeRules:
@@ -113,14 +151,22 @@ class NodeRules:
 
     def _limit(self) -> None:
         for number, view in enumerate(self._views):
+            before = view.limit
             view.limit = min((time for each, time in self._consumers.values() if each == number), default=NEVER)
-            if view.limit == NEVER:
-                view.deadline = NEVER
+            if before < view.limit == NEVER and view.deadline < NEVER:
+                view.wait(view.deadline - before)
 
-    def producer(self, node_id: int, period: Time) -> None:
+    def producer(self, node_id: int, period: Time, now: Time) -> None:
         """Take note of a node's producer heartbeat time (0x1017). period: ns."""
         view = self._views[node_id]
-        view.period, view.pairs, view.last = period, 0, -NEVER
+        view.has_new_period(period)
+        if view.limit == NEVER and view.byte >= 0:  # else the recording may show no heartbeats at all
+            view.wait(now)
+            self.deadline = min(self.deadline, view.deadline)
+
+    def is_to_begin(self, node_id: int) -> None:
+        """Take note of a request to write a node's 0x1017: its next heartbeat comes at once."""
+        self._views[node_id].last = -NEVER
 
     def is_operational(self, node_id: int) -> bool:
         """Return whether the node has said that it is operational, and was not told otherwise since."""
@@ -137,9 +183,14 @@ class NodeRules:
         for node_id, view in enumerate(self._views):
             if view.deadline <= now:
                 view.deadline = NEVER
-                allowed = view.limit // MILLISECOND
-                waiting = [str(consumer) for (consumer, _), (each, _) in sorted(self._consumers.items()) if each == node_id]
-                text = f"no heartbeat for more than {allowed} ms, which node {', '.join(waiting)} allows"
+                if view.limit < NEVER:
+                    allowed = view.limit // MILLISECOND
+                    waiting = [str(consumer) for (consumer, _), (each, _) in sorted(self._consumers.items()) if each == node_id]
+                    text = f"no heartbeat for more than {allowed} ms, which node {', '.join(waiting)} allows"
+                else:
+                    period = view.period or view.rhythm
+                    text = f"no heartbeat for more than {ms_text(int(SILENT * period))}, and it sends one in {ms_text(period)}"
+                view.rhythm = view.steady = 0
                 found.append(BusFinding("late heartbeat", node_id, text, is_certain=False))
         self.deadline = min(view.deadline for view in self._views)
         return found
@@ -159,7 +210,11 @@ class NodeRules:
             view.suspect = None
             view.is_told = view.is_said = False
             view.last = -NEVER  # a heartbeat that tells the new state may come at once
-            view.is_reset = view.is_reset or command in _RESETS
+            if command in _RESETS:
+                view.is_reset = True
+                view.has_new_period(0)
+                if view.limit == NEVER:
+                    view.deadline = NEVER
         return []
 
     def error_control(self, node_id: int, data: bytes, now: Time) -> list[BusFinding]:
@@ -167,29 +222,37 @@ class NodeRules:
         if len(data) != 1:
             return [BusFinding("length", node_id, f"a heartbeat of {len(data)} bytes; it has one")]
         view, state = self._views[node_id], data[0] & _STATE
-        view.deadline = NEVER if view.limit == NEVER else now + view.limit
+        found = self._beat(node_id, view, data[0], state, now)
+        view.wait(now)
         self.deadline = min(self.deadline, view.deadline)
+        return found
+
+    def _beat(self, node_id: int, view: _View, byte: int, state: int, now: Time) -> list[BusFinding]:
         if state == _BOOT_UP:
             view.state = None
             view.is_said = view.is_asked = False
             view.turns.clear()
-            view.suspect, view.pairs, view.last, view.guarded = None, 0, -NEVER, -NEVER
-            view.period, view.toggle = 0, _TOGGLE  # the first guarding answer has 0 (CiA 301 v4.2.0, 7.2.8.3.2.1)
+            view.has_new_period(0)
+            view.suspect, view.guarded = None, -NEVER
+            view.toggle = _TOGGLE  # the first guarding answer has 0 (CiA 301 v4.2.0, 7.2.8.3.2.1)
             is_expected = view.is_reset or not view.is_up
             view.is_reset = view.is_up = False
             text = "it boots in the middle of operation, and no reset command is in the recording"
             return [] if is_expected else [BusFinding("boot-up", node_id, text, is_certain=False)]
         view.is_up = True
         found: list[BusFinding] = []
-        if view.is_asked:
-            self._answered(node_id, view, data[0], now, found)
-        elif data[0] == view.byte and now - view.last < COPY:
+        is_answer = view.is_asked
+        if is_answer:
+            self._answered(node_id, view, byte, now, found)
+        elif byte == view.byte and now - view.last < min(COPY, view.period // 2 or COPY) and not view.is_late:
             self._gaps.copied(node_id, "heartbeats come at once: they are there twice, or were held back", now, found)
             return found
-        view.byte = data[0]
-        suspect, view.suspect = view.suspect, None
-        if suspect is not None and state == view.state and now - view.suspected > LATE:
-            found.append(suspect)
+        view.byte = byte
+        if view.suspect is not None and state != view.state:
+            view.suspect = None
+        elif view.suspect is not None and now - view.suspected > LATE:
+            found.append(view.suspect)
+            view.suspect = None
         if STATE_OF_BYTE[state] is None:
             found.append(BusFinding("state", node_id, f"its heartbeat says state 0x{state:02X}, which CiA 301 does not have"))
         interval, before, period = now - view.last, view.interval, view.period
@@ -200,7 +263,11 @@ class NodeRules:
                 found.append(BusFinding("double id", node_id, f"{text} {ms_text(period)}: two nodes have one ID"))
         else:
             view.pairs = 0
-        view.last, view.interval, view.is_said = now, interval, True
+        view.last, view.is_said = now, True
+        if is_answer:
+            view.interval, view.rhythm, view.steady = interval, 0, 0  # by the rhythm of the requests
+        else:
+            view.beat(interval)
         if now - self._gaps.last < QUIET:
             view.turns.clear()
         if not view.turns or state != view.turns[-1]:

@@ -57,6 +57,7 @@ from canopen_proto.observer.sdo import SdoFollower, Settled
 from canopen_proto.observer.sequences import Sequences, Summary
 from canopen_proto.observer.service_rules import ServiceRules
 from canopen_proto.pdo.settings import place_of
+from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, INITIATE_DOWNLOAD, SPECIFIER
 
 RULES: Final = {
     "toggle": "the toggle bit of a segment, or of a guarding answer, does not alternate",
@@ -79,7 +80,7 @@ RULES: Final = {
     "boot-up": "a node boots in the middle of operation",
     "two sync": "two nodes produce SYNC",
     "sync counter": "the counter of SYNC is out of its range",
-    "late heartbeat": "a heartbeat later than its consumers allow",
+    "late heartbeat": "a heartbeat later than its consumers allow, or a node that sent some is silent",
     "length": "a frame of a wrong length",
     "load": "the load of the bus is over the limit",
 }
@@ -95,6 +96,8 @@ _EMPTY: Final = ObjectDictionary((), source="nothing")
 _FUNCTION: Final = 0x780
 _BOOT_UP: Final = b"\0"
 _TOGGLE: Final = 0x80
+_PRODUCER_TIME: Final = PRODUCER_HEARTBEAT_TIME.to_bytes(2, "little") + b"\0"
+_DOWNLOADS: Final = (INITIATE_DOWNLOAD, BLOCK_DOWNLOAD)
 
 _Route: TypeAlias = Callable[[Frame, Time, list[BusFinding]], Meaning]
 """Takes a frame of one service of one node. Puts what is wrong into the list."""
@@ -394,6 +397,8 @@ class Observer:
 
     def _request(self, channel: Channel, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         self._nodes.sdo(channel.node_id, now, found, is_answer=False)
+        if frame.data[1:4] == _PRODUCER_TIME and frame.data[0] & SPECIFIER in _DOWNLOADS:
+            self._nodes.is_to_begin(channel.node_id)
         follower = self._follower(channel)
         meaning = follower.take(frame, now, found, is_client=True)
         self._sequences.sdo(channel.node_id, None, follower.aborted, now)
@@ -407,7 +412,7 @@ class Observer:
         self._sequences.sdo(channel.node_id, follower.settled, follower.aborted, now)
         if follower.settled is not None:
             self._settled = follower.settled
-            found += self._settle(follower.settled)
+            found += self._settle(follower.settled, now)
         return meaning
 
     def _follower(self, channel: Channel) -> SdoFollower:
@@ -416,14 +421,14 @@ class Observer:
             follower = self._followers[channel] = SdoFollower(channel.node_id, self._dictionaries[channel.node_id], self._gaps)
         return follower
 
-    def _settle(self, settled: Settled) -> list[BusFinding]:
+    def _settle(self, settled: Settled, now: Time) -> list[BusFinding]:
         """Take note of a value that a node holds."""
         node_id, place, data, is_read = settled
         index, subindex, value = index_of(place), subindex_of(place), int.from_bytes(data[:4], "little")
         if index == CONSUMER_HEARTBEAT_TIME and len(data) == 4:
             self._nodes.consumer(node_id, subindex, value)
         elif index == PRODUCER_HEARTBEAT_TIME:
-            self._nodes.producer(node_id, value * MILLISECOND)
+            self._nodes.producer(node_id, value * MILLISECOND, now)
         elif index == DEVICE_TYPE or (index == IDENTITY_OBJECT and subindex == 1):
             if self._pdos.identified(node_id, index, value):
                 self._routes.clear()

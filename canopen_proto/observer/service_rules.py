@@ -57,7 +57,8 @@ class ServiceRules:
         self._lss_rivals = 0
 
     def settle(self, node_id: int, index: int, value: int) -> list[BusFinding]:
-        """Take note of a value that a node holds; returns what is wrong with it on this bus. Other objects do nothing."""
+        """Take note of a value that a node holds; returns what is wrong with it on this bus: nothing for an object
+        without a rule."""
         if index == COB_ID_SYNC:
             _keep(self._producers, node_id, bool(value & _PRODUCES_SYNC))
         elif index == COMMUNICATION_CYCLE_PERIOD:

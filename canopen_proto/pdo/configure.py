@@ -172,8 +172,8 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
 
 def _put_back(node: PdoNode, before: PdoSettings, settings: PdoSettings, done: int, count: int) -> Procedure[None]:
     """Write the old settings. The step after the `done` ones may have been executed: an answer may have been lost."""
-    standing = settings.cob_id if done == count - 1 else before.cob_id  # a strict device wants this COB-ID when it is destroyed
-    for step in before.steps(standing):
+    present = settings.cob_id if done == count - 1 else before.cob_id  # a strict device wants this COB-ID when it is destroyed
+    for step in before.steps(present):
         yield from download(node.sdo, *step)
 
 

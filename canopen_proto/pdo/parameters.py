@@ -59,8 +59,8 @@ class DevicePdos(Owner):
 
     values: the device's memory, which the PDOs read and write. consumers, producers: by PDO number, 1..512. No machine is added
     or removed later. faults: the error in a parameter, by its index. sends_on_start: send each event-driven TPDO once on entering
-    Operational, so that a master that has just begun to listen gets the present values. CANopenNode's devices do so (seen in a
-    recorded session), Lely's do not; CiA 401 asks for it (from memory), CiA 301 leaves it open.
+    Operational, so that a master that has just begun to listen gets the present values. CANopenNode's devices (seen in a
+    recorded session) and I/O modules such as Bürkert's 8645 do so, Lely's do not; CiA 301 leaves it open.
     """
 
     __slots__ = (

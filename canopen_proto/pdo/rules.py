@@ -107,8 +107,8 @@ class PdoWriteRules:
     def _check_cob_id(self, place: PdoPlace, cob_id: int) -> AbortCode | None:
         if cob_id & COB_ID_INVALID:
             return None
-        standing = self._at(place, COB_ID, COB_ID_INVALID)
-        refusal = check_cob_id(cob_id, standing, in_use=not standing & COB_ID_INVALID)
+        present = self._at(place, COB_ID, COB_ID_INVALID)
+        refusal = check_cob_id(cob_id, present, in_use=not present & COB_ID_INVALID)
         if refusal is not None:
             return refusal
         if mapping_index(place.direction, place.number) in self._faults:

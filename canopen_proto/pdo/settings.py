@@ -192,9 +192,9 @@ class PdoSettings:
         communication, mapping = communication_index(*self.place), mapping_index(*self.place)
         if len(self.entries) > MAX_ENTRIES:
             raise MappingError(f"{self.name}: {len(self.entries)} entries; a PDO has {MAX_ENTRIES} at most")
-        standing = self.cob_id if current_cob_id is None else current_cob_id
+        present = self.cob_id if current_cob_id is None else current_cob_id
         steps = [
-            _step(communication, COB_ID, standing | COB_ID_INVALID, DataType.UNSIGNED32),
+            _step(communication, COB_ID, present | COB_ID_INVALID, DataType.UNSIGNED32),
             _step(mapping, 0, 0, DataType.UNSIGNED8),
             *(_step(mapping, subindex, each, DataType.UNSIGNED32) for subindex, each in enumerate(self.entries, start=1)),
             _step(mapping, 0, len(self.entries), DataType.UNSIGNED8),

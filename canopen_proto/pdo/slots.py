@@ -167,7 +167,7 @@ class PdoSlots:
         return [pdo for pdo in usable if pdo.direction is direction and can_ids.count(pdo.cob_id & _CAN_ID) == 1]
 
     def foreign(self) -> list[PdoSlot]:
-        """Return the valid PDOs that would disturb, or obey, another node."""
+        """Return the valid PDOs with a CAN-ID of another node: they disturb what it sends, or obey what it is sent."""
         return [slot for slot in self.all if slot.pdo.is_valid and not slot.is_ours]
 
     def remapped(

@@ -110,7 +110,7 @@ class Feeder:
             self._fed += len(part)
 
     def whole(self) -> bytes:
-        """Return all pieces, joined."""
+        """Return all pieces, joined. Raises LocalProtocolError if they are not as long as announced."""
         data = b"".join(self._pieces)
         if self._size is not None and len(data) != self._size:
             raise LocalProtocolError(f"{len(data)} bytes to write, {self._size} announced")

@@ -213,14 +213,14 @@ class SdoChannels(Owner):
 
     def check_write(self, index: int, subindex: int, value: Value) -> AbortCode | None:
         """Return why this value may not be written to a record, or None. Its type and limits are right. Changes nothing."""
-        standing = _number(self._values, index, subindex)
-        if not isinstance(value, int) or value == standing:
+        present = _number(self._values, index, subindex)
+        if not isinstance(value, int) or value == present:
             return None
         if subindex == OTHER_NODE:
             return AbortCode.INVALID_VALUE if value > MAX_NODE_ID else None
         if subindex not in (TO_SERVER, TO_CLIENT) or value & COB_ID_INVALID:
             return None
-        return check_cob_id(value, standing, in_use=is_valid(standing), allowed=_allowed(index, subindex))
+        return check_cob_id(value, present, in_use=is_valid(present), allowed=_allowed(index, subindex))
 
     def apply(self, index: int, subindex: int, now: Time) -> None:
         """A value was stored in a record: its channel goes by it from now on.

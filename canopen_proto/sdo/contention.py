@@ -194,7 +194,7 @@ class OtherClient:
 
 
 def spread(now: Time) -> Time:
-    """Return a time of 0 to SPREAD that differs from client to client: the clocks of two are never the same to the ns."""
+    """Return a time of 0 ns up to SPREAD that differs from client to client: the clocks of two are never the same to the ns."""
     return (now ^ now >> 7) * 0x9E3779B1 % SPREAD
 
 

@@ -175,7 +175,7 @@ class Transfer:
     # ---- inputs ----
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        """Take a frame: command is its first byte, data its eight. False, and nothing has changed, if it is none that is due."""
+        """Take a frame. Returns False, and changes nothing, if it is not due. command: its first byte. data: its eight bytes."""
         return False
 
     def handle_timeout(self, now: Time) -> None:

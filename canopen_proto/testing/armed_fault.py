@@ -39,7 +39,7 @@ from canopen_proto.testing.faults import (
 from canopen_proto.testing.patterns import Names, Pattern, is_remote, mux_of, sdo_read, sdo_request, sdo_write
 
 
-class Course(NamedTuple):
+class Transit(NamedTuple):
     """What becomes of a frame on its way. at: when it comes. only: at this receiver; 0: at all. but: not at these ones.
 
     is_late: those behind it with its identifier wait for it. is_loose: it waits for none. fate: what happened to it, in words.
@@ -83,31 +83,31 @@ class ArmedFault:
             return True
         return len(frame.data) >= 4 and frame.data[0] & SPECIFIER in _BEGINNINGS
 
-    def bend(self, course: Course) -> list[Course]:
+    def alter(self, transit: Transit) -> list[Transit]:
         """Return what a FrameFault makes of a frame on its way."""
         fault = self.fault
         assert isinstance(fault, FrameFault)
-        if not fault.to or course.only == fault.to:
-            return self._bent(fault, course)
-        if course.only or fault.to in course.but:
-            return [course]
-        return [course._replace(but=course.but | {fault.to}), *self._bent(fault, course._replace(only=fault.to))]
+        if not fault.to or transit.only == fault.to:
+            return self._altered(fault, transit)
+        if transit.only or fault.to in transit.but:
+            return [transit]
+        return [transit._replace(but=transit.but | {fault.to}), *self._altered(fault, transit._replace(only=fault.to))]
 
-    def _bent(self, fault: FrameFault, course: Course) -> list[Course]:
-        frame, at = course.frame, course.at
+    def _altered(self, fault: FrameFault, transit: Transit) -> list[Transit]:
+        frame, at = transit.frame, transit.at
         match fault:
             case Lose():
-                return [course._replace(fate="lost")]
+                return [transit._replace(fate="lost")]
             case Copy(later=later):
-                return [course, course._replace(at=at + later, is_loose=True, fate="copy")]
+                return [transit, transit._replace(at=at + later, is_loose=True, fate="copy")]
             case Delay(by=by):
-                return [course._replace(at=at + by, is_late=True, fate="late")]
+                return [transit._replace(at=at + by, is_late=True, fate="late")]
             case Reorder(by=by):
-                return [course._replace(at=at + by, is_loose=True, fate="out of order")]
+                return [transit._replace(at=at + by, is_loose=True, fate="out of order")]
             case Corrupt(flip=flip):
-                return [course._replace(frame=self._corrupted(frame, flip), fate="corrupted")]
+                return [transit._replace(frame=self._corrupted(frame, flip), fate="corrupted")]
             case Replace(data=data):
-                return [course._replace(frame=Frame(frame.can_id, data, frame.flags), fate="replaced")]
+                return [transit._replace(frame=Frame(frame.can_id, data, frame.flags), fate="replaced")]
             case _:
                 raise LocalProtocolError(f"{fault} is no fault that a World knows")
 

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import NEVER, LocalProtocolError, Time
-from canopen_proto.testing.armed_fault import ArmedFault, Course
+from canopen_proto.testing.armed_fault import ArmedFault, Transit
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import FrameFault, Lie, Refuse, SecondMaster, Sudden
 from canopen_proto.testing.judge import Judge
@@ -61,7 +61,7 @@ class _Sent(NamedTuple):
 class _Late(NamedTuple):
     at: Time
     number: int
-    course: Course
+    transit: Transit
     sender: WorldMember | None
 
 
@@ -151,7 +151,7 @@ class WorldBus:
             try:
                 self._cable.send(self._members[sender], frame, now)
             except LocalProtocolError:
-                self._record(Course(frame, now, fate="lost"), sender, now)
+                self._record(Transit(frame, now, fate="lost"), sender, now)
             return
         least, most = self._transmission
         at = self._last_at = max(now, self._last_at) + self._draws.between(least, most)
@@ -172,7 +172,7 @@ class WorldBus:
         """Let the frames come that are due."""
         if self._late and self._late[0].at <= now:
             late = heapq.heappop(self._late)
-            self._deliver(late.course, late.sender, now)
+            self._deliver(late.transit, late.sender, now)
         elif self._sent and self._sent[0].at <= now:
             sent = heapq.heappop(self._sent)
             self.arrive(sent.frame, sent.sender, now)
@@ -189,7 +189,7 @@ class WorldBus:
 
     def arrive(self, frame: Frame, sender: WorldMember | None, now: Time) -> None:
         """Carry a frame past the faults, at the end of its transmission."""
-        courses = [Course(frame, now)]
+        transits = [Transit(frame, now)]
         moments, answers = [], []
         for armed in self._faults:
             if sender is self._second_master and isinstance(armed.fault, SecondMaster):
@@ -198,45 +198,47 @@ class WorldBus:
                 continue
             fault = armed.fault
             if isinstance(fault, FrameFault):
-                courses = [bent for course in courses for bent in armed.bend(course)]
+                transits = [altered for transit in transits for altered in armed.alter(transit)]
             elif isinstance(fault, Refuse | Lie):
                 note = f"node {fault.node_id} answers otherwise"
-                courses = [course._replace(but=course.but | {fault.node_id}, fate=course.fate or note) for course in courses]
+                transits = [
+                    transit._replace(but=transit.but | {fault.node_id}, fate=transit.fate or note) for transit in transits
+                ]
                 answers.append((armed.answer(frame, self.names), fault.node_id))
             elif isinstance(fault, Sudden):
                 moments.append(fault)
-        for course in courses:
-            self._forward(course, sender, now)
+        for transit in transits:
+            self._forward(transit, sender, now)
         for answer, node_id in answers:
             self.put(answer, next((each for each in self.participants if each.node_id == node_id), None))
         for moment in moments:
             self._on_sudden(moment)
 
-    def _forward(self, course: Course, sender: WorldMember | None, now: Time) -> None:
-        if course.fate == "lost":
-            self._record(course, sender, now)
+    def _forward(self, transit: Transit, sender: WorldMember | None, now: Time) -> None:
+        if transit.fate == "lost":
+            self._record(transit, sender, now)
             return
-        place = (course.frame.key, course.only)
-        at = course.at
-        if not course.is_loose:
+        place = (transit.frame.key, transit.only)
+        at = transit.at
+        if not transit.is_loose:
             at = max(at, self._held.get(place, 0))
-        if course.is_late:
+        if transit.is_late:
             self._held[place] = at
         if at <= now:
-            self._deliver(course, sender, now)
+            self._deliver(transit, sender, now)
         else:
             self._count += 1
-            heapq.heappush(self._late, _Late(at, self._count, course, sender))
+            heapq.heappush(self._late, _Late(at, self._count, transit, sender))
 
-    def _deliver(self, course: Course, sender: WorldMember | None, now: Time) -> None:
-        self._record(course, sender, now)
+    def _deliver(self, transit: Transit, sender: WorldMember | None, now: Time) -> None:
+        self._record(transit, sender, now)
         for participant in tuple(self.participants):
             if participant is sender:
                 continue
             node_id = participant.node_id
-            if course.only in (0, node_id) and node_id not in course.but:
-                participant.hear(course.frame, now)
+            if transit.only in (0, node_id) and node_id not in transit.but:
+                participant.hear(transit.frame, now)
 
-    def _record(self, course: Course, sender: WorldMember | None, now: Time) -> None:
-        fate = f"{course.fate} at node {course.only}" if course.only and course.fate else course.fate
-        self.trace.append(Passed(now, course.frame, "" if sender is None else sender.name, fate, course.only))
+    def _record(self, transit: Transit, sender: WorldMember | None, now: Time) -> None:
+        fate = f"{transit.fate} at node {transit.only}" if transit.only and transit.fate else transit.fate
+        self.trace.append(Passed(now, transit.frame, "" if sender is None else sender.name, fate, transit.only))

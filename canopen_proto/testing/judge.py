@@ -56,6 +56,7 @@ class Judge:
         self._names = names
         self._observer: Observer | None = None
         self._witnessed: list[Witnessed] = []
+        self._missed: list[Found] = []  # by silence, as far as it was asked; the observer tells each once
 
     def witnessed(self) -> list[Witnessed]:
         """Return all frames so far, with what is to say of them."""
@@ -70,6 +71,7 @@ class Judge:
         """Look at all frames anew: another device is known now."""
         self._observer = None
         self._witnessed = []
+        self._missed = []
 
     def lines(self) -> list[str]:
         """Return all frames in words."""
@@ -86,7 +88,8 @@ class Judge:
         ]
         assert self._observer is not None
         now = self._clock()
-        return found + [Found(now, finding) for finding in self._observer.idle(now)[0]]
+        self._missed += [Found(now, finding) for finding in self._observer.idle(now)[0]]
+        return sorted(found + self._missed, key=lambda each: each.time)
 
     def clean(self, but: Collection[str] = ()) -> None:
         """Check that nothing was wrong. but: rules (canopen_proto.observer.observer.RULES) that may be broken.

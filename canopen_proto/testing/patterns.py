@@ -294,7 +294,7 @@ def mux_of(frame: Frame) -> Mux:
 
 
 def expedited_data(frame: Frame) -> bytes | None:
-    """Return the bytes in an expedited SDO frame; None if it is none."""
+    """Return the data bytes of an expedited SDO frame; None for another SDO frame."""
     command = frame.data[0]
     if not command & EXPEDITED_BIT or command & SPECIFIER == BLOCK_DOWNLOAD:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -14,6 +14,8 @@ __all__ = ["DictionaryError", "Finding", "Severity"]
 
 MAX_SHOWN: Final = 10
 """Errors listed in the text of one exception. The rest is counted: a binary file read by mistake has thousands."""
+MAX_TOLD: Final = 6
+"""Places listed in the text of one finding."""
 
 
 class Severity(StrEnum):
@@ -39,6 +41,12 @@ class Finding:
     def __str__(self) -> str:
         where = f"{self.source}:{self.line}:{self.column}" if self.line else self.source
         return f"{where}: {self.severity}: {self.message} [{self.code}]"
+
+
+def first_of(places: Sequence[str]) -> str:
+    """Return the first MAX_TOLD places, and how many more there are: "0x2000, 0x2001 and 5 more"."""
+    hidden = len(places) - MAX_TOLD
+    return ", ".join(places) if hidden <= 0 else f"{', '.join(places[:MAX_TOLD])} and {hidden} more"
 
 
 class DictionaryError(Explained, LocalProtocolError, ValueError):

@@ -29,7 +29,7 @@ from canopen_data.eds.ini import EdsDocument, Section, fold
 from canopen_data.eds.reader import read_eds
 from canopen_data.eds.writer_document import changed_text
 from canopen_data.eds.writer_sections import OBJECT_LISTS, Entries, Sections, sections_of
-from canopen_data.findings import Finding, Severity
+from canopen_data.findings import Finding, Severity, first_of
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType, is_integer
 from canopen_proto.dictionary.model import ObjectDictionary
@@ -46,8 +46,6 @@ _LINE: Final = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
 _NUMBER: Final = re.compile(r"(\$NODEID\+)?(0[xX][0-9A-Fa-f]+|-?[0-9]+)", re.ASCII)
 _PLACE: Final = re.compile(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?")
 _COMPACT: Final = "compactsubobj"
-MAX_TOLD: Final = 6
-"""Objects that one repair lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,8 +185,8 @@ class _Repairs:
             has = [int(text, 16) for text in named.values()]
             gone = [f"0x{number:04X}" for number in dict.fromkeys(had) if number not in has]
             come = [f"0x{number:04X}" for number in has if number not in had]
-            parts = [f"{_some(come)} added"] if come else []
-            parts += [f"{_some(gone)} taken out, which has no section or is in another list"] if gone else []
+            parts = [f"{first_of(come)} added"] if come else []
+            parts += [f"{first_of(gone)} taken out, which has no section or is in another list"] if gone else []
             parts += ["renumbered"] if not parts else []
             self._tell("list", f"[{name}]: {', '.join(parts)}", line, 1)
             old.clear()
@@ -284,8 +282,3 @@ def _same_number(text: str, wanted: str) -> bool:
 
 def _listed(entries: Entries) -> str:
     return f"SupportedObjects={entries['SupportedObjects']}"
-
-
-def _some(places: list[str]) -> str:
-    hidden = len(places) - MAX_TOLD
-    return ", ".join(places) if hidden <= 0 else f"{', '.join(places[:MAX_TOLD])} and {hidden} more"

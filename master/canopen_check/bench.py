@@ -75,8 +75,8 @@ SUPERVISION_PERIOD: Final = 100 * MILLISECOND
 
 T = TypeVar("T")
 
-Stimulus: TypeAlias = Callable[[Variable, Time], None]
-"""Makes the device change the value of a process object, now."""
+Stimulus: TypeAlias = Callable[[Variable, Time], bool]
+"""Makes the device change the value of a process object, now. Returns whether that could be done."""
 
 
 class Bench:
@@ -401,12 +401,9 @@ class Bench:
             expect_equal(int.from_bytes(content, "little"), number, f"{when}, 0x{index:04X}:{subindex:02X}")
 
     def stimulate(self, variable: Variable) -> Procedure[bool]:
-        """Make a process object change by `stimulus`; return whether there is one."""
+        """Make a process object change by `stimulus`; return whether it did."""
         stimulus = self.stimulus
-        if stimulus is None:
-            return False
-        yield from act(lambda now: stimulus(variable, now))
-        return True
+        return stimulus is not None and (yield from act(lambda now: stimulus(variable, now)))
 
 
 def _encoded(variable: Variable, value: Value) -> bytes | None:

@@ -63,8 +63,8 @@ def configurable(bench: Bench, indices: range) -> list[int]:
 def write_channel(bench: Bench, index: int, to_server: int, to_client: int) -> Procedure[None]:
     """Give a record other COB-IDs, in the order that the standard wants: not valid first. to_server, to_client: the COB-IDs."""
     for subindex, cob_id in ((TO_SERVER, to_server), (TO_CLIENT, to_client)):
-        standing = yield from bench.number(index, subindex)
-        yield from bench.write(index, subindex, standing | COB_ID_INVALID)
+        present = yield from bench.number(index, subindex)
+        yield from bench.write(index, subindex, present | COB_ID_INVALID)
         yield from bench.write(index, subindex, cob_id)
 
 

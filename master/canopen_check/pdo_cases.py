@@ -4,17 +4,21 @@
 The cases 3 to 8 set each TPDO up in one way and check it in Operational. 9 to 14 do the same in Stopped and 15 to 20 in
 Pre-operational, where no PDO may come. The state is commanded each time. Before SYNCs are counted, the device's own SYNC is
 stopped. pdo_mapping_cases.py has the cases that write to mappings.
+
+Values may change by themselves meanwhile: an input that flaps, a device whose own code sets the value again. Each such change is
+an event, and a TPDO with other data than the one before it tells one. It is counted apart, and the verdict says so.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Final, TypeAlias
 
-from canopen_check.bench import REACTION_TIME, Bench
+from canopen_check.bench import PERIOD_TOLERANCE, REACTION_TIME, Bench
 from canopen_check.case import Body, Case, for_each
-from canopen_check.expectations import expect_refusal
+from canopen_check.expectations import TimingError, expect_refusal
 from canopen_check.pdo_tools import (
     Pdo,
     all_pdos,
@@ -37,7 +41,7 @@ from canopen_proto.indices import COB_ID_SYNC
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.settings import COB_ID, EVENT_TIMER, MAX_PDOS, SYNC_START
-from canopen_proto.procedures.steps import Procedure
+from canopen_proto.procedures.steps import Procedure, current_time
 from canopen_proto.verdict import ViolationError, does_not_apply, expect, expect_equal
 
 SYNC_OVERFLOW: Final = indices.SYNCHRONOUS_COUNTER_OVERFLOW_VALUE
@@ -51,6 +55,9 @@ EVENT_TYPES: Final = (MANUFACTURER_EVENTS, PROFILE_EVENTS)
 EVENT_TIME: Final = 100 * MILLISECOND
 
 UNFORCED: Final = "no stimulus: no event could be caused"
+RESTLESS: Final = "its values change by themselves: each change is an event too"
+WATCHED: Final = 8
+"""SYNCs, at uneven times, in which a value that changes by itself shows it."""
 
 _COMMANDS: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
@@ -182,9 +189,15 @@ def _look_for_event(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]
     if variable is None or not (yield from bench.stimulate(variable)):
         return UNFORCED
     heard = yield from bench.frames_within(key_of(bench, pdo), REACTION_TIME)
-    expect_equal(len(heard), int(live), f"the number of {pdo} for one event")
+    own = _changes(heard)
+    expect_equal(len(heard) - own, int(live), f"the number of {pdo} for one event")
     expect_data(bench, pdo, heard)
-    return None
+    return RESTLESS if own else None
+
+
+def _changes(heard: list[FrameHeard]) -> int:
+    """How many of these frames tell another value than the one before."""
+    return sum(before.frame.data != after.frame.data for before, after in pairwise(heard))
 
 
 def event_timer(state: NmtState, bench: Bench) -> Procedure[str]:
@@ -192,14 +205,22 @@ def event_timer(state: NmtState, bench: Bench) -> Procedure[str]:
     return (yield from _each_tpdo(bench, state, (PROFILE_EVENTS,), _look_for_period, event_time=EVENT_TIME))
 
 
-def _look_for_period(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
-    key = key_of(bench, pdo)
-    if live:
-        heard = yield from bench.expect_period(key, 1 * SECOND, EVENT_TIME, f"{pdo}")
-    else:
-        heard = yield from bench.frames_within(key, 1 * SECOND)
+def _look_for_period(bench: Bench, pdo: Pdo, live: bool) -> Procedure[str | None]:
+    begin = yield from current_time()
+    heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
+    own = live and _changes(heard)
+    if not live:
         expect_equal(len(heard), 0, f"the number of {pdo} by its event timer")
+    elif own:  # they come besides, and may begin the time anew: it is the longest pause
+        times = [begin, *(each.at for each in heard), (yield from current_time())]
+        pause = max(after - before for before, after in pairwise(times))
+        if pause > EVENT_TIME * (1 + PERIOD_TOLERANCE):
+            text = f"{pdo} did not come for {pause / MILLISECOND:.0f} ms"
+            raise TimingError(f"{text}; its event timer is {EVENT_TIME / MILLISECOND:g} ms ± {PERIOD_TOLERANCE:.0%}")
+    else:
+        bench.check_period(heard, begin, (yield from current_time()), EVENT_TIME, f"{pdo}")
     expect_data(bench, pdo, heard)
+    return RESTLESS if own else None
 
 
 def cyclic(state: NmtState, bench: Bench) -> Procedure[str]:
@@ -222,13 +243,17 @@ def _look_for_nth_sync(period: int, bench: Bench, pdo: Pdo, live: bool) -> Proce
 
 def _after_syncs(bench: Bench, pdo: Pdo, counters: Sequence[int | None]) -> Procedure[list[int]]:
     """Send SYNCs with these counters; return how many times the PDO came after each."""
+    came = yield from _heard_after_syncs(bench, pdo, counters)
+    return [len(heard) for heard in came]
+
+
+def _heard_after_syncs(bench: Bench, pdo: Pdo, counters: Sequence[int | None]) -> Procedure[list[list[FrameHeard]]]:
     came = []
     for counter in counters:
         bench.probe.forget(key_of(bench, pdo))
         yield from bench.sync(counter)
-        heard = bench.probe.take_all(key_of(bench, pdo))
-        expect_data(bench, pdo, heard)
-        came.append(len(heard))
+        came.append(bench.probe.take_all(key_of(bench, pdo)))
+        expect_data(bench, pdo, came[-1])
     return came
 
 
@@ -246,9 +271,22 @@ def _look_for_event_and_sync(bench: Bench, pdo: Pdo, live: bool) -> Procedure[st
         yield from bench.expect_silence(key, REACTION_TIME, f"{pdo} of type 0, without SYNC")
         return UNFORCED
     yield from bench.expect_silence(key, REACTION_TIME, f"{pdo} of type 0, before SYNC")
-    came = yield from _after_syncs(bench, pdo, [None, None])
-    expect_equal(came, [int(live), 0], f"the number of {pdo} at the SYNC behind its event, and at the next,")
+    first, second = yield from _heard_after_syncs(bench, pdo, [None, None])
+    if live and len(first) == len(second) == 1 and (yield from _is_restless(bench, pdo, first + second)):
+        return RESTLESS
+    expect_equal([len(first), len(second)], [int(live), 0], f"the number of {pdo} at the SYNC behind its event, and at the next,")
     return None
+
+
+def _is_restless(bench: Bench, pdo: Pdo, heard: list[FrameHeard]) -> Procedure[bool]:
+    """Whether a TPDO that comes at each SYNC tells that its values change: then each may have an event of its own."""
+    for number in range(WATCHED):
+        if _changes(heard):
+            return True
+        yield from bench.sleep(number * 3 * MILLISECOND)
+        (more,) = yield from _heard_after_syncs(bench, pdo, [None])
+        heard = heard + more
+    return _changes(heard) > 0
 
 
 def sync_start_value(state: NmtState, bench: Bench) -> Procedure[str]:

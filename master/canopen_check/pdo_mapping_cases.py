@@ -100,8 +100,8 @@ def _candidates(bench: Bench, direction: Direction) -> list[Variable]:
 
 def _new_entry(bench: Bench, pdo: Pdo) -> int:
     """Return an entry that differs from the PDO's first one."""
-    standing = bench.default(pdo.mapping, 1)
-    found = [entry_of(variable) for variable in _candidates(bench, pdo.direction) if entry_of(variable) != standing]
+    present = bench.default(pdo.mapping, 1)
+    found = [entry_of(variable) for variable in _candidates(bench, pdo.direction) if entry_of(variable) != present]
     if not found:
         does_not_apply(f"nothing else can be mapped to {pdo}")
     return found[0]

@@ -2,8 +2,9 @@
 
 The heartbeat shows the state, or guarding if a device has no heartbeat (`Bench.supervise`).
 
-By CiA 301 a device is Pre-operational after its boot-up. CiA 302-2 (0x1F80) lets a device start by itself, and certified ones do.
-So a device that is Operational after its boot-up gets a remark, and fails a strict test unless it has that object.
+By CiA 301 a device is Pre-operational after its boot-up. Bit 2 of 0x1F80 (CiA 302-2) lets a device start by itself, and
+certified ones do. So a device that is Operational after its boot-up gets a remark, and fails a strict test unless it has that
+object.
 """
 
 from __future__ import annotations
@@ -38,8 +39,6 @@ _LEADS_TO: Final = {
     NmtState.OPERATIONAL: NmtCommand.START,
     NmtState.STOPPED: NmtCommand.STOP,
 }
-"""NMT start-up: may make a device start by itself. CiA 302-2, from memory."""
-
 _RESETS: Final = (NmtCommand.RESET_NODE, NmtCommand.RESET_COMMUNICATION)
 
 

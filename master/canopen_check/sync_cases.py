@@ -156,7 +156,8 @@ def kept_counter(bench: Bench) -> Procedure[None]:
 
 
 def put_back(bench: Bench) -> Procedure[None]:
-    """Put back and save the old values, in an order that the objects accept. SYNC is stopped."""
+    """Write the values of the dictionary back, and save them. The period is 0 meanwhile: the other two objects may change only
+    then."""
     for index, value in ((CYCLE_PERIOD, 0), *((index, bench.default(index)) for index in (OVERFLOW, COB_ID_SYNC, CYCLE_PERIOD))):
         yield from bench.write(index, 0, value)
     yield from save(bench)

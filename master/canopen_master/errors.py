@@ -34,6 +34,8 @@ HALT_NOT_CONFIRMED: Final = "CO131"
 """The master has been left, and a drive did not confirm that it stands."""
 PACKAGE_MISSING: Final = "CO141"
 REALTIME_REFUSED: Final = "CO142"
+CALL_TIMEOUT: Final = "CO143"
+"""A call of the blocking master took longer than its `timeout`."""
 NO_ANSWER: Final = "CO201"
 REFUSED: Final = "CO202"
 GIVEN_UP: Final = "CO203"
@@ -111,6 +113,15 @@ class MasterClosedError(MasterError):
 
 class HaltNotConfirmedError(MasterError):
     """The master was left, and at least one drive that was enabled did not confirm that it stands."""
+
+
+class CallTimeoutError(MasterError, TimeoutError):
+    """A call of the blocking master took longer than its `timeout`, and was taken back. timeout: seconds."""
+
+    def __init__(self, timeout: float) -> None:
+        failed = f"the call was not done within {timeout:g} s, and was taken back"
+        super().__init__(CALL_TIMEOUT, failed, tries=("a longer timeout",))
+        self.timeout = timeout
 
 
 class NodeError(MasterError):

@@ -10,9 +10,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_data import load_dictionary
 from canopen_data.descriptions import load_description_with_names
 from canopen_master.motion.chain import Chain, ChainSettings, ChainState
@@ -33,6 +30,7 @@ from canopen_proto.machine import Event, LocalProtocolError
 from canopen_proto.procedures.steps import all_of
 from canopen_proto.remote_node import RemoteNode
 from canopen_transports import Transport
+from canopen_transports.loop import CancelScope, protected
 from canopen_transports.realtime import Measure
 
 E = TypeVar("E", bound=Event)
@@ -52,7 +50,7 @@ class Master(Participant):
 
     devices: the drives by node and axis. chains: those made so far, by name. nodes, joints: those of the machine file, by name.
     halts: once the master was left, the halts of its drives. realtime: what the operating system was asked for. Times are in
-    seconds here, as everywhere in trio.
+    seconds here.
     """
 
     def __init__(
@@ -87,7 +85,7 @@ class Master(Participant):
             self._dictionary, _ = load_dictionary()
         return self._dictionary
 
-    @enable_ki_protection
+    @protected
     def node(
         self,
         node_id: int,
@@ -130,7 +128,7 @@ class Master(Participant):
             node.keep_pdos()
         return node
 
-    @enable_ki_protection
+    @protected
     def device(self, node: Node, name: str = "", settings: AxisSettings | None = None, *, axis: int = 0) -> Device:
         """Return the drive on a node; the same object each time. If it is enabled when the master is left, it is halted.
 
@@ -196,7 +194,7 @@ class Master(Participant):
         placed = on_buses(chains, {name: bus.name for name, bus in self.buses.items()})
         return {each.name: self.chain(each, settings, axes=axes, dictionary=dictionary) for each in placed}
 
-    @enable_ki_protection
+    @protected
     def events(self, *kinds: type[E], node: Node | None = None, bus: str | None = None) -> Subscription[E]:
         """Return an async iterator over all events of these kinds from now on: `with master.events(HeartbeatLost) as events:
         ...`.
@@ -205,8 +203,8 @@ class Master(Participant):
         """
         return node.events(*kinds) if node is not None else self.subscribe(kinds, None if bus is None else self.bus(bus))
 
-    @enable_ki_protection
-    async def halt_and_flush(self, scope: trio.CancelScope, longest: float, in_a_hurry: Callable[[], bool]) -> None:
+    @protected
+    async def halt_and_flush(self, scope: CancelScope, longest: float, in_a_hurry: Callable[[], bool]) -> None:
         """Take no new commands, end everything that runs, halt all drives that are enabled, and send what is queued.
 
         scope, longest, in_a_hurry: see `finish`. Afterwards `halts` tells which drives did not confirm that they stand. May be
@@ -223,7 +221,7 @@ class Master(Participant):
         self.launch(all_of(*halts, *map(self.watchdogs.let_go, disabled)))
         await self.finish(scope, longest, in_a_hurry)
 
-    async def _brake_along_paths(self, scope: trio.CancelScope, in_a_hurry: Callable[[], bool]) -> None:
+    async def _brake_along_paths(self, scope: CancelScope, in_a_hurry: Callable[[], bool]) -> None:
         """Let chains that move along a path come to rest on it first, unless somebody is in a hurry. No command comes between.
 
         Drives that no chain leads are halted meanwhile. Those of a chain that follows set-points have got their last one.
@@ -233,13 +231,13 @@ class Master(Participant):
             led = [device for chain in self.chains.values() if chain.state in _LEADING for device in chain.devices]
             others = (each for each in self._halts_needed() if each.device not in led and not each.node.bus_has_failed)
             self.launch(all_of(*(each.run() for each in others)))
-        left, end = scope.deadline - trio.current_time(), trio.current_time() + LONGEST_STOP
+        left, end = scope.deadline - self._loop.current_time(), self._loop.current_time() + LONGEST_STOP
         scope.deadline += LONGEST_STOP
         while self.failure is None and self._brakes_along_paths():
-            if in_a_hurry() or trio.current_time() > end:
+            if in_a_hurry() or self._loop.current_time() > end:
                 break
-            await trio.sleep(_LOOK)
-        scope.deadline = trio.current_time() + left
+            await self._loop.sleep(_LOOK)
+        scope.deadline = self._loop.current_time() + left
         self._abandon_motions()
 
     def _brakes_along_paths(self) -> bool:

@@ -7,9 +7,6 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 from typing import Any, TypeVar, overload
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.errors import NOT_HEARD, UNEXPECTED_ANSWER, NodeSilentError, SdoError, UnexpectedAnswerError
 from canopen_master.node_pdos import NodePdos
 from canopen_master.participant.bus import Bus
@@ -35,6 +32,7 @@ from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_proto.pdo.configure import PdoDifference
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import Block, SdoAborted, SdoDownloaded, SdoUploaded
+from canopen_transports.loop import current_loop, protected
 
 E = TypeVar("E", bound=Event)
 T = TypeVar("T", bound=Value)
@@ -116,7 +114,7 @@ class Node(Peer):
             raise self._unexpected(variable, uploaded, error) from error
 
     async def read_message(self, key: Key, *, block: Block = False) -> Message:
-        """Read an object: its value, its name, and the constants that it bears. timestamp: when it came, ns on trio's clock.
+        """Read an object: its value, its name, and the constants that it bears. timestamp: when it came, ns on the loop's clock.
 
         Bits 12 and 13 of the statusword depend on the mode of operation. If one is set, 0x6061 is read too.
         """
@@ -241,7 +239,7 @@ class Node(Peer):
         await self._pdos.wait()
         return self._pdos.differences
 
-    @enable_ki_protection
+    @protected
     def enable_rpdo(self, number: int, enabled: bool = True) -> None:
         """Send RPDO `number` (1..512) to the node while it is Operational, or stop sending it. It carries `remote.values`.
         enabled: False stops it.
@@ -256,7 +254,7 @@ class Node(Peer):
         self.remote.enable_rpdo(number, self.now(), enabled)
         self._participant.pump.pump()
 
-    @enable_ki_protection
+    @protected
     def send_mpdo(self, number: int, key: Key, value: Value) -> bool:
         """Write an object by RPDO `number`, a multiplexed PDO (`remote.add_mpdo`); see RemoteNode.send_mpdo. Returns False, with
         nothing sent, while the node is not Operational.
@@ -294,7 +292,7 @@ class Node(Peer):
             await self._pdos.wait()
         await self.nmt(NmtCommand.START)
 
-    @enable_ki_protection
+    @protected
     def start_guarding(self, guard_time: float, life_time_factor: int = 3) -> None:
         """Ask the node once per guard time (seconds) whether it lives: for a node without a heartbeat.
 
@@ -303,7 +301,7 @@ class Node(Peer):
         self.remote.start_guarding(round(guard_time * SECOND), life_time_factor, self.now())
         self._participant.pump.pump()
 
-    @enable_ki_protection
+    @protected
     def stop_guarding(self) -> None:
         """Stop node guarding."""
         self.remote.stop_guarding()
@@ -410,7 +408,7 @@ class Node(Peer):
             raise self.error_of(outcome, attempt)
 
     async def _first_of(self, events: Subscription[E], timeout: float, missed: str) -> E:
-        with trio.move_on_after(timeout):
+        with current_loop().move_on_after(timeout):
             return await events.receive()
         failed = f"node {self.node_id} {missed} within {timeout:g} s"
         cause = "it has no reason to: a heartbeat wants a time in 0x1017, a boot-up a reset"

@@ -7,7 +7,7 @@ LONGEST_STOP at most; drives that no chain leads do not wait for that. Only then
 The tasks are shielded all that time: without that a cancel would put nothing on the wire, and the drives would run on. If a
 drive did not confirm that it stands, HaltNotConfirmedError is raised, or a note is added to the exception under way.
 
-Another Ctrl-C on the way out only shortens it to SHUTDOWN_TIME. trio raises it in the main task, which only waits there; the
+Another Ctrl-C on the way out only shortens it to SHUTDOWN_TIME. It reaches the main task, which only waits there; the
 halts are sent by a task of their own. The KeyboardInterrupt leaves the block when the way out is over.
 
 The block's own exception leaves it unchanged, never wrapped in a group: the nursery of the master's tasks does not see it.
@@ -25,9 +25,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, TypeAlias
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.assembly import assemble
 from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmedError, RealtimeRefusedError
 from canopen_master.machine_file import MachineFile, read_machine
@@ -38,6 +35,7 @@ from canopen_proto.dictionary.model import did_you_mean
 from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG, Watchdog
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_transports import NarrowTransport, Transport, TransportError, open_transport
+from canopen_transports.loop import current_loop, protected
 from canopen_transports.realtime import Grant, Realtime
 
 LOGGER: Final = logging.getLogger("canopen_master")
@@ -68,10 +66,11 @@ def open_master(
     locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
     names may mean one bus. sdo_timeout: seconds that a device may take for each answer; by default 0.5. heartbeat_timeout:
     seconds after which a node whose heartbeat stops is lost (chains then have their joints send heartbeats); by default 0, no
-    supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how drives notice that
-    this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none. See watchdog.py.
-    realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for `Realtime()`; by default
-    nothing. `Master.realtime` and the log say what was given. It is for the thread that runs trio; at the end it is given back.
+    supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how drives notice
+    that this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none. See
+    watchdog.py. realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for
+    `Realtime()`; by default nothing. `Master.realtime` and the log say what was given. It is for the thread that runs the
+    loop; at the end it is given back.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the
@@ -132,13 +131,13 @@ class MasterSession:
         self._make = make
         self._open_transports = AsyncExitStack()
 
-    @enable_ki_protection
+    @protected
     async def __aenter__(self) -> Master:
         try:
             grant = self._ask_for_realtime()
             self._master = self._make(*await self._open())
             self._master.realtime = () if grant is None else tuple(grant.measures)
-            self._tasks = trio.open_nursery()
+            self._tasks = current_loop().open_nursery()
             self._nursery = await self._tasks.__aenter__()
         except BaseException:
             await self._close()
@@ -147,7 +146,7 @@ class MasterSession:
         self._master.body.__enter__()
         return self._master
 
-    @enable_ki_protection
+    @protected
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> bool:
@@ -175,7 +174,11 @@ class MasterSession:
             return False
         raise result
 
-    @enable_ki_protection
+    def hurry(self) -> None:
+        """Shorten the way out to SHUTDOWN_TIME, as a Ctrl-C does that comes meanwhile."""
+        self._nursery.cancel_scope.cancel()
+
+    @protected
     async def _serve(self) -> None:
         """Run the pump until it is stopped, then close the transports."""
         try:
@@ -183,18 +186,18 @@ class MasterSession:
         finally:
             await self._close()
 
-    @enable_ki_protection
+    @protected
     async def _halt(self) -> None:
         """End the session: see this module's text."""
         try:
-            begun = trio.current_time()
-            with trio.CancelScope(shield=True, deadline=begun + SHUTDOWN_TIME) as scope:
+            begun = current_loop().current_time()
+            with current_loop().cancel_scope(shield=True, deadline=begun + SHUTDOWN_TIME) as scope:
                 await self._master.halt_and_flush(scope, begun + BRAKING_TIME, self._was_interrupted)
         finally:
             self._master.pump.stop()
 
     def _was_interrupted(self) -> bool:
-        """Return whether a Ctrl-C came during the halt: trio then cancels the nursery, and raises at its end."""
+        """Return whether a Ctrl-C came during the halt: it then cancels the nursery, and comes at its end."""
         return self._nursery.cancel_scope.cancel_called
 
     def _ask_for_realtime(self) -> Grant | None:
@@ -244,7 +247,7 @@ class MasterSession:
         return transports, aliases
 
     async def _close(self) -> None:
-        with trio.CancelScope(shield=True):
+        with current_loop().cancel_scope(shield=True):
             await self._open_transports.aclose()
 
 
@@ -270,8 +273,8 @@ def _is_interrupt(error: BaseException | None) -> bool:
 def _is_cancelled(error: BaseException) -> bool:
     """Return whether an exception is Cancelled, or a group of nothing else: the cancelled scope will catch it."""
     if isinstance(error, BaseExceptionGroup):
-        return error.split(trio.Cancelled)[1] is None
-    return isinstance(error, trio.Cancelled)
+        return error.split(current_loop().Cancelled)[1] is None
+    return isinstance(error, current_loop().Cancelled)
 
 
 def _not_confirmed(problems: str) -> HaltNotConfirmedError:

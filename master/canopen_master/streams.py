@@ -21,9 +21,6 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Final, TypeAlias
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.participant.peer import Peer
 from canopen_master.participant.requests import OpenRequest
 from canopen_proto.machine import LocalProtocolError, Outcome
@@ -31,6 +28,7 @@ from canopen_proto.sdo.block_client import lacks_blocks
 from canopen_proto.sdo.client import AUTO_BLOCK, MAX_UPLOAD, Block
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.transfer import Buffer
+from canopen_transports.loop import LoopToken, current_loop, protected
 
 MAX_WHOLE: Final = MAX_UPLOAD
 """The most bytes held for a server without block transfer: as many as the SDO client takes in one upload."""
@@ -48,17 +46,18 @@ class ReadStream:
 
     def __init__(self, node: Peer, index: int, subindex: int, block: Block) -> None:
         self.size = 0
+        self._loop = current_loop()
         self._node = node
         self._place = index, subindex
         self._block = block
         self._request: OpenRequest | None = None
-        self._token: trio.lowlevel.TrioToken | None = None
+        self._token: LoopToken | None = None
         self._is_over = False
 
     def __aiter__(self) -> ReadStream:
         return self
 
-    @enable_ki_protection
+    @protected
     async def __anext__(self) -> bytes:
         if self._is_over:
             raise StopAsyncIteration
@@ -76,7 +75,7 @@ class ReadStream:
     async def aclose(self) -> None:
         """Close the stream. A transfer under way is aborted on the wire."""
         self._close()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
 
     async def __aenter__(self) -> ReadStream:
         return self
@@ -89,7 +88,7 @@ class ReadStream:
     def __del__(self) -> None:
         # Taken back later: Python may run this anywhere, even in the middle of a machine's turn.
         if self._request is not None and self._token is not None:
-            with suppress(trio.RunFinishedError):
+            with suppress(self._loop.RunFinishedError):
                 self._token.run_sync_soon(self._request.take_back)
 
     def _close(self) -> None:
@@ -103,7 +102,7 @@ class ReadStream:
         if self._request is None:
             if not (client.serves_blocks if self._block == "auto" else self._block):
                 return await self._whole()
-            self._token = trio.lowlevel.current_trio_token()
+            self._token = self._loop.token()
             self._request = node.begin(lambda now: client.upload_stream(*self._place, now))
         else:
             client.proceed(self._request.request_id, node.now())

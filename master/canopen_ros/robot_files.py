@@ -31,7 +31,8 @@ _SI: Final = {Unit.RADIAN: 1.0, Unit.DEGREE: math.pi / 180, Unit.TURN: 2 * math.
 
 
 class RobotFiles(NamedTuple):
-    """files: by their names in the package. missing: what they lack, and the user has to fill in. controllers: by chain."""
+    """The files of a ROS package for a robot. files: their contents, by name. missing: what they lack, and the user has to fill
+    in. controllers: the name of the controller of each chain."""
 
     files: Mapping[str, bytes]
     missing: tuple[str, ...]

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from canopen_testing.fixture_types import SimDrive as SimDrive
     from canopen_testing.fixture_types import SimNode as SimNode
     from canopen_testing.program_world import ProgramWorld as ProgramWorld
-    from canopen_testing.wall_clock import WallClockWaitError as WallClockWaitError
+    from canopen_testing.real_time import ThreadStartedError as ThreadStartedError
+    from canopen_testing.real_time import WallClockWaitError as WallClockWaitError
 else:
     from canopen_proto.lazy_names import lazy_names
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 import pytest
@@ -18,8 +19,7 @@ from canopen_master import open_master
 from canopen_master.errors import MasterError
 from canopen_proto.dictionary import Variable
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import Time
-from canopen_proto.simulation.drive.node import DriveNode
+from canopen_proto.machine import LocalProtocolError, Time
 from canopen_proto.verdict import Result, Verdict
 
 RunCase: TypeAlias = Callable[[], Verdict]
@@ -88,13 +88,19 @@ async def check_on_bus(case: Case, device: RealDevice) -> Verdict:
 def _in_world(case: Case, device: LocalNode, request: pytest.FixtureRequest) -> Verdict:
     world = request.getfixturevalue("canopen_world")
     master = world.master()
-
-    def change(variable: Variable, now: Time) -> None:
-        value = device.values.store[variable.mux]
-        if isinstance(value, int):
-            device.set_value(variable.index, variable.subindex, value ^ 1, now)
-
-    stimulus = None if isinstance(device, DriveNode) else change  # a drive changes its values itself
-    bench = Bench(master.runs, device.node_id, device.dictionary, stimulus=stimulus)
+    bench = Bench(master.runs, device.node_id, device.dictionary, stimulus=partial(_change, device))
     verdict: Verdict = master.run(case.run(bench))
     return verdict
+
+
+def _change(device: LocalNode, variable: Variable, now: Time) -> bool:
+    """Let the process of a simulated device change a value, of whatever type: by its lowest bit that its limits let change."""
+    data = variable.encode(device.values.store[variable.mux])
+    for bit in range(8 * len(data)):
+        changed = int.from_bytes(data, "little") ^ 1 << bit
+        try:
+            device.set_value(variable.index, variable.subindex, variable.decode(changed.to_bytes(len(data), "little")), now)
+        except LocalProtocolError:
+            continue
+        return True
+    return False

@@ -13,9 +13,12 @@ is drawn with the seed.
 **asyncio.** The loop (world_loop.py) does the same. Frames come by python-can: `can.Bus(interface="canopen_world",
 channel="can0")` (can_bus.py), or by `World.listener`.
 
-**Waiting in earnest is an error.** `time.sleep` raises WallClockWaitError while a program runs (wall_clock.py). A program that
-waits for what never comes ends with DidNotHappenError, after `limit` of the world's time, or after IN_EARNEST if nothing more
-will happen. It is cancelled, and has CLEAN_UP of the world's time for what it does then: a drive is stopped, a bus is closed.
+**What runs in real time is told.** While a program runs, `time.sleep` raises WallClockWaitError, and a thread of its own
+ThreadStartedError (real_time.py). While a thread works whose result the program awaits (`trio.to_thread`, `asyncio.to_thread`),
+time stands still; after WORKING it is named in a DidNotHappenError. With `allows_threads` none of this holds for threads. A
+program that waits for what never comes ends with DidNotHappenError, after `limit` of the world's time, or after IN_EARNEST if
+nothing more will happen. It is cancelled, and has CLEAN_UP of the world's time for what it does then: a drive is stopped, a bus
+is closed.
 """
 
 from __future__ import annotations
@@ -38,6 +41,7 @@ from canopen_proto.testing import DidNotHappenError, World, WorldBus
 from canopen_proto.testing.world import LIMIT, NodeMaker
 from canopen_testing.present import present
 from canopen_testing.trio_order import seed_order, waits_for_idle
+from canopen_testing.working_threads import WorkingThreads, watch_threads
 from canopen_testing.world_line import WorldLine
 from canopen_testing.world_loop import WorldLoop
 from canopen_transports import virtual
@@ -50,18 +54,23 @@ DAY: Final = 24 * 3600 * SECOND
 CLEAN_UP: Final = 60 * SECOND
 """The most that a cancelled program may take of the world's time."""
 IN_EARNEST: Final = 1.0
-"""Seconds of real time for a thread or a file that a program waits for, when nothing will happen in the world."""
+"""Seconds of real time for a file or a process that a program waits for, when nothing will happen in the world."""
+WORKING: Final = 10.0
+"""Seconds of real time for a thread whose result a program awaits."""
 _LOOK: Final = 0.02
 _AT_ONCE: Final = 1e-9
 """More than 0: so trio lets tasks run that wait for all others. It costs a millisecond, the least that the kernel waits."""
 
 
 class _Steps(trio.abc.Instrument):
-    """Tells whether a task has run since the loop was last idle, and whether one runs now. Keeps trio's order that of a seed."""
+    """Tells whether a task has run since the loop was last idle, and whether one runs now. Keeps trio's order that of a seed, and
+    an eye on its threads."""
 
     def __init__(self, seed: int, on_end: Callable[[], None]) -> None:
         self._give_back_order = seed_order(seed)
         self._on_end = on_end
+        self.threads = WorkingThreads()
+        self._give_back_threads = watch_threads(self.threads)
         self.is_idle = False
         self.in_task = False
 
@@ -74,15 +83,18 @@ class _Steps(trio.abc.Instrument):
 
     def after_run(self) -> None:
         self._give_back_order()
+        self._give_back_threads()
         self._on_end()
 
 
 class ProgramWorld(World, trio.abc.Clock):
-    """See this module's text."""
+    """See this module's text. allows_threads: let threads of a program run beside the world's time, unseen and in no order."""
 
+    allows_threads = False
     _steps: _Steps
     _limit: Time = 0  # until when the program may run
     _left = IN_EARNEST
+    _left_working = WORKING
     _program = ""
     _cancel: Callable[[], object] | None = None  # ends the program, where that can be done from outside
     _stuck: DidNotHappenError | None = None
@@ -167,7 +179,7 @@ class ProgramWorld(World, trio.abc.Clock):
     def _begin(self, program: str, limit: Time) -> None:
         """A program begins. program: how it lets time pass."""
         self._program, self._limit = program, self.now + limit
-        self._stuck, self._left = None, IN_EARNEST
+        self._stuck, self._left, self._left_working = None, IN_EARNEST, WORKING
 
     def _end(self) -> None:
         self._cancel, self._program = None, ""
@@ -184,21 +196,35 @@ class ProgramWorld(World, trio.abc.Clock):
         if self._program:
             raise LocalProtocolError(f"in a program of the world time passes where it awaits: {self._program}")
 
-    def pass_time(self, end: Time) -> float:
+    def pass_time(self, end: Time, threads: WorkingThreads) -> float:
         """Go to the next happening, or to `end` (ns) if nothing happens before. For the loops of programs.
 
-        Returns how long to wait in earnest, in seconds: 0, unless nothing will happen. If that took too long, the program is
-        cancelled. Raises DidNotHappenError if that cannot be done, or has not ended it.
+        Returns how long to wait in earnest, in seconds: 0, unless a thread works or nothing will happen. If that took too long,
+        the program is cancelled. Raises DidNotHappenError if that cannot be done, or has not ended it.
         """
         try:
-            return self._pass_time(end)
+            if not self.allows_threads and (names := threads.names):
+                return self._wait_for(names)
+            self._left_working = WORKING
+            return 0.0 if threads.take_news() else self._pass_time(end)
         except DidNotHappenError as stuck:
             if self._cancel is None or self._stuck is not None:
                 raise
             self._stuck = stuck
-            self._limit, self._left = self.now + CLEAN_UP, IN_EARNEST
+            self._limit, self._left, self._left_working = self.now + CLEAN_UP, IN_EARNEST, WORKING
             self._cancel()
             return 0.0
+
+    def _wait_for(self, names: list[str]) -> float:
+        """Let threads work; the world's time stands still."""
+        self._left_working -= _LOOK
+        if self._left_working > 0:
+            return _LOOK
+        raise DidNotHappenError(
+            f"the program waits for the thread of {', '.join(names)}, which works for {WORKING:g} s of real time. Meanwhile the "
+            f"world's time stands still, at {self.now / SECOND:g} s; with `world.allows_threads = True` it goes on.\n"
+            f"{self._tails()}"
+        )
 
     def _pass_time(self, end: Time) -> float:
         if self.now >= self._limit:
@@ -217,7 +243,7 @@ class ProgramWorld(World, trio.abc.Clock):
             return _LOOK
         raise DidNotHappenError(
             f"the program waits for what never comes: at {self.now / SECOND:g} s of the world nothing more will happen, and "
-            f"nothing came from a thread or a file for {IN_EARNEST:g} s of real time.\n{self._tails()}"
+            f"nothing came from a file or a process for {IN_EARNEST:g} s of real time.\n{self._tails()}"
         )
 
     def _tails(self) -> str:
@@ -246,4 +272,4 @@ class ProgramWorld(World, trio.abc.Clock):
             steps.is_idle = True
             return _AT_ONCE if waits_for_idle() else 0.0
         end = NEVER if deadline == math.inf else max(math.ceil(deadline * SECOND), self.now + 1)
-        return self.pass_time(end)
+        return self.pass_time(end, steps.threads)

@@ -12,7 +12,8 @@ from trio._core import _run
 
 
 def seed_order(seed: int) -> Callable[[], None]:
-    """Let trio have the order of tasks of this seed. Returns the function that gives it its own order back."""
+    """Let trio choose the order of its tasks by this seed. Returns the function that gives trio its own order back. Raises
+    RuntimeError for a version of trio with another scheduler."""
     generator = getattr(_run, "_r", None)
     if generator is None or not hasattr(_run, "_ALLOW_DETERMINISTIC_SCHEDULING"):
         raise RuntimeError("this version of trio has another scheduler, whose order no seed decides: use trio 0.33 to 0.35")

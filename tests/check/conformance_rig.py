@@ -119,11 +119,12 @@ class Site:
         if isinstance(report, ObjectAccessPending):
             self.node.complete(report.access_id, None, self.world.now)
 
-    def change(self, variable: Variable, now: Time) -> None:
+    def change(self, variable: Variable, now: Time) -> bool:
         """The device's process changes a value."""
         value = self.node.values.store[variable.mux]
         assert isinstance(value, int)
         self.node.set_value(variable.index, variable.subindex, value ^ 1, now)
+        return True
 
     def frames(self) -> list[str]:
         """The frames so far, as candump writes them."""

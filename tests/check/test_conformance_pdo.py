@@ -7,15 +7,18 @@ from dataclasses import replace
 import pytest
 
 from canopen_check import pdo_cases, pdo_mapping_cases
+from canopen_check.catalogue import BY_NUMBER
+from canopen_data.declared import describe_device
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
+from canopen_proto.declared import DeclaredDevice, Nameplate, Tpdo, variable
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, Variable
 from canopen_proto.dictionary.standard import standard_object, standard_variable
 from canopen_proto.local_node import LocalNode
-from canopen_proto.machine import Time
+from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.sdo.server import Pending
-from canopen_proto.verdict import Result
-from tests.check.conformance_rig import Fault, check_caught, verdict_of
+from canopen_proto.verdict import Result, Verdict
+from tests.check.conformance_rig import Alteration, Fault, Site, check_caught, verdict_of
 from tests.check.faulty_nodes import SelfStarting
 from tests.core.full_device import INPUT_16, OUTPUT_16, full_device
 
@@ -227,3 +230,80 @@ def test_pdos_that_are_not_all_there() -> None:
     pdos = {index: standard_object(index, highest=2) for index in (*range(0x1400, 0x1404), *range(0x1800, 0x1804))}
     nameless = full_device(*pdos.values())
     assert "has a CAN-ID and a mapping" in verdict_of("3.22", truth=nameless).reason
+
+
+# ---- devices whose values change by themselves ----
+
+
+class SetsAgain(DeclaredDevice):
+    """Its own code sets the value again, whatever the test has made of it."""
+
+    nameplate = Nameplate("Sets again")
+    period = 10 * MILLISECOND
+    level = variable(0x2000, "Level", DataType.INTEGER16, access=Access.RO, pdo=True)
+    pdos = (Tpdo(1, level),)
+
+    def step(self) -> None:
+        self.level = 215
+
+
+class Counts(SetsAgain):
+    nameplate = Nameplate("Counts")
+
+    def step(self) -> None:
+        self.level = (self.level + 1) % 100
+
+
+class Flaps(SetsAgain):
+    """At each SYNC of the test, which come in even times, it has the same value."""
+
+    nameplate = Nameplate("Flaps")
+
+    def step(self) -> None:
+        self.level = 5 if self.level == 4 else 4
+
+
+class ChangesAtSync(SetsAgain):
+    nameplate = Nameplate("Changes at SYNC")
+
+    def step(self) -> None:
+        pass
+
+    def sync(self) -> None:
+        self.level = (self.level + 1) % 100
+
+
+RESTLESS: list[type[DeclaredDevice]] = [SetsAgain, Counts, Flaps, ChangesAtSync]
+
+
+def restless(number: str, device: type[DeclaredDevice], *sent: Alteration, heard: Alteration | None = None) -> Verdict:
+    """How a case ends on a device in Python."""
+    changes = [heard] if heard else []
+    fault = Fault("restless", node=lambda out, node_id, dictionary: device(out, node_id).node, sent=sent, heard=changes)
+    return Site(fault, description=describe_device(device)).run(BY_NUMBER[number])
+
+
+@pytest.mark.parametrize("device", RESTLESS)
+def test_a_device_whose_values_change_by_themselves_passes(device: type[DeclaredDevice]) -> None:
+    verdicts = {case.number: restless(case.number, device) for case in pdo_cases.CASES}
+    assert {number: str(verdict) for number, verdict in verdicts.items() if verdict.result is Result.FAILED} == {}
+    told = {number for number, verdict in verdicts.items() if "its values change by themselves" in verdict.reason}
+    assert told == {
+        SetsAgain: {"3.4"}, Counts: {"3.4", "3.5", "3.7"}, Flaps: {"3.4", "3.5", "3.7"}, ChangesAtSync: {"3.7"},
+    }[device]  # fmt: skip
+
+
+@pytest.mark.parametrize(("number", "device", "sent", "heard", "said"), [
+    ("3.4", Counts, ("185#....", None), None, "number of TPDO 1 for one event is 0"),
+    ("3.4", SetsAgain, ("(185#....)", r"\1 \1"), None, "number of TPDO 1 for one event is 3"),
+    ("3.5", Counts, ("185#....", None), None, "TPDO 1 came 0 times in 1 s"),
+    ("3.5", Counts, ("185#[0-2]...", None), None, "TPDO 1 did not come for"),
+    ("3.7", SetsAgain, ("185#", None), ("605#2F00180200000000", "605#2F00180201000000"), "SYNC behind its event"),
+    ("3.10", SetsAgain, ("185#", None), ("000#0205", "000#0105"), "number of TPDO 1 for one event is 1"),
+])  # fmt: skip
+def test_what_it_does_wrong_is_found_all_the_same(
+    number: str, device: type[DeclaredDevice], sent: Alteration, heard: Alteration | None, said: str
+) -> None:
+    verdict = restless(number, device, sent, heard=heard)
+    assert verdict.result is Result.FAILED, verdict
+    assert said in str(verdict)

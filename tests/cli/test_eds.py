@@ -213,7 +213,7 @@ def test_odd_pdos_are_shown(run: Run) -> None:
     cells = [[cell.strip() for cell in row if cell.strip()] for row in rows]
     assert cells[0] == ["RPDO1", "not given (off)", "not given", "24", "2099:00 (16), (8 unused bits)"]
     assert cells[1] == [
-        "TPDO1", "0x181 (off)", "at every 4th SYNC, at most every 5 ms, at least every 100 ms", "0", "multiplexed",
+        "TPDO1", "0x181 (off)", "every 4 SYNCs, at most every 5 ms, at least every 100 ms", "0", "multiplexed",
     ]  # fmt: skip
 
 

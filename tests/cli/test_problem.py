@@ -25,6 +25,15 @@ from canopen_cli.shared.screen import Screen
 from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_data.named_files import UnusableFileError
+from canopen_gateway.errors import (
+    DoorError,
+    GatewayFullError,
+    GatewayRefusedError,
+    LeaseError,
+    NoGatewayError,
+    NotAllowedError,
+    NotOverTextError,
+)
 from canopen_master import errors
 from canopen_master.claims.channel_claim import ChannelTakenError
 from canopen_master.motion.record_format import RecordError
@@ -65,6 +74,15 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (errors.NodeSilentError("CO210", 5, "x", "node 5 did not boot"), ExitCode.NO_ANSWER, "CO210"),
         (errors.UnexpectedAnswerError("CO204", 5, "x", "node 5 answered with 3 bytes"), ExitCode.SDO_ABORT, "CO204"),
         (ChannelTakenError("CO208", 5, "x", "another program uses it"), ExitCode.SDO_ABORT, "CO208"),
+        (NotAllowedError("motion", "writing 0x6040:00"), ExitCode.PERMISSION, "CO150"),
+        (GatewayFullError("clients", 16), ExitCode.SDO_ABORT, "CO151"),
+        (LeaseError("somebody moves this machine"), ExitCode.SDO_ABORT, "CO152"),
+        (NoGatewayError("there is no text gateway"), ExitCode.CANNOT_OPEN, "CO153"),
+        (GatewayRefusedError("refused", abort_code=AbortCode.READ_ONLY), ExitCode.SDO_ABORT, "CO154"),
+        (GatewayRefusedError("silent", abort_code=AbortCode.TIMED_OUT, node_id=5), ExitCode.NO_ANSWER, "CO154"),
+        (GatewayRefusedError("silent", gateway_code=103), ExitCode.NO_ANSWER, "CO154"),
+        (DoorError("cannot listen"), ExitCode.CANNOT_OPEN, "CO155"),
+        (NotOverTextError("gw:x", "read"), ExitCode.USAGE, "CO156"),
         (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
         (errors.UnknownChainError("CO322", "no chain"), ExitCode.USAGE, "CO322"),
         (errors.PlanRefusedError("joint 1 cannot go to 95", joint=1, value=95.0, limit=90.0), ExitCode.USAGE, "CO323"),
@@ -75,6 +93,7 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (errors.ChainError(errors.NO_ANSWER, "arm", "no answer"), ExitCode.NO_ANSWER, "CO201"),
         (errors.ChainError(errors.REFUSED, "arm", "refused"), ExitCode.SDO_ABORT, "CO202"),
         (errors.ChainError(errors.GIVEN_UP, "arm", "given up"), ExitCode.SDO_ABORT, "CO203"),
+        (errors.CallTimeoutError(2.0), ExitCode.NO_ANSWER, "CO143"),
         (errors.HaltNotConfirmedError("CO131", "one may move"), ExitCode.DRIVE_FAULT, "CO131"),
         (SdoTransferError(aborted(AbortOrigin.TIMEOUT), "reading"), ExitCode.NO_ANSWER, "CO201"),
         (SdoTransferError(aborted(AbortOrigin.PEER), "writing"), ExitCode.SDO_ABORT, "CO202"),

@@ -258,6 +258,20 @@ def test_an_unexpected_state_is_reported_once() -> None:
     assert hear(machine, "705#04")[1:] == []
 
 
+def test_another_expectation_forgets_no_state() -> None:
+    machine = master()
+    hear(machine, "705#05")
+    machine.expect(NmtState.STOPPED)
+    assert machine.state is NmtState.OPERATIONAL
+    machine.handle_timeout(100 * MS)
+    machine.handle_timeout(400 * MS)
+    assert NodeGuardingLost(5, NmtState.OPERATIONAL, 300 * MS) in take_events(machine.out)
+    hear(machine, "705#85", 410 * MS)
+    machine.expect(NmtState.PRE_OPERATIONAL)  # what is unexpected now is reported, though it was before
+    unexpected = GuardingStateUnexpected(5, NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL)
+    assert hear(machine, "705#05", 420 * MS)[1:] == [unexpected]
+
+
 @pytest.mark.parametrize(("guard_time", "factor"), [(0, 1), (MS - 1, 1), (MS, 0), (MS, 256)])
 def test_times_that_there_are_not(guard_time: int, factor: int) -> None:
     machine = GuardingMaster(Outbox(), 5)

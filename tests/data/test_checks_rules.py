@@ -279,9 +279,9 @@ def test_what_devices_do_for_good_reason_is_not_reported(change: Change) -> None
 
 
 def test_many_objects_of_one_name_are_one_finding() -> None:
-    twins = several(*(with_variable(replace(OFFSET, index=index)) for index in range(0x2010, 0x2016)))
+    twins = several(*(with_variable(replace(OFFSET, index=index)) for index in range(0x2010, 0x2018)))
     (finding,) = check(twins(clean()))
-    assert finding.message.endswith("this is the name of 0x2010, 0x2011, 0x2012, 0x2013 and 2 more too")
+    assert finding.message.endswith("this is the name of 0x2010, 0x2011, 0x2012, 0x2013, 0x2014, 0x2015 and 2 more too")
 
 
 def test_a_line_that_stands_for_many_sub_objects_has_one_finding() -> None:

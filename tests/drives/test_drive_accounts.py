@@ -468,7 +468,7 @@ OF_ERRORS = {"fault_of", "halt_after"}
 
 @pytest.mark.parametrize("name", sorted(PROCEDURES.keys() - OF_ERRORS))
 def test_every_procedure_of_a_drive_gives_an_account_of_what_it_is_refused(name: str) -> None:
-    assert hasattr(PROCEDURES[name], "__wrapped__"), f"drive.{name} is not @accounted"
+    assert hasattr(PROCEDURES[name], "__wrapped__"), f"drive.{name} is not @as_drive_errors"
 
 
 def test_every_error_of_a_drive_is_one_account() -> None:

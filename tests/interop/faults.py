@@ -262,7 +262,8 @@ def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, st
     yield "two masters", [*at_once, (1500, RUNS)] * 3, [*in_turn, (1500, RUNS)] * 3
     yield "double id", every(9, *[RUNS, "763#7F"] * 3), every(9, RUNS, "763#7F", RUNS)
     period = write(0x1017, 0, 100, 2)
-    yield "double id", [*period, *[(30, RUNS), (70, RUNS)] * 7], [*period, *every(100, *[RUNS] * 5)]
+    steady, ends = [*period, *every(100, *[RUNS] * 5)], write(0x1017, 0, 0, 2)
+    yield "double id", [*period, *[(30, RUNS), (70, RUNS)] * 7, *ends], [*steady, *ends]
     both = every(1, "763#05", "762#05")
     yield "shared cob-id", *([*both, *mapped(98, 0x1E2), *mapped(99, each), (1, RUNS)] for each in (0x1E2, 0x1E3))
     yield "pdo length", [*TIMED, (1, PDO), (1, PDO + "00")], [*TIMED, (1, PDO)]
@@ -291,6 +292,7 @@ def pairs() -> Iterator[tuple[str, list[tuple[float, str]], list[tuple[float, st
         yield "length", every(1, whole + "00" if len(whole) < 20 else whole[:-2]), every(1, right)
     full = "1E3#5555555555555555"
     yield "load", every(0.8, *[full] * 2700), every(10, *[full] * 10)
+    yield "late heartbeat", [*steady, (300, READ)], [*steady, (150, RUNS), *ends]
 
 
 SCENES = [Scene(rule, wrong, True) for rule, wrong, _ in pairs()] + [Scene(rule, right, False) for rule, _, right in pairs()]

@@ -105,16 +105,16 @@ def test_a_pdo_that_stays_destroyed_is_not_created() -> None:
 
 
 def test_the_standing_cob_id_destroys_where_it_is_known() -> None:
-    standing = {mux(0x1800, 1): 0x199}
-    assert shown(order({(0x1800, 1): 0x185}, standing=standing)) == ["1800:1 80000199", "1800:1 185"]
-    assert shown(order({(0x1800, 1): INVALID | 0x185}, standing=standing)) == ["1800:1 80000199", "1800:1 80000185"]
+    present = {mux(0x1800, 1): 0x199}
+    assert shown(order({(0x1800, 1): 0x185}, present=present)) == ["1800:1 80000199", "1800:1 185"]
+    assert shown(order({(0x1800, 1): INVALID | 0x185}, present=present)) == ["1800:1 80000199", "1800:1 80000185"]
 
 
 def test_a_mapping_without_its_cob_id_gets_back_what_stands() -> None:
     mapping: dict[tuple[int, int], Value] = {(0x1600, 0): 1, (0x1600, 1): 0x60400010}
     in_between = ["1600:0 0", "1600:1 60400010", "1600:0 1"]
     assert shown(order(mapping)) == ["1400:1 80000205", *in_between, "1400:1 205"]
-    assert shown(order(mapping, standing={mux(0x1400, 1): 0x222})) == ["1400:1 80000222", *in_between, "1400:1 222"]
+    assert shown(order(mapping, present={mux(0x1400, 1): 0x222})) == ["1400:1 80000222", *in_between, "1400:1 222"]
 
 
 def test_a_cob_id_that_nobody_knows_is_left_alone() -> None:
@@ -176,7 +176,7 @@ def test_the_date_of_the_configuration_comes_last() -> None:
 
 
 def test_what_must_be_off_for_another_object() -> None:
-    assert shown(order({(0x1019, 0): 10}, standing={mux(0x1006): 1000})) == ["1006:0 0", "1019:0 A", "1006:0 3E8"]
+    assert shown(order({(0x1019, 0): 10}, present={mux(0x1006): 1000})) == ["1006:0 0", "1019:0 A", "1006:0 3E8"]
     assert shown(order({(0x1280, 3): 9})) == ["1280:1 80000000", "1280:2 80000000", "1280:3 9"]
 
 
@@ -244,11 +244,11 @@ BITS = st.integers(0, 0xFFFF_FFFF)
 
 @given(st.dictionaries(st.sampled_from([each.mux for each in WHOLE]), BITS), st.dictionaries(st.just(mux(0x1400, 1)), BITS))
 @examples(60)
-def test_after_all_writes_the_device_holds_the_values(wanted: dict[int, int], standing: dict[int, Value]) -> None:
+def test_after_all_writes_the_device_holds_the_values(wanted: dict[int, int], present: dict[int, Value]) -> None:
     values: dict[int, Value] = {
         key: value & ((1 << 8 * (WHOLE.variable((key >> 8, key & 0xFF)).size or 1)) - 1) for key, value in wanted.items()
     }
-    result = download_order(WHOLE, values, NODE_ID, standing=standing)
+    result = download_order(WHOLE, values, NODE_ID, present=present)
     after = {mux(index, subindex): WHOLE.variable((index, subindex)).decode(data) for index, subindex, data in result.writes}
     assert {key: value for key, value in values.items() if key not in result.left_out}.items() <= after.items()
     assert not result.left_out.keys() & after.keys()

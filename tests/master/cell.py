@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager
 from functools import partial
 
 import pytest
-import trio
 
 from canopen_master import (
     Chain,
@@ -26,6 +25,8 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
+from canopen_transports.loop import Nursery, TaskStatus
+from tests.master.loops import loop
 from tests.master.world import Link, arm_of, drives, position_of
 
 TENTH = 100 * MILLISECOND
@@ -48,21 +49,21 @@ WATCHDOG = 0.5
 class Joint:
     """A drive with a cable and a power switch of its own."""
 
-    def __init__(self, nursery: trio.Nursery, make: partial[DriveNode], node_id: int) -> None:
+    def __init__(self, nursery: Nursery, make: partial[DriveNode], node_id: int) -> None:
         self._nursery = nursery
         self._make = partial(make, node_id=node_id)
-        self._power = trio.CancelScope()
+        self._power = loop.cancel_scope()
         self.node_id = node_id
         self.cable = Link()
         self.host: Host
 
     async def switch_on(self, *, is_plugged: bool = True) -> None:
         """It boots, and knows nothing of before."""
-        self.cable, self._power = Link(), trio.CancelScope()
+        self.cable, self._power = Link(), loop.cancel_scope()
         if not is_plugged:
             self.pull_cable()
 
-        async def live(task_status: trio.TaskStatus[Host]) -> None:
+        async def live(task_status: TaskStatus[Host]) -> None:
             with self._power:
                 await simulate(self.cable, [self._make], task_status=task_status)
 
@@ -70,7 +71,7 @@ class Joint:
 
     async def switch_off(self) -> None:
         self._power.cancel()
-        await trio.sleep(0.001)
+        await loop.sleep(0.001)
 
     def pull_cable(self) -> None:
         self.cable.copies = lambda frame, is_sent: 0
@@ -97,7 +98,7 @@ class Joint:
 
     async def stands(self) -> bool:
         before = position_of(self.host, self.node)
-        await trio.sleep(0.2)
+        await loop.sleep(0.2)
         return position_of(self.host, self.node) == before
 
 
@@ -105,7 +106,7 @@ class Joint:
 async def joints(
     *node_ids: int, drive: DriveSettings = DRIVE, dictionary: ObjectDictionary | None = None
 ) -> AsyncIterator[list[Joint]]:
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         make = partial(DriveNode, settings=drive, dictionary=dictionary)
         made = [Joint(nursery, make, node_id) for node_id in node_ids]
         for joint in made:
@@ -153,7 +154,7 @@ async def assert_moves(arm: Chain) -> None:
     assert arm.state is ChainState.FOLLOWING
     before = arm.positions
     await move(arm)
-    await trio.sleep(0.2)
+    await loop.sleep(0.2)
     assert arm.positions == pytest.approx([position + CYCLES * RADIANS_PER_CYCLE for position in before], abs=1e-3)
 
 
@@ -164,7 +165,7 @@ async def assert_moves_back(arm: Chain) -> None:
         arm.set_positions([position - RADIANS_PER_CYCLE * cycle.number for position in start])
         if cycle.number >= CYCLES:
             break
-    await trio.sleep(0.2)
+    await loop.sleep(0.2)
     assert arm.positions[0] == pytest.approx(start[0] - CYCLES * RADIANS_PER_CYCLE, abs=1e-3)
 
 

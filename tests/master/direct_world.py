@@ -14,7 +14,7 @@ import pytest
 import trio
 
 from canopen_master import Host, session, simulate
-from canopen_master.direct.background import Background
+from canopen_master.blocking.background import Background
 from canopen_master.direct.drive import COUNTS
 from canopen_master.simulation.host import IN_PROCESS, DeviceMaker
 from canopen_proto.drives.axis import following

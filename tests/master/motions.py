@@ -21,6 +21,7 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.configure import use_device_pdo
 from canopen_proto.procedures.objects import read_int, write
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
+from tests.master.loops import loop
 
 FAR = DriveSettings(position=0, track=Track(negative_limit=-1e9, positive_limit=1e9))
 """A drive for which the switch that homing looks for is far away, and the other one too."""
@@ -50,7 +51,7 @@ async def profile_velocity(master: Master, node_id: int) -> None:
     await master.run(drive.set_mode(device.axis, 3))
     await master.run(drive.enable(device.axis))
     await master.run(write(device.node.remote, "0x60FF", 2 * SPEED))
-    await trio.sleep_forever()
+    await loop.sleep_forever()
 
 
 async def follow(master: Master, node_id: int, rpdo: int, start: Callable[..., object]) -> None:
@@ -66,7 +67,7 @@ async def follow(master: Master, node_id: int, rpdo: int, start: Callable[..., o
         axis.set_points.set_position(position + 1.2 * SPEED * CYCLE * step)
         put(axis, objects.CONTROLWORD, axis.controlword, master.now())  # which triggers an event-driven RPDO
         master.pump.pump()
-        await trio.sleep(CYCLE)
+        await loop.sleep(CYCLE)
 
 
 MOTIONS: dict[str, Callable[[Master, int], Awaitable[None]]] = {
@@ -84,14 +85,14 @@ def move_all(locator: str) -> None:
 
     async def main() -> None:
         watchdog = Watchdog(timeout=3 * SECOND)  # and time for each answer: this is real time, on a machine that may be busy
-        async with open_master(locator, sdo_timeout=10, watchdog=watchdog) as master, trio.open_nursery() as nursery:
+        async with open_master(locator, sdo_timeout=10, watchdog=watchdog) as master, loop.open_nursery() as nursery:
             for name, node_id in NODES.items():
                 await master.run(write(master.node(node_id).remote, "0x1006", 1_000_000))  # SYNC is lost after three seconds
                 nursery.start_soon(MOTIONS[name], master, node_id)
             for node_id in NODES.values():
                 remote = master.node(node_id).remote
                 while abs(await master.run(read_int(remote, "0x606B"))) < SPEED // 2:
-                    await trio.sleep(0.05)
+                    await loop.sleep(0.05)
             print("all move", flush=True)
 
     trio.run(main)

@@ -10,8 +10,6 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from itertools import pairwise
 
-import trio
-
 from canopen_master import AxisSettings, Chain, ChainSettings, Host, Master, open_master, standard_drives
 from canopen_master.simulation.host import DeviceMaker
 from canopen_proto.drives.cia402.modes import Mode
@@ -19,6 +17,7 @@ from canopen_proto.drives.trajectory import JointLimits, Path, Segment
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import open_transport
+from tests.master.loops import loop
 from tests.master.world import drives, simulated
 
 COUNTS = 1e6
@@ -44,7 +43,7 @@ class Record:
         self.rows: list[list[float]] = []
 
     def take(self) -> None:
-        self.times.append(trio.current_time())
+        self.times.append(loop.current_time())
         self.rows.append([position / self.counts for host in self.hosts for position in demands(host)])
 
     def derivatives(self, order: int) -> list[list[float]]:
@@ -92,7 +91,7 @@ async def arms(
             hosts.append(host)
         record = Record(hosts, counts)
         spy = await open_transport("virtual:bus0")
-        nursery = await stack.enter_async_context(trio.open_nursery())
+        nursery = await stack.enter_async_context(loop.open_nursery())
 
         async def listen() -> None:
             while True:

@@ -6,10 +6,9 @@ import sys
 from contextlib import closing
 
 import pytest
-import trio
-import trio.testing
 
 from canopen_master.participant.alarm import Alarm, CoarseAlarm, FineAlarm, best_alarm
+from tests.master.loops import loop, settled
 from tests.transports.support import run
 
 
@@ -17,21 +16,21 @@ async def keeps_time(alarm: Alarm) -> None:
     """Whatever was set first, it wakes at the earliest, and never before it."""
     with closing(alarm):
         for late, early in ((0.02, 0.004), (0.003, 0.03)):
-            start = trio.current_time()
+            start = loop.current_time()
             alarm.set(start + late)
             alarm.set(start + early)
             await alarm.wait()
-            assert trio.current_time() >= start + min(late, early)
-        start = trio.current_time()
-        async with trio.open_nursery() as nursery:
+            assert loop.current_time() >= start + min(late, early)
+        start = loop.current_time()
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(alarm.wait)
-            await trio.testing.wait_all_tasks_blocked()
+            await settled()
             alarm.set(start + 3600)
             alarm.set(start + 0.002)
-        assert trio.current_time() >= start + 0.002
+        assert loop.current_time() >= start + 0.002
         alarm.set(start - 1)
         await alarm.wait()
-        with trio.move_on_after(0.002) as scope:
+        with loop.move_on_after(0.002) as scope:
             await alarm.wait()
         assert scope.cancelled_caught
 

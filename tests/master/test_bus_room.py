@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-import trio
 
 from canopen_master import (
     AxisSettings,
@@ -24,6 +23,7 @@ from canopen_master import (
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.nmt import NmtState
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from tests.master.loops import loop
 from tests.master.path_world import AXIS, DRIVE, RAMPS, swing
 from tests.master.world import drives, simulated, value, virtual_time
 
@@ -136,7 +136,7 @@ async def test_a_full_bus_is_the_cause_when_positions_come_late() -> None:
         assert "its positions come 80 ms late (8 cycles of 10 ms" in stopped.value.cause
         assert "`canopen plan`" in stopped.value.tries[0]
         master.sync_stop()  # then there is room for SDO, and the halt can be confirmed
-        await trio.sleep(1)
+        await loop.sleep(1)
 
 
 @virtual_time

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-import trio
 
 from canopen_master import (
     Chain,
@@ -27,6 +26,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import Transport, open_transport
+from tests.master.loops import loop, settled
 from tests.master.world import (
     BUS,
     arm_of,
@@ -55,9 +55,9 @@ async def test_what_a_chain_is_not_ready_for() -> None:
         with pytest.raises(ChainError, match="it is ready") as caught:
             arm.set_positions([0])
         assert caught.value.tries == ("await chain.follow()",)
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(arm.home)
-            await trio.testing.wait_all_tasks_blocked()
+            await settled()
             with pytest.raises(ChainError, match="it is busy: home"):
                 await arm.initialise()
         await arm.halt()
@@ -79,9 +79,9 @@ async def test_halt_ends_what_is_under_way() -> None:
                 await arm.home()
             ended.append("home")
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(homing)
-            await trio.sleep(0.3)
+            await loop.sleep(0.3)
             nursery.start_soon(arm.halt)
             await arm.halt()
             assert_all_halted(host)
@@ -102,9 +102,9 @@ async def test_shut_down_ends_what_is_under_way() -> None:
             with pytest.raises(ChainError):
                 await arm.home()
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(homing)
-            await trio.sleep(0.3)
+            await loop.sleep(0.3)
             await arm.shut_down()
         assert drives(host)[0].drive.state is State.SWITCH_ON_DISABLED
         assert arm.state is ChainState.OFF
@@ -118,7 +118,7 @@ async def test_a_joint_that_cannot_be_shut_down_does_not_keep_the_others_from_it
                 arm = arm_of(master, 3, 4)
                 await arm.initialise()
                 master.sync_stop()
-                await trio.sleep(0.2)
+                await loop.sleep(0.2)
                 host.nodes[0].sdo.disable()
                 await arm.shut_down()
         assert caught.value.code == "CO201"
@@ -134,7 +134,7 @@ async def test_two_joints_that_cannot_be_halted_are_both_told() -> None:
                 arm = arm_of(master, 3, 4)
                 await arm.initialise()
                 master.sync_stop()
-                await trio.sleep(0.2)
+                await loop.sleep(0.2)
                 for node in host.nodes:
                     node.sdo.disable()
                 await arm.halt()
@@ -223,7 +223,7 @@ async def test_a_device_whose_answer_is_not_taken() -> None:
             if frame.can_id == 0x603:
                 await transport.send(Frame.parse("583#41001000FFFFFFFF"))  # 4 GB are to follow
 
-    async with await open_transport(BUS) as device, trio.open_nursery() as nursery, open_master(BUS) as master:
+    async with await open_transport(BUS) as device, loop.open_nursery() as nursery, open_master(BUS) as master:
         nursery.start_soon(answer, device)
         with pytest.raises(ChainError, match="of node 3 was given up: 0x05040005") as caught:
             await arm_of(master, 3).initialise()
@@ -245,7 +245,7 @@ async def test_a_device_that_does_not_take_a_pdo() -> None:
 async def test_cancelled_while_waiting_for_a_cycle() -> None:
     async with following_arm(3) as (_, _, arm):
         start = arm.positions
-        with trio.move_on_after(0.123) as scope:
+        with loop.move_on_after(0.123) as scope:
             async for _cycle in arm.cycles():
                 arm.set_positions(start)
         assert scope.cancelled_caught
@@ -288,7 +288,7 @@ async def test_a_joint_that_is_stopped_by_hand_halts_its_chain() -> None:
 
 @virtual_time
 async def test_a_joint_that_is_moved_by_hand_refuses_the_chains_homing_and_its_halt_ends_it() -> None:
-    async with simulated(3) as host, open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with simulated(3) as host, open_master(BUS) as master, loop.open_nursery() as nursery:
         arm = arm_of(master, 3)
         await arm.initialise()
         ended = []
@@ -299,7 +299,7 @@ async def test_a_joint_that_is_moved_by_hand_refuses_the_chains_homing_and_its_h
             ended.append("home")
 
         nursery.start_soon(moving)
-        await trio.sleep(0.3)
+        await loop.sleep(0.3)
         with pytest.raises(ChainError, match="cannot home now") as caught:
             await arm.home()
         assert caught.value.cause == "home is under way; nothing was sent"

@@ -9,7 +9,6 @@ from functools import partial
 from itertools import pairwise
 
 import pytest
-import trio
 
 from canopen_master import Chain, ChainError, ChainFaultError, ChainSettings, ChainState, Host, Master, open_master
 from canopen_master.motion.joint_procedures import contact
@@ -26,6 +25,7 @@ from canopen_proto.multiplexer import mux
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
 from tests.drives.drive_dictionaries import NOTHING_MAPPABLE, Changes, changed, empty_pdos, supports, unmappable, without_pdos
+from tests.master.loops import loop
 from tests.master.world import BUS, arm_of, drives, position_of, simulated, virtual_time
 
 DEGREES = AxisSettings(counts_per_unit=1000, max_speed=20.0, following_error_limit=1.0)
@@ -173,14 +173,14 @@ async def test_a_slow_joint_follows_and_halts(kind: str) -> None:
         assert joint.largest_following_error > 0.05  # it is slower than one in ip
         assert arm.skipped_cycles == arm.missed_cycles == 0
         arm.set_positions([HERE], cycles=100)
-        await trio.sleep(0.5)
+        await loop.sleep(0.5)
         await arm.halt()
         stands_at = position_of(host, node)
-        await trio.sleep(1)
+        await loop.sleep(1)
         assert position_of(host, node) == stands_at
         assert node.drive.state is State.OPERATION_ENABLED
         await arm.follow()  # the target that the halt has kept is dropped
-        await trio.sleep(1)
+        await loop.sleep(1)
         assert position_of(host, node) == pytest.approx(stands_at, abs=20)
         await arm.shut_down()
 
@@ -227,11 +227,11 @@ async def test_a_fault_that_no_pdo_shows_is_seen_when_it_is_read() -> None:
         for place in range(3):
             drives(host)[place].raise_fault(0x2310, host.now())
             host.pump()
-            began = trio.current_time()
+            began = loop.current_time()
             while arm.state is not ChainState.FAULT:
                 arm.hold()
-                await trio.sleep(0.001)
-            assert trio.current_time() - began < 0.09 + 0.01
+                await loop.sleep(0.001)
+            assert loop.current_time() - began < 0.09 + 0.01
             await arm.recover()
         await arm.shut_down()
 
@@ -281,10 +281,10 @@ async def test_nothing_feeds_a_slow_joint_that_is_halted(kind: str, ending: str)
                 await arm.initialise()
                 await arm.follow()
                 arm.set_positions([HERE + 15], cycles=150)
-                await trio.sleep(0.5 + moment / 1000)
+                await loop.sleep(0.5 + moment / 1000)
                 if ending == "halt()":
                     await arm.halt()
             stands_at = position_of(host, node)
             assert 3_000 < stands_at < 17_000
-            await trio.sleep(2)
+            await loop.sleep(2)
             assert position_of(host, node) == stands_at

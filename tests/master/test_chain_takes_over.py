@@ -6,7 +6,6 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
 import pytest
-import trio
 
 from canopen_master import Chain, ChainError, ChainHaltedError, Host, open_master, standard_drives
 from canopen_proto.application import PlainMemory
@@ -14,6 +13,7 @@ from canopen_proto.drives.axis.axis import MILLIDEGREES_PER_RADIAN, AxisSettings
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State
+from tests.master.loops import loop
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
 RAMP = 40_000
@@ -58,14 +58,14 @@ async def watched(host: Host) -> AsyncIterator[list[float]]:
     async def watch() -> None:
         before = velocity_of(host)
         while True:
-            await trio.sleep(0.002)
+            await loop.sleep(0.002)
             now = velocity_of(host)
             worst[0], before = max(worst[0], abs(now - before)), now
 
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         nursery.start_soon(watch)
         yield worst
-        await trio.sleep(0.05)
+        await loop.sleep(0.05)
         nursery.cancel_scope.cancel()
 
 
@@ -104,7 +104,7 @@ def test_a_command_waits_for_a_halt_that_somebody_else_has_ordered(command: str)
                     await move(arm, 50)
                 await COMMANDS[command](arm)
 
-            async with watched(host) as worst, trio.open_nursery() as nursery:
+            async with watched(host) as worst, loop.open_nursery() as nursery:
                 nursery.start_soon(go_on)
                 await arm.halt()
                 assert velocity_of(host) == 0
@@ -144,14 +144,14 @@ def test_a_chain_that_was_initialised_stands(mode: Mode, runs: bool) -> None:
             if runs:
                 for word in (6, 7, 15):
                     write(host, objects.CONTROLWORD, word)
-                await trio.sleep(0.3)
+                await loop.sleep(0.3)
             arm = arm_of(master, 3, axes=SETTINGS, define_pdos=True)
             positions = node.drive._servo.demand_position
             await arm.initialise()
             assert node.drive.state is State.OPERATION_ENABLED
             stood = node.drive._servo.demand_position
             assert runs or stood == positions
-            await trio.sleep(1)
+            await loop.sleep(1)
             assert node.drive._servo.demand_position == stood
             await arm.enable_interpolated_position()
 
@@ -181,7 +181,7 @@ def test_no_command_begins_with_a_joint_that_still_moves(command: str) -> None:
             await arm.initialise()
             write(host, objects.MODES_OF_OPERATION, Mode.PROFILE_VELOCITY)
             write(host, objects.TARGET_VELOCITY, SPEED)
-            await trio.sleep(1)
+            await loop.sleep(1)
             (node,) = drives(host)
             node.application = PlainMemory()
             for do in (arm.halt, lambda: COMMANDS[command](arm)):

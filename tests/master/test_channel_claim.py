@@ -12,6 +12,7 @@ import trio
 import trio.testing
 
 from canopen_master.claims.channel_claim import LONG, SHORT, ChannelTakenError, channel_claim
+from tests.master.loops import loop
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
 BUS = f"tcp:127.0.0.1:{os.getpid()}"
@@ -32,10 +33,10 @@ def test_a_second_transfer_waits_and_is_then_refused_with_the_name_of_the_first(
     async def main() -> None:
         async with channel_claim(BUS, 5):
             for enter, patience in ((lambda: channel_free(BUS, 5), SHORT), (lambda: channel_claim(BUS, 5).__aenter__(), LONG)):
-                begun = trio.current_time()
+                begun = loop.current_time()
                 with pytest.raises(ChannelTakenError) as refused:
                     await enter()
-                assert patience <= trio.current_time() - begun < patience + 0.1
+                assert patience <= loop.current_time() - begun < patience + 0.1
                 assert f"process {os.getpid()} (" in refused.value.seen
                 assert refused.value.node_id == 5
             await channel_free(BUS, 6)
@@ -49,19 +50,19 @@ def test_it_goes_on_once_the_first_is_done() -> None:
     async def main() -> None:
         async def first() -> None:
             async with channel_claim(BUS, 5):
-                await trio.sleep(1)
+                await loop.sleep(1)
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(first)
-            await trio.sleep(0.1)
+            await loop.sleep(0.1)
             await channel_free(BUS, 5)
-            assert 1 <= trio.current_time() - begun < 1.1
+            assert 1 <= loop.current_time() - begun < 1.1
 
     begun = 0.0
 
     async def timed() -> None:
         nonlocal begun
-        begun = trio.current_time()
+        begun = loop.current_time()
         await main()
 
     in_virtual_time(timed)
@@ -94,7 +95,7 @@ from canopen_master.claims.channel_claim import channel_claim
 async def main():
     async with channel_claim({BUS!r}, 7):
         print("claimed", flush=True)
-        await trio.sleep_forever()
+        await loop.sleep_forever()
 trio.run(main)
 """
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as other:

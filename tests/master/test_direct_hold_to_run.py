@@ -160,7 +160,7 @@ def test_a_joint_without_methods_homes_in_its_own_way(session: Session, arm: Dev
 @pytest.mark.parametrize("brake", [10_000, 100_000])
 def test_behind_a_gap_of_sync_a_drive_goes_on_from_where_it_is(gap: float, brake: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """It has braked by itself, and lies far beyond its last set-point. brake: its own, in millidegrees per second²."""
-    speed, speeds = 10_000.0, [0.0]
+    speed, speeds, off_path = 10_000.0, [0.0], [False]
 
     async def asked(held: Callable[[], bool]) -> bool:
         await trio.sleep(0.02)
@@ -185,6 +185,7 @@ def test_behind_a_gap_of_sync_a_drive_goes_on_from_where_it_is(gap: float, brake
                 while True:
                     node.drive.refresh(host.now())
                     speeds.append(abs(node.drive._servo.demand_velocity))
+                    off_path.append(not drive.is_on_path)
                     await trio.sleep(0.0019)
 
             async def stall() -> None:
@@ -201,3 +202,4 @@ def test_behind_a_gap_of_sync_a_drive_goes_on_from_where_it_is(gap: float, brake
 
     run()
     assert 0.99 * speed < max(speeds) <= 1.01 * speed
+    assert sum(off_path) < 6  # of a SYNC interval: it does not come back to the path that it has left

@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
 import pytest
-import trio
 
 from canopen_master import (
     HaltNotConfirmedError,
@@ -35,6 +34,7 @@ from canopen_proto.procedures.steps import download
 from canopen_proto.sdo.client import SdoDownloaded
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports import open_transport
+from tests.master.loops import loop
 from tests.master.motions import FAR
 from tests.master.world import BUS, Link, arm_of, drives, simulated, value, virtual_time
 
@@ -83,11 +83,11 @@ async def by_rpdo(master: Master, node: Node, word: int) -> None:
         await master.run(use_device_pdo(node.remote, Direction.RPDO, 1))
         await node.nmt(NmtCommand.START)
         node.enable_rpdo(1)
-        await trio.sleep(1)
+        await loop.sleep(1)
     node.remote.values.store[objects.CONTROLWORD] = word
     node.remote.rpdos[1].send(node.now())
     master.pump.pump()
-    await trio.sleep(0.05)
+    await loop.sleep(0.05)
 
 
 COMMANDS = [by_name, by_bytes, by_stream, by_the_core, by_the_cores_node, by_rpdo]
@@ -100,7 +100,7 @@ async def moving(master: Master, command: Command = by_name) -> Node:
     await node.write("target_velocity", SPEED)
     for word in ENABLE:
         await command(master, node, word)
-    await trio.sleep(1)
+    await loop.sleep(1)
     return node
 
 
@@ -130,8 +130,8 @@ async def test_the_drive_is_halted_though_it_does_not_answer_any_more(is_drive: 
                 if is_drive:
                     await master.run(drive.read_statusword(master.device(node).axis))
                 cable.copies = lambda frame, is_sent: int(is_sent)
-                await trio.sleep(later)
-                begun = trio.current_time()
+                await loop.sleep(later)
+                begun = loop.current_time()
         told = [time for time, is_sent, frame in cable.log if is_sent and str(frame) == "603#2B4060000F010000"]
         assert told[0] - begun <= (0.15 if is_drive else 1.2)
         assert speed(host) == 0
@@ -144,7 +144,7 @@ async def test_what_was_enabled_and_disabled_by_hand_has_what_it_had_before(comm
         async with open_master(BUS) as master:
             for word in (0x06, 0x00):
                 await command(master, await moving(master, command), word)
-                await trio.sleep(0.5)
+                await loop.sleep(0.5)
         node = drives(host)[0]
         assert node.drive.state is State.SWITCH_ON_DISABLED
         assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 0)
@@ -193,7 +193,7 @@ async def test_an_enabling_word_that_was_not_confirmed_is_not_forgotten() -> Non
                 axis = master.device(master.node(NODE)).axis
                 await master.run(drive.change_state(axis, State.SWITCHED_ON))
                 cable.copies = lambda frame, is_sent: int(is_sent)  # it hears us, and we hear nothing from now on
-                with trio.move_on_after(0.3):
+                with loop.move_on_after(0.3):
                     await master.run(write(axis.node, "controlword", 0x0F))
         assert drives(host)[0].drive.state is State.OPERATION_ENABLED
 
@@ -212,7 +212,7 @@ async def test_a_drive_that_booted_unheard_is_taken_hold_of_again() -> None:
             cable.copies = lambda frame, is_sent: int(frame.can_id != 0x700 + NODE)  # its boot-up frame is lost
             async with await open_transport(BUS) as other:
                 await other.send(Frame(0x000, bytes([NmtCommand.RESET_NODE, NODE])))
-            await trio.sleep(1)
+            await loop.sleep(1)
             assert value(node, CONSUMERS) == 0
             await master.run(drive.enable(axis))
             assert (value(node, CONSUMERS), value(node, REACTION)) == (ENTRY, 3)

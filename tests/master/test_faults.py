@@ -5,14 +5,13 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-import trio
-import trio.testing
 
 from canopen_master import Chain, ChainError, ChainFaultError, ChainState, Host, open_master, powerballs, simulate
 from canopen_proto.drives.axis.axis import SCHUNK_POWERBALL
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand, NmtState
 from canopen_transports import open_transport
+from tests.master.loops import jump, loop
 from tests.master.world import (
     BUS,
     arm_of,
@@ -83,14 +82,14 @@ async def test_recover_goes_on_where_the_joints_stand() -> None:
     async with following_arm(3, 4) as (host, _, arm):
         with pytest.raises(ChainFaultError):
             await follow(arm, at=50, do=lambda: fault(host, 0))
-        await trio.sleep(1)
+        await loop.sleep(1)
         stood = [position_of(host, node) for node in drives(host)]
         await arm.recover()
         assert arm.state is ChainState.FOLLOWING
-        await trio.sleep(0.05)
+        await loop.sleep(0.05)
         assert [position_of(host, node) for node in drives(host)] == stood
         assert await follow(arm, cycles=100) == 100
-        await trio.sleep(0.06)
+        await loop.sleep(0.06)
         assert [position_of(host, node) for node in drives(host)] == pytest.approx([each + 5730 for each in stood], abs=2)
 
 
@@ -112,14 +111,14 @@ async def test_a_fault_while_homing_halts_the_others() -> None:
     async with simulated(3, 4) as host, open_master(BUS) as master:
         arm = arm_of(master, 3, 4)
         await arm.initialise()
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def homing() -> None:
                 with pytest.raises(ChainFaultError, match="joint2"):
                     await arm.home()
 
             nursery.start_soon(homing)
-            await trio.sleep(0.3)
+            await loop.sleep(0.3)
             fault(host, 1)
         assert_all_halted(host)
         await assert_all_stand(host)
@@ -133,7 +132,7 @@ async def test_a_fault_between_two_commands_is_told_by_the_next() -> None:
         arm = arm_of(master, 3)
         await arm.initialise()
         fault(host, 0, 0x4310)
-        await trio.sleep(0.5)
+        await loop.sleep(0.5)
         with pytest.raises(ChainFaultError, match="0x4310"):
             await arm.home()
 
@@ -141,16 +140,16 @@ async def test_a_fault_between_two_commands_is_told_by_the_next() -> None:
 @virtual_time
 async def test_a_joint_that_is_switched_on_just_now_is_initialised() -> None:
     """Its boot-up aborts the first request, which was sent before it; the joint is there all the same."""
-    async with open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with open_master(BUS) as master, loop.open_nursery() as nursery:
         arm = arm_of(master, 3)
-        initialised = trio.Event()
+        initialised = loop.event()
 
         async def initialise() -> None:
             await arm.initialise()
             initialised.set()
 
         nursery.start_soon(initialise)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         await nursery.start(simulate, await open_transport(BUS), powerballs(3))
         await initialised.wait()
         assert arm.devices[0].state is State.OPERATION_ENABLED
@@ -168,7 +167,7 @@ def test_joints_that_an_earlier_program_left_stopped_are_initialised(heartbeat: 
             for _ in range(2):
                 async with open_master(BUS) as master:
                     arm = arm_of(master, 3, 4)
-                    await trio.sleep(1)  # heard, where it has a heartbeat
+                    await loop.sleep(1)  # heard, where it has a heartbeat
                     await arm.initialise()
                     assert [node.drive.state for node in drives(host)] == [State.OPERATION_ENABLED] * 2
                     await arm.shut_down()
@@ -181,7 +180,7 @@ def test_joints_that_an_earlier_program_left_stopped_are_initialised(heartbeat: 
 async def test_a_fault_at_power_on_is_reset_by_initialise() -> None:
     async with simulated(3) as host, open_master(BUS) as master:
         fault(host, 0)
-        await trio.sleep(1)
+        await loop.sleep(1)
         arm = arm_of(master, 3)
         await arm.initialise()
         assert drives(host)[0].drive.state is State.OPERATION_ENABLED
@@ -248,9 +247,7 @@ async def test_a_stall_of_this_process_is_no_silence_of_the_joints() -> None:
     """They send behind SYNC, and there was none."""
 
     def stall() -> None:
-        clock = trio.lowlevel.current_clock()
-        assert isinstance(clock, trio.testing.MockClock)
-        clock.jump(0.3)
+        jump(0.3)
 
     async with following_arm(3, 4) as (_, _, arm):
         await follow(arm, at=50, do=stall)
@@ -279,7 +276,7 @@ async def test_a_second_fault_does_not_hide_the_first() -> None:
         with pytest.raises(ChainFaultError):
             await follow(arm, at=20, do=lambda: fault(host, 1))
         fault(host, 0)
-        await trio.sleep(1)
+        await loop.sleep(1)
         with pytest.raises(ChainFaultError, match="joint2"):
             arm.hold()
         await arm.shut_down()
@@ -290,9 +287,9 @@ async def test_a_second_fault_does_not_hide_the_first() -> None:
 async def test_a_joint_that_was_shut_down_is_supervised_no_more() -> None:
     async with following_arm(3) as (host, _, arm):
         await arm.shut_down()
-        await trio.sleep(0.001)  # the NMT command is handed over by now, and also handled
+        await loop.sleep(0.001)  # the NMT command is handed over by now, and also handled
         _reset(host)
-        await trio.sleep(1)
+        await loop.sleep(1)
         assert arm.state is ChainState.OFF
         await arm.initialise()
         assert arm.state is ChainState.READY

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-import trio
 
 from canopen_master import Chain, ChainSettings, ChainState, PathRefusedError
 from canopen_master.motion.path_motion import Torques
@@ -21,6 +20,7 @@ from canopen_proto.drives.trajectory import Path, PathPoint, Segment
 from canopen_proto.pdo.configure import configure_pdo, use_device_pdo
 from canopen_proto.pdo.settings import PdoSettings
 from canopen_proto.simulation.drive.node import DriveNode
+from tests.master.loops import loop
 from tests.master.path_world import AXIS, COUNTS, CYCLE, arms, swing
 from tests.master.world import drives, value, virtual_time
 
@@ -46,7 +46,7 @@ async def offsets_of(node: DriveNode, arm: Chain, path: Path, torques: Torques |
             velocity, torque = value(node, objects.VELOCITY_OFFSET), value(node, objects.TORQUE_OFFSET)
             sent.append((progress.time, velocity / COUNTS, torque / 1000))
 
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         nursery.start_soon(watch)
         await arm.follow(path, torques=torques)
     return sent
@@ -109,7 +109,7 @@ async def test_a_plan_with_feed_forward_has_an_rpdo_for_it() -> None:
         assert [velocity for _, velocity, _ in sent] == pytest.approx(expected, abs=1e-5)
         assert {torque for _, _, torque in sent[2:]} == {0.1}
         await arm.halt()
-        await trio.sleep(3 * CYCLE)
+        await loop.sleep(3 * CYCLE)
         assert value(node, objects.VELOCITY_OFFSET) == value(node, objects.TORQUE_OFFSET) == 0
 
 
@@ -127,7 +127,7 @@ async def test_records_of_ip_have_the_velocity_of_the_path() -> None:
                 velocity = value(node, objects.INTERPOLATION_VELOCITY) * 10 / COUNTS
                 sent.append((progress.time, velocity))
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(watch)
             await arm.follow(path)
         assert value(node, objects.INTERPOLATION_SUB_MODE_SELECT) == -1

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import pytest
-import trio
 
 from canopen_data import load_dictionary
 from canopen_master import Chain, ChainFaultError, ChainSettings, ChainState, Host, open_master, simulate
@@ -35,6 +34,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import Transport
+from tests.master.loops import loop
 from tests.master.world import BUS, Link, chain_text, drives, position_of, value, virtual_time
 
 DICTIONARY, _ = load_dictionary()
@@ -84,7 +84,7 @@ class Scene:
 @asynccontextmanager
 async def scene(is_standard: bool = False, limit: float | None = LIMIT, window: int = 10_000) -> AsyncIterator[Scene]:
     error: BaseException | None = None
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         links, hosts = {}, {}
         for node_id in (VICTIM, OTHER):
             links[node_id] = Link()
@@ -232,7 +232,7 @@ async def strike(case: Case, here: Scene) -> None:
     frames = case.frames if isinstance(case.frames, tuple) else case.frames(position_of(here.hosts[VICTIM], here.node(VICTIM)))
     for frame in frames:
         await here.stranger.send(frame)
-        await trio.sleep(0.001)
+        await loop.sleep(0.001)
 
 
 # ---- what is seen ----
@@ -291,21 +291,21 @@ async def run(case: Case, here: Scene, phase: float) -> str:
     off_since: float | None = None
     for number in range(STRUCK + WATCHED):
         if number == STRUCK:
-            await trio.sleep(phase * PERIOD)
-            struck_at = trio.current_time()
+            await loop.sleep(phase * PERIOD)
+            struck_at = loop.current_time()
             await strike(case, here)
         for _ in range(2):
-            await trio.sleep(PERIOD / 2)
+            await loop.sleep(PERIOD / 2)
             if arm.state is not ChainState.FOLLOWING:
                 break
             truth = [here.true_position(node_id) for node_id in (VICTIM, OTHER)]
             off = max(abs(a - b) for a, b in zip(truth, arm.desired_positions, strict=True))
-            off_since = None if off <= LIMIT + 5 * SPEED * PERIOD else off_since or trio.current_time()
-            assert off_since is None or trio.current_time() - off_since < 4 * PERIOD, f"a joint is {off:.4f} rad off, unseen"
+            off_since = None if off <= LIMIT + 5 * SPEED * PERIOD else off_since or loop.current_time()
+            assert off_since is None or loop.current_time() - off_since < 4 * PERIOD, f"a joint is {off:.4f} rad off, unseen"
         if arm.state is not ChainState.FOLLOWING:
             break
         arm.set_positions([position + SPEED * PERIOD * (number + 1) for position in start])
-    failed_at, first = trio.current_time(), shown_at(here, struck_at)
+    failed_at, first = loop.current_time(), shown_at(here, struck_at)
     assert here.has_struck
     if arm.state is ChainState.FOLLOWING:
         assert first is None, "not seen, though it was shown"
@@ -317,9 +317,9 @@ async def run(case: Case, here: Scene, phase: float) -> str:
     if case.name not in ("NMT stop of all", "foreign SYNC", "foreign SYNCs"):
         assert caught.value.node_id == VICTIM
     assert caught.value.joint in str(caught.value)
-    await trio.sleep(max(0.0, failed_at + math.degrees(SPEED) / RAMP + case.settles * PERIOD - trio.current_time()))
+    await loop.sleep(max(0.0, failed_at + math.degrees(SPEED) / RAMP + case.settles * PERIOD - loop.current_time()))
     stood = [here.true_position(node_id) for node_id in (VICTIM, OTHER)]
-    await trio.sleep(PERIOD)
+    await loop.sleep(PERIOD)
     assert [here.true_position(node_id) for node_id in (VICTIM, OTHER)] == pytest.approx(stood, abs=2e-5)
     return caught.value.reason
 
@@ -391,9 +391,9 @@ async def test_a_joint_that_answers_no_sdo_blinds_nobody_for_another() -> None:
     """A mode that shows in nothing but 0x6061 is seen when the joint was asked: a cycle for each joint, and the answer."""
     async with scene() as here:
         here.links[OTHER].copies = lambda frame, is_sent: 0 if frame.can_id == 0x580 + OTHER else 1
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         here.node(VICTIM).values.store[MODES_OF_OPERATION_DISPLAY] = 1
-        await trio.sleep(3 * PERIOD)
+        await loop.sleep(3 * PERIOD)
         with pytest.raises(ChainFaultError, match="changed its mode of operation: 0x6061 shows profile position") as caught:
             here.arm.set_positions([0.0, 0.0])
         assert caught.value.node_id == VICTIM
@@ -416,7 +416,7 @@ async def test_the_command_of_another_master_is_named() -> None:
     async with scene() as here:
         key = SDO_CLIENT_TO_SERVER + VICTIM
         await here.stranger.send(Frame(key, bytes.fromhex("2b40600006000000")))  # shutdown
-        await trio.sleep(3 * PERIOD)
+        await loop.sleep(3 * PERIOD)
         with pytest.raises(ChainFaultError) as caught:
             here.arm.set_positions([0.0, 0.0])
         assert caught.value.cause.startswith("another master commanded 0x0006 (shutdown) ")
@@ -430,9 +430,9 @@ async def test_a_joint_that_no_longer_answers_guarding_is_lost_though_nothing_is
         joint = here.arm.devices[0]
         await joint.node.write("producer_heartbeat_time", 0)
         joint.node.start_guarding(0.05)
-        await trio.sleep(1)
+        await loop.sleep(1)
         here.links[VICTIM].copies = lambda frame, is_sent: 0
-        await trio.sleep(0.3)
+        await loop.sleep(0.3)
         assert here.arm.state is ChainState.FAULT
         with pytest.raises(ChainFaultError, match="was lost: no answer to node guarding for 0.15 s"):
             here.arm.hold()

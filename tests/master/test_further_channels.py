@@ -13,7 +13,6 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 
 import pytest
-import trio
 
 from canopen_data.configured import configure
 from canopen_data.describing import describe
@@ -29,6 +28,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.local_node import LocalNode
 from canopen_transports import open_transport
 from tests.core.devices import LIMITED, TEXT, io_device
+from tests.master.loops import loop
 from tests.master.world import BUS, simulated, virtual_time
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "SO_PEERCRED"), reason="only Linux has abstract sockets with a name behind")
@@ -71,7 +71,7 @@ async def programs(
 ) -> AsyncIterator[tuple[list[Program], list[Frame]]]:
     """Programs on a device. real: what the device is, where the file is wrong. Also: all frames on the bus."""
     frames: list[Frame] = []
-    async with simulated(makers=served(file if real is None else real)), trio.open_nursery() as nursery:
+    async with simulated(makers=served(file if real is None else real)), loop.open_nursery() as nursery:
         async with open_master(BUS) as one, open_master(BUS) as two, open_master(BUS) as three:
             bus = await open_transport(BUS)
 
@@ -95,7 +95,7 @@ async def busy(program: Program, channel: int, texts: list[object]) -> None:
 async def test_two_programs_read_at_once_each_over_a_channel_of_its_own() -> None:
     async with programs(2, ONE) as ((one, two), frames):
         texts: list[object] = []
-        async with one.channel(), trio.open_nursery() as nursery:
+        async with one.channel(), loop.open_nursery() as nursery:
             nursery.start_soon(busy, two, 0x6A1, texts)
             while not texts:
                 assert await one.node.read(TEXT) == LONG_TEXT
@@ -104,7 +104,7 @@ async def test_two_programs_read_at_once_each_over_a_channel_of_its_own() -> Non
         (line,) = two.told
         assert line.startswith(f"the first SDO channel of node 5 is in use by process {os.getpid()} (")
         assert line.endswith("): 0x1201 is used")
-        await trio.sleep(0.1)  # for the frames
+        await loop.sleep(0.1)  # for the frames
         segments = {frame.can_id for frame in frames if frame.can_id & 0x600 == 0x600 and frame.data[0] & 0xE0 == 0x60}
         assert segments == {0x605, 0x6A1}
         assert one.node.remote.sdo.other.count == 0  # the first one was not disturbed
@@ -142,14 +142,14 @@ async def test_a_channel_of_the_file_that_the_device_does_not_have_is_told_and_t
 @virtual_time
 async def test_after_a_channel_that_does_not_answer_the_first_one_is_used_once_it_is_free() -> None:
     real = device({1: INVALID | 0x6A1, 2: INVALID | 0x6A2})
-    async with programs(2, ONE, real) as ((one, two), _), trio.open_nursery() as nursery:
+    async with programs(2, ONE, real) as ((one, two), _), loop.open_nursery() as nursery:
 
         async def first() -> None:
             async with one.channel():
-                await trio.sleep(3)
+                await loop.sleep(3)
 
         nursery.start_soon(first)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         async with two.channel():
             assert await two.node.read(TEXT) == LONG_TEXT
 
@@ -230,12 +230,12 @@ async def test_a_program_that_writes_has_the_node_for_itself() -> None:
                 with pytest.raises(ChannelTakenError):
                     async with each.channel():
                         raise AssertionError
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             order: list[str] = []
 
             async def reading() -> None:
                 async with two.channel():
-                    await trio.sleep(3)
+                    await loop.sleep(3)
                     order.append("read")
 
             async def writing() -> None:
@@ -245,7 +245,7 @@ async def test_a_program_that_writes_has_the_node_for_itself() -> None:
 
             async with one.channel():
                 nursery.start_soon(reading)
-                await trio.sleep(1)
+                await loop.sleep(1)
             nursery.start_soon(writing)  # the first channel is free, and a reader is on the further one
         assert order == ["read", "written"]
         async with two.channel(), pytest_refuses(channel_claim(CLAIMS, 5, 0, writes=True)) as seen:
@@ -289,9 +289,9 @@ async def test_a_program_that_fails_or_is_cancelled_gives_its_channel_back() -> 
         with suppress(ZeroDivisionError):
             async with two.channel():
                 raise ZeroDivisionError
-        with trio.move_on_after(1) as scope:
+        with loop.move_on_after(1) as scope:
             async with two.channel():
-                await trio.sleep_forever()
+                await loop.sleep_forever()
         assert scope.cancelled_caught
         assert two.node.remote.sdo.can_id == 0x605
         async with three.channel(0):

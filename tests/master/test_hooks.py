@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-import trio
 
 from canopen_master import Host, Master, open_master
 from canopen_master.errors import NodeError, SdoError
@@ -27,6 +26,7 @@ from canopen_proto.pdo.multiplexed import MpdoReceived
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings
 from canopen_transports import open_transport
+from tests.master.loops import loop
 from tests.master.world import BUS, virtual_time
 
 
@@ -76,7 +76,7 @@ async def animated(text: str, keeper: ParameterKeeper | None = None, model: Devi
     model = DeviceModel(DICTIONARY, 5, script=script) if model is None else model
     transport = await open_transport(BUS)
     host = Host(transport, [model], keeper=keeper, say=told.append)
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         await nursery.start(host.serve)
         async with open_master(BUS) as master:
             yield Rig(host, master, told)
@@ -124,22 +124,22 @@ async def test_without_a_list_all_free_objects_are_served() -> None:
 @virtual_time
 async def test_async_functions_answer_when_they_are_done() -> None:
     script = """
-import trio
+from tests.master.loops import loop
 async def on_read(device, index, subindex):
-    await trio.sleep(0.2)
+    await loop.sleep(0.2)
     if index == 0x2001:
         device.abort(0x08000022)
     if index == 0x2002:
         1 / 0
     return 21
 async def on_write(device, index, subindex, value):
-    await trio.sleep(0.1)
+    await loop.sleep(0.1)
     device["temperature"] = value
 """
     async with animated(script) as rig:
-        start = trio.current_time()
+        start = loop.current_time()
         assert await rig.node.read("temperature") == 21
-        assert trio.current_time() - start >= 0.2
+        assert loop.current_time() - start >= 0.2
         assert await rig.refused(rig.node.read("valve")) == AbortCode.DEVICE_STATE
         assert await rig.refused(rig.node.read("counter")) == AbortCode.CANNOT_TRANSFER
         assert rig.told == ["node 5: anim.py:8: in on_read: ZeroDivisionError: division by zero"]
@@ -150,7 +150,7 @@ async def on_write(device, index, subindex, value):
 @virtual_time
 async def test_values_go_out_by_event_driven_pdos_and_come_in_by_others() -> None:
     script = """
-import trio
+from tests.master.loops import loop
 def on_write(device, index, subindex, value):
     device["temperature"] = value * 10
     if value == 9:
@@ -160,7 +160,7 @@ def on_write(device, index, subindex, value):
 """
     async with animated(script) as rig:
         await rig.master.nmt(NmtCommand.START, 5)
-        await trio.sleep(0.01)
+        await loop.sleep(0.01)
         peer = await open_transport(BUS)
         seen = []
         for value in (3, 9, 8):
@@ -176,9 +176,9 @@ def on_write(device, index, subindex, value):
 @virtual_time
 async def test_async_functions_hear_of_pdos_too_and_of_multiplexed_ones() -> None:
     script = """
-import trio
+from tests.master.loops import loop
 async def on_write(device, index, subindex, value):
-    await trio.sleep(0.1)
+    await loop.sleep(0.1)
     device["counter"] = value
 """
     multiplexed = [
@@ -192,9 +192,9 @@ async def on_write(device, index, subindex, value):
         seen = []
         for frame in ("205#04", "305#8501200009000000"):
             await peer.send(Frame.parse(frame))
-            await trio.sleep(0.05)
+            await loop.sleep(0.05)
             before = rig.host.nodes[0].values[0x200200]
-            await trio.sleep(0.1)
+            await loop.sleep(0.1)
             seen.append((before, rig.host.nodes[0].values[0x200200]))
         assert seen == [(0, 4), (4, 9)]
         await peer.aclose()
@@ -229,27 +229,27 @@ def test_a_device_that_has_ended_answers_at_once() -> None:
 @virtual_time
 async def test_steps_and_a_task() -> None:
     script = """
-import trio
+from tests.master.loops import loop
 PERIOD = 0.1
 def setup(device):
     device["counter"] = 1000
 def step(device, t):
     device["counter"] = 1000 + round(t * 10)
 async def run(device):
-    await trio.sleep(1)
+    await loop.sleep(1)
     device.raise_error(0x4210, b"hot")
-    await trio.sleep(1)
+    await loop.sleep(1)
     device.clear_error(0x4210)
     device.say(f"done, operational: {device.is_operational}, node {device.node_id}")
 """
     async with animated(script) as rig, rig.master.events(EmcyReceived) as errors:
         assert 1000 <= (await rig.node.read("counter")) <= 1001  # type: ignore[operator]
-        await trio.sleep(0.95)
+        await loop.sleep(0.95)
         assert 1009 <= (await rig.node.read("counter")) <= 1011  # type: ignore[operator]
         error = await errors.receive()
         assert (error.code, error.error_register, error.vendor_data) == (0x4210, 0x09, b"hot\0\0")
         assert (await errors.receive()).code == 0
-        await trio.sleep(0.01)
+        await loop.sleep(0.01)
         assert rig.told == ["node 5: done, operational: False, node 5"]
 
 
@@ -258,11 +258,11 @@ async def test_setup_is_for_each_power_on() -> None:
     async with animated("def setup(device): device['counter'] = 77") as rig:
         await rig.node.write("counter", 1)
         await rig.master.nmt(NmtCommand.RESET_NODE, 5)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert await rig.node.read("counter") == 77
         await rig.node.write("counter", 1)
         await rig.master.nmt(NmtCommand.RESET_COMMUNICATION, 5)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert await rig.node.read("counter") == 1
 
 
@@ -281,7 +281,7 @@ def on_write(device, index, subindex, value):
     raise KeyError(value)
 """
     async with animated(script) as rig:
-        await trio.sleep(1)
+        await loop.sleep(1)
         assert await rig.refused(rig.node.read("temperature")) == AbortCode.CANNOT_TRANSFER
         assert await rig.refused(rig.node.read("valve")) == AbortCode.CANNOT_TRANSFER
         assert await rig.refused(rig.node.write("valve", 1)) == AbortCode.CANNOT_TRANSFER
@@ -314,17 +314,17 @@ PERIOD = 1
         node = rig.node
         await node.write("controlword", 6)
         assert await node.read("statusword") == 0x221  # the drive took it
-        await trio.sleep(1.1)
+        await loop.sleep(1.1)
         assert rig.told[-1] == "node 5: ([6], 33)"
         assert await rig.refused(node.write("modes_of_operation", 5)) == AbortCode.INVALID_VALUE
 
 
 @virtual_time
 async def test_a_device_that_ends_while_a_script_thinks() -> None:
-    script = "import trio\nasync def on_read(device, index, subindex):\n    await trio.sleep(100)\n"
-    async with animated(script) as rig, trio.open_nursery() as nursery:
+    script = "from tests.master.loops import loop\nasync def on_read(device, index, subindex):\n    await loop.sleep(100)\n"
+    async with animated(script) as rig, loop.open_nursery() as nursery:
         nursery.start_soon(rig.refused, rig.node.read("valve"))
-        await trio.sleep(1)
+        await loop.sleep(1)
 
 
 @pytest.mark.parametrize("period", ["0", "-1", "float('nan')", "'x'", "1e-9"])
@@ -332,7 +332,7 @@ def test_periods_that_cannot_be(period: str) -> None:
     @virtual_time
     async def run() -> None:
         async with animated(f"PERIOD = {period}\ndef step(device, t): device['counter'] = round(t * 1e6)") as rig:
-            await trio.sleep(0.1)
+            await loop.sleep(0.1)
             assert await rig.node.read("counter") > 80_000  # type: ignore[operator]
 
     run()
@@ -375,7 +375,7 @@ async def test_what_is_stored_is_there_after_a_reset_and_in_the_file(tmp_path: P
         await rig.node.write((0x1010, 1), 0x65766173)
         await rig.node.write("counter", 6)
         await rig.master.nmt(NmtCommand.RESET_NODE, 5)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert await rig.node.read("counter") == 5
     async with animated("", ParameterKeeper(path)) as rig:
         assert await rig.node.read("counter") == 5

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
-import trio
 
 from canopen_master import ChainFaultError
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.nmt import NmtCommand
 from tests.drives.drive_dictionaries import changed, empty_pdos, supports
 from tests.master.cell import Joint, homed_arm
+from tests.master.loops import loop
 from tests.master.world import virtual_time
 
 CYCLE = 0.04  # seconds, of homed_arm
@@ -68,21 +68,21 @@ async def test_the_other_joints_stand_within_the_detection_time_and_their_ramp(m
 
         async def stand() -> None:
             while speed_of(one) >= 1.0:
-                await trio.sleep(0.005)
-            times.append(trio.current_time())
+                await loop.sleep(0.005)
+            times.append(loop.current_time())
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             start = arm.positions
             with pytest.raises(ChainFaultError, match="joint2"):
                 async for cycle in arm.cycles():
                     arm.set_positions([position + 0.01 * cycle.number for position in start])
                     if cycle.number == 20:
                         assert speed_of(one) >= 0.5 * SPEED
-                        killed = trio.current_time()
+                        killed = loop.current_time()
                         kill(two)
                         nursery.start_soon(stand)
         assert times[0] - killed <= detection + PHASE + COMMAND + RAMP + 0.01
-        await trio.sleep(2)
+        await loop.sleep(2)
         assert speed_of(one) < 1.0
         assert one.state is State.OPERATION_ENABLED
         two.plug_cable()  # a master that is left names a joint that does not answer

@@ -184,8 +184,8 @@ def test_the_pdos_of_each_bus() -> None:
     assert linked_buses(machine) == ["left", "right"]
     left = planned(NODES + LINKS)
     assert [(each.can_id, str(each.timing)) for each in left.transfers] == [
-        (0x185, "every 2nd SYNC"),
-        (0x186, "every 2nd SYNC"),
+        (0x185, "every 2 SYNCs"),
+        (0x186, "every 2 SYNCs"),
         (0x385, "each SYNC, timeout 50 ms"),
     ]
     (panel,) = planned(NODES + LINKS, "right").transfers

@@ -13,14 +13,15 @@ from contextlib import suppress
 from typing import TypeAlias
 
 import pytest
-import trio
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_master import AxisSettings, ChainError, ChainHaltedError, MotionReplacedError, PlanRefusedError, together
 from canopen_master.motion.moving import Moving
 from canopen_proto.drives.trajectory import Path, Segment
+from canopen_transports.loop import CancelScope, Nursery
 from tests.examples import examples
+from tests.master.loops import loop
 from tests.master.path_world import CYCLE, Record, arms, swing
 from tests.master.world import virtual_time
 
@@ -59,10 +60,10 @@ def random_command(rng: random.Random, joints: int) -> Command:
 class Script:
     """Gives commands to joints, each as a task of its own."""
 
-    def __init__(self, arm: Moving, nursery: trio.Nursery) -> None:
+    def __init__(self, arm: Moving, nursery: Nursery) -> None:
         self._arm = arm
         self._nursery = nursery
-        self._scope = trio.CancelScope()
+        self._scope = loop.cancel_scope()
 
     def _path(self, ways: Sequence[float]) -> Path:
         """Return a path from where the joints stand that uses 60 % of a limit. Of each joint, the polynomial of `swing`."""
@@ -92,23 +93,23 @@ class Script:
             case "cancel":
                 self._scope.cancel()
             case _:
-                self._scope = trio.CancelScope()
+                self._scope = loop.cancel_scope()
                 self._nursery.start_soon(self._move, kind, given, seconds, self._scope)
-        await trio.sleep(seconds)
+        await loop.sleep(seconds)
 
-    async def _move(self, kind: str, given: Sequence[float], seconds: float, scope: trio.CancelScope) -> None:
+    async def _move(self, kind: str, given: Sequence[float], seconds: float, scope: CancelScope) -> None:
         """End with what a motion may end with: another one, a halt, a blend that has no room."""
         with scope, suppress(MotionReplacedError, ChainHaltedError, PlanRefusedError):
             if kind == "stream":
                 async with self._arm.stream() as targets:
                     for part in (0.6, -0.4, 0.9):
                         targets.aim_at(scaled(given, part * FARTHEST))
-                        await trio.sleep(seconds / 2)
+                        await loop.sleep(seconds / 2)
             elif kind == "jog":
                 async with self._arm.jog() as jog:
                     for part in (1.0, -0.3, 2.0):
                         jog.velocity(scaled(given, part))
-                        await trio.sleep(seconds / 2)  # 0.2 s are too long for its dead man's switch
+                        await loop.sleep(seconds / 2)  # 0.2 s are too long for its dead man's switch
             elif kind == "follow":
                 with suppress(ChainError):  # the joints move already
                     await self._arm.follow(self._path(scaled(given, 0.3)))
@@ -144,7 +145,7 @@ def test_no_motion_exceeds_a_limit_whatever_comes(seed: int) -> None:
         async with arms(*on_buses, axis=axes, counts=COUNTS) as (_, chains, record):
             arm = chains[0] if len(chains) == 1 else together(*chains)
             await arm.follow()
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
                 player = Script(arm, nursery)
                 for command in script:
                     await player.give(command)
@@ -152,7 +153,7 @@ def test_no_motion_exceeds_a_limit_whatever_comes(seed: int) -> None:
             arm.override = 1.0
             goal = [rng.uniform(-0.7, 0.7) for _ in names]
             await arm.move(goal)
-            await trio.sleep(2 * CYCLE)
+            await loop.sleep(2 * CYCLE)
             assert record.rows[-1] == pytest.approx(goal, abs=3 / COUNTS)
             assert_within(record, list(axes.values()))
 

@@ -7,10 +7,8 @@ import re
 from dataclasses import replace
 
 import pytest
-import trio
 from hypothesis import given
 from hypothesis import strategies as st
-from trio.testing import MockClock
 
 from canopen_master import (
     ChainError,
@@ -26,6 +24,7 @@ from canopen_proto.drives.trajectory import Path, PathError, Segment, from_funct
 from canopen_proto.machine import LocalProtocolError
 from tests.examples import examples
 from tests.master.direct_world import patient
+from tests.master.loops import jump, loop
 from tests.master.path_world import AXIS, CYCLE, Record, arms, swing
 from tests.master.test_path_motion import ON_PATH, WITHIN, distance_from, moved
 from tests.master.world import virtual_time
@@ -47,7 +46,7 @@ def test_moves_and_blends_keep_every_limit_and_arrive(moves: list[tuple[list[flo
     async def run() -> None:
         async with arms(2) as (_, [arm], record):
             await arm.move([0.0, 0.0])  # a move that comes while the first one only begins to follow is refused
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
 
                 async def move(to: list[float], speed: float, is_last: bool) -> None:
                     try:
@@ -57,7 +56,7 @@ def test_moves_and_blends_keep_every_limit_and_arrive(moves: list[tuple[list[flo
 
                 for number, (to, seconds, speed) in enumerate(moves, start=1):
                     nursery.start_soon(move, to, speed, number == len(moves))
-                    await trio.sleep(seconds)
+                    await loop.sleep(seconds)
             assert record.rows[-1] == pytest.approx(moves[-1][0], abs=3e-6)
             assert_within_limits(record)
 
@@ -71,11 +70,11 @@ def test_the_override_changes_the_rate_on_the_path_and_within_the_limits(changes
     async def run() -> None:
         async with arms(2) as (_, [arm], record):
             path = swing(0.5, -0.25, duration=1.0)
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
                 nursery.start_soon(arm.follow, path)
                 for override, seconds in changes:
                     arm.override = override
-                    await trio.sleep(seconds)
+                    await loop.sleep(seconds)
                 arm.override = 1.0
             assert record.rows[-1] == pytest.approx([0.5, -0.25], abs=3e-6)
             assert max(distance_from(path, row) for row in record.rows) < ON_PATH
@@ -88,11 +87,11 @@ def test_the_override_changes_the_rate_on_the_path_and_within_the_limits(changes
 async def test_a_pause_stands_on_the_path_until_it_goes_on() -> None:
     async with arms(2) as (_, [arm], record):
         path = swing(0.5, -0.25, duration=2.0)
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(arm.follow, path)
             await moved(arm, 0.8)
             arm.pause()
-            await trio.sleep(2)
+            await loop.sleep(2)
             paused = list(record.rows[-1])
             assert record.rows[-50] == pytest.approx(paused, abs=1e-9)
             assert 0.2 < paused[0] < 0.45
@@ -106,13 +105,13 @@ async def test_a_pause_stands_on_the_path_until_it_goes_on() -> None:
 async def test_progress_tells_each_cycle_of_the_motion() -> None:
     async with arms(2) as (_, [arm], _):
         seen: list[Progress] = []
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def watch() -> None:
                 seen.extend([progress async for progress in arm.progress()])
 
             nursery.start_soon(watch)
-            await trio.sleep(0.1)
+            await loop.sleep(0.1)
             await arm.follow(swing(0.5, -0.25, duration=1.0))
         assert [each.time for each in seen] == pytest.approx([CYCLE * number for number in range(1, len(seen) + 1)])
         assert seen[-1].set_points == pytest.approx([0.5, -0.25], abs=3e-6)
@@ -127,11 +126,11 @@ async def test_a_jog_moves_as_long_as_it_is_renewed_and_brakes_when_its_block_en
         async with arm.jog() as jog:
             for _ in range(20):
                 jog.velocity([0.4, -5.0])
-                await trio.sleep(0.05)
+                await loop.sleep(0.05)
             assert record.derivatives(1)[-1] == pytest.approx([0.4, -1.0], abs=1e-3)
-        await trio.sleep(2 * CYCLE)
+        await loop.sleep(2 * CYCLE)
         at_end = record.rows[-1]
-        await trio.sleep(0.3)
+        await loop.sleep(0.3)
         assert record.rows[-1] == pytest.approx(at_end, abs=1e-6)
         assert arm.state is ChainState.FOLLOWING
         assert_within_limits(record)
@@ -142,7 +141,7 @@ async def test_a_jog_whose_caller_hangs_brakes_by_its_dead_man() -> None:
     async with arms(2) as (_, [arm], record):
         async with arm.jog(renew_within=0.1) as jog:
             jog.velocity([0.4, 0.0])
-            await trio.sleep(3)
+            await loop.sleep(3)
             begun = record.times[next(number for number, row in enumerate(record.derivatives(1)) if row[0] > 1e-6)]
             stood = record.times[max(number for number, row in enumerate(record.derivatives(1)) if row[0] > 1e-6)]
             assert stood - begun < 0.6
@@ -155,14 +154,14 @@ async def test_a_jog_whose_caller_hangs_brakes_by_its_dead_man() -> None:
 @virtual_time
 async def test_a_jog_whose_caller_is_gone_brakes(way: str) -> None:
     async with arms(2) as (_, [arm], record):
-        with trio.move_on_after(1), pytest.raises(KeyError) if way == "failed" else trio.CancelScope():
+        with loop.move_on_after(1), pytest.raises(KeyError) if way == "failed" else loop.cancel_scope():
             async with arm.jog(renew_within=100) as jog:
                 jog.velocity([0.4, -0.2])
-                await trio.sleep(0.5)
+                await loop.sleep(0.5)
                 if way == "failed":
                     raise KeyError("a bug of the user's")
-                await trio.sleep_forever()
-        await trio.sleep(2 * CYCLE)
+                await loop.sleep_forever()
+        await loop.sleep(2 * CYCLE)
         assert record.derivatives(1)[-1] == pytest.approx([0, 0], abs=1e-3)
         assert_within_limits(record)
 
@@ -173,15 +172,15 @@ async def test_targets_may_come_at_any_time() -> None:
         async with arm.stream() as stream:
             for number in range(60):
                 stream.aim_at([0.5 * math.sin(0.1 * number), 0.01 * number])
-                await trio.sleep(0.03)
-            await trio.sleep(2)
+                await loop.sleep(0.03)
+            await loop.sleep(2)
         assert record.rows[-1] == pytest.approx([0.5 * math.sin(5.9), 0.59], abs=3e-6)
         assert_within_limits(record)
 
 
 @virtual_time
 async def test_a_jog_takes_over_from_a_move_and_a_move_from_a_jog() -> None:
-    async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+    async with arms(2) as (_, [arm], record), loop.open_nursery() as nursery:
 
         async def move() -> None:
             with pytest.raises(MotionReplacedError):
@@ -191,7 +190,7 @@ async def test_a_jog_takes_over_from_a_move_and_a_move_from_a_jog() -> None:
         await moved(arm, 1.0)
         async with arm.jog() as jog:
             jog.velocity([-0.5, 0.5])
-            await trio.sleep(0.15)
+            await loop.sleep(0.15)
             await arm.move([1.0, 2.0])
         assert record.rows[-1] == pytest.approx([1.0, 2.0], abs=3e-6)
         assert_within_limits(record)
@@ -206,7 +205,7 @@ async def test_several_chains_move_as_one_and_stop_as_one() -> None:
         first, last = record.rows[0], record.rows[-1]
         for row in record.rows:  # a plan that is synchronised in time moves them at once, not in proportion
             assert all(min(a, b) - 1e-6 <= x <= max(a, b) + 1e-6 for a, x, b in zip(first, row, last, strict=True))
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def move() -> None:
                 with pytest.raises(ChainError, match="by halt()"):
@@ -249,7 +248,7 @@ async def test_a_path_is_refused_before_anything_moves(case: str) -> None:
         with pytest.raises(PathRefusedError, match=failed) as caught:
             await arm.follow(path)
         assert re.search(seen, str(caught.value)), caught.value
-        await trio.sleep(0.3)
+        await loop.sleep(0.3)
         assert record.largest(1) == 0
         assert arm.state is ChainState.FOLLOWING
 
@@ -261,7 +260,7 @@ async def test_what_else_is_refused() -> None:
             arm.override = 1.5
         with pytest.raises(PlanRefusedError):
             await arm.move([1.0])
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(arm.follow, swing(0.5, -0.25))
             await moved(arm, 0.5)
             with pytest.raises(ChainError, match="it moves along a path"):
@@ -278,13 +277,11 @@ async def test_a_jog_whose_whole_process_hangs_does_not_begin_again_by_itself(bl
     async with arms(1, makers=patient) as (_, [arm], record):
         async with arm.jog(renew_within=0.3) as jog:
             jog.velocity([0.5])
-            await trio.sleep(0.25)
-            clock = trio.lowlevel.current_clock()
-            assert isinstance(clock, MockClock)
-            clock.jump(blocked)
-            await trio.sleep(3 * CYCLE)
+            await loop.sleep(0.25)
+            jump(blocked)
+            await loop.sleep(3 * CYCLE)
             stood = len(record.rows)
-            await trio.sleep(0.5)
+            await loop.sleep(0.5)
             with pytest.raises(PlanRefusedError, match="was not renewed in time"):
                 jog.velocity([0.5])
         assert record.rows[-1] == pytest.approx(record.rows[stood - 1], abs=3e-6)
@@ -292,13 +289,13 @@ async def test_a_jog_whose_whole_process_hangs_does_not_begin_again_by_itself(bl
 
 @virtual_time
 async def test_a_jog_whose_chain_is_being_halted_says_so() -> None:
-    async with arms(1) as (_, [arm], _), trio.open_nursery() as nursery:
+    async with arms(1) as (_, [arm], _), loop.open_nursery() as nursery:
         with pytest.raises(ChainHaltedError, match="by halt"):
             async with arm.jog() as jog:
                 jog.velocity([0.5])
-                await trio.sleep(0.15)
+                await loop.sleep(0.15)
                 nursery.start_soon(arm.halt)
-                await trio.sleep(2 * CYCLE)
+                await loop.sleep(2 * CYCLE)
                 assert arm.motion is not None  # it brakes
                 jog.velocity([0.5])
 
@@ -311,23 +308,21 @@ def long_path() -> Path:
 
 @virtual_time
 async def test_sync_goes_on_while_a_long_path_is_checked() -> None:
-    async with arms(2) as (_, [arm], _), trio.open_nursery() as nursery:
+    async with arms(2) as (_, [arm], _), loop.open_nursery() as nursery:
         await arm.follow()
-        clock = trio.lowlevel.current_clock()
-        assert isinstance(clock, MockClock)
         path = long_path()
 
         async def take_time() -> None:
             while arm.motion is None:
-                clock.jump(0.0005)  # a step of the check takes that
-                await trio.lowlevel.checkpoint()
+                jump(0.0005)  # a step of the check takes that
+                await loop.checkpoint()
 
-        begin, syncs = trio.current_time(), arm.sync_cycles
+        begin, syncs = loop.current_time(), arm.sync_cycles
         nursery.start_soon(take_time)
         nursery.start_soon(arm.follow, path)
         await moved(arm, CYCLE)
-        assert trio.current_time() - begin > 0.1  # it has so many steps
-        assert (trio.current_time() - begin) / CYCLE == pytest.approx(arm.sync_cycles - syncs, abs=2)
+        assert loop.current_time() - begin > 0.1  # it has so many steps
+        assert (loop.current_time() - begin) / CYCLE == pytest.approx(arm.sync_cycles - syncs, abs=2)
         assert arm.skipped_cycles == 0
         nursery.cancel_scope.cancel()
 
@@ -335,7 +330,7 @@ async def test_sync_goes_on_while_a_long_path_is_checked() -> None:
 @pytest.mark.parametrize("end", ["moves", "halts"])
 @virtual_time
 async def test_what_happens_while_a_path_is_checked_counts(end: str) -> None:
-    async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+    async with arms(2) as (_, [arm], record), loop.open_nursery() as nursery:
         await arm.follow()
         path = long_path()
 
@@ -344,8 +339,8 @@ async def test_what_happens_while_a_path_is_checked_counts(end: str) -> None:
                 await arm.follow(path)
 
         nursery.start_soon(follow)
-        await trio.lowlevel.checkpoint()
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
+        await loop.checkpoint()
         assert arm.motion is None
         if end == "moves":
             await arm.move([0.1, 0.1])

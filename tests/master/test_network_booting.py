@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-import trio
 
 from canopen_master import open_master, powerballs, simulate
 from canopen_master.errors import ChainError
@@ -11,6 +10,7 @@ from canopen_master.machine_file import parse_machine
 from canopen_master.motion.chain import ChainState
 from canopen_master.network_booting import boot_network
 from canopen_transports import open_transport
+from tests.master.loops import loop
 from tests.master.world import virtual_time
 
 MACHINE = parse_machine("""
@@ -30,7 +30,7 @@ joints = ["shoulder"]
 
 @virtual_time
 async def test_the_drives_of_a_chain_in_use_are_not_reset() -> None:
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         await nursery.start(simulate, await open_transport("virtual:booting"), powerballs(3))
         async with open_master(machine=MACHINE) as master:
             (arm,) = master.chains.values()

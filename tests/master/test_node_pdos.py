@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 
 import pytest
-import trio
 
 from canopen_data.configured import configure
 from canopen_data.descriptions import load_description_with_names
@@ -16,6 +15,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.steps import SdoTransferError
+from tests.master.loops import fail_after, loop
 from tests.master.world import BUS, simulated, virtual_time
 
 FILE = "sample_io.eds"
@@ -73,7 +73,7 @@ async def test_a_device_that_comes_later_and_one_that_boots_again() -> None:
         with pytest.raises(SdoTransferError):
             await node.start()
         async with simulated(makers=[DeviceModel(sample(x1A00_01=0x6200_0108), 5)]):
-            await trio.sleep(1)
+            await loop.sleep(1)
             assert len(await node.exchange_pdos()) == 1
             assert node.remote.tpdos[1].mapping.parameters[0] == 0x6200_0108
             await node.write_bytes(0x1800, 1, (0x8000_0185).to_bytes(4, "little"))
@@ -93,7 +93,7 @@ async def test_a_stopped_device_is_asked_once_it_is_heard_in_another_state() -> 
         with pytest.raises(SdoTransferError):
             await node.exchange_pdos()  # and it is not asked while it is Stopped
         await master.nmt_start(5)
-        await trio.sleep(0.2)
+        await loop.sleep(0.2)
         assert len(await node.exchange_pdos()) == 1
         assert node.remote.tpdos[1].mapping.parameters[0] == 0x6200_0108
 
@@ -102,7 +102,7 @@ async def test_a_stopped_device_is_asked_once_it_is_heard_in_another_state() -> 
 async def test_nothing_is_sent_where_that_is_not_wished() -> None:
     async with simulated(makers=[DeviceModel(sample(), 5)]), open_master(BUS) as master:
         node = master.node(5, FILE, pdos=False)
-        await trio.sleep(1)
+        await loop.sleep(1)
         assert not node.remote.tpdos
         await node.start()
         with pytest.raises(LocalProtocolError, match="in use with another dictionary"):
@@ -120,14 +120,14 @@ async def test_rpdos_send_what_the_device_holds_until_told_otherwise() -> None:
         await node.start()
         master.sync_start(0.01)
         node.enable_rpdo(number)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert [device.values.store[key] for key in consumer.mapping.muxes] == [7] * len(consumer.mapping.muxes)
         node.remote.values.store[consumer.mapping.muxes[0]] = 9
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert device.values.store[consumer.mapping.muxes[0]] == 9
         node.enable_rpdo(number, False)
         node.remote.values.store[consumer.mapping.muxes[0]] = 11
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert device.values.store[consumer.mapping.muxes[0]] == 9
 
 
@@ -163,9 +163,9 @@ async def test_a_machine_that_anybody_commands_says_so_at_once(by_machine: bool)
                 node.remote.start_guarding(10**8, 3, master.now())
             else:
                 node.start_guarding(0.1)
-            with trio.fail_after(0.05):
+            with fail_after(0.05):
                 assert (await heard.receive()).state is NmtState.PRE_OPERATIONAL
         node.stop_guarding()
         node.remote.sdo.upload(0x1000, 0, master.now())
-        await trio.sleep(0.05)
+        await loop.sleep(0.05)
         assert 0x1000_00 in node.remote.heard_at

@@ -1,7 +1,6 @@
 """Writes whose fate nobody knows: an error of their own, and one frame only on the wire."""
 
 import pytest
-import trio
 
 from canopen_master import SdoGivenUpError, SdoNotConfirmedError, SdoRefusedError, SdoTimeoutError, open_master
 from canopen_master.errors import SdoContestedError, sdo_error
@@ -11,13 +10,14 @@ from canopen_proto.network import Network
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.client import SdoAborted
 from canopen_transports import Transport, open_transport
+from tests.master.loops import loop, settled
 from tests.master.world import BUS, simulated, virtual_time
 
 
 async def requests_on(spy: Transport) -> list[str]:
     """What clients have said until now."""
     frames = []
-    with trio.move_on_after(1):
+    with loop.move_on_after(1):
         while True:
             frames.append(str((await spy.receive())[0]))
     return [frame for frame in frames if frame.startswith("6")]
@@ -36,7 +36,7 @@ async def test_a_write_without_answer_is_not_confirmed_and_sent_once() -> None:
 
 @virtual_time
 async def test_nor_is_one_whose_node_was_reset_meanwhile() -> None:
-    async with simulated(12) as host, open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with simulated(12) as host, open_master(BUS) as master, loop.open_nursery() as nursery:
         node = master.node(12)
         host.nodes[0].sdo.disable()
 
@@ -48,13 +48,13 @@ async def test_nor_is_one_whose_node_was_reset_meanwhile() -> None:
             assert "reset" in caught.value.cause
 
         nursery.start_soon(writing)
-        await trio.testing.wait_all_tasks_blocked()
+        await settled()
         await node.reset()
 
 
 @virtual_time
 async def test_an_abort_that_finds_no_transfer_is_no_refusal() -> None:
-    async with open_master(BUS) as master, await open_transport(BUS) as device, trio.open_nursery() as nursery:
+    async with open_master(BUS) as master, await open_transport(BUS) as device, loop.open_nursery() as nursery:
 
         async def answer() -> None:
             while True:
@@ -87,7 +87,7 @@ async def test_what_is_certain_is_no_such_error() -> None:
 
 @virtual_time
 async def test_a_slow_nodes_late_answer_is_not_taken_for_the_next_one() -> None:
-    async with open_master(BUS, sdo_timeout=0.1) as master, await open_transport(BUS) as device, trio.open_nursery() as nursery:
+    async with open_master(BUS, sdo_timeout=0.1) as master, await open_transport(BUS) as device, loop.open_nursery() as nursery:
         answered = 0
 
         async def answer() -> None:
@@ -95,7 +95,7 @@ async def test_a_slow_nodes_late_answer_is_not_taken_for_the_next_one() -> None:
             while True:
                 frame, _ = await device.receive()
                 if str(frame).startswith("60C#4041"):
-                    await trio.sleep(0.15 if not answered else 0.01)
+                    await loop.sleep(0.15 if not answered else 0.01)
                     answered += 1
                     await device.send(frame.parse(f"58C#4B4160000{answered}000000"))
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-import trio
 
 from canopen_master import open_master
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
+from tests.master.loops import loop
 from tests.master.test_stalls import stall
 from tests.master.world import BUS, arm_of, drives, simulated, virtual_time
 
@@ -22,7 +22,7 @@ async def test_whenever_a_stall_ends_no_drive_takes_its_master_for_lost(late: fl
         for _ in range(20):
             over = network.next_deadline()
             while network.next_deadline() == over:  # once it comes, the drives wait for what follows the last heartbeat
-                await trio.sleep(0.001)
+                await loop.sleep(0.001)
             stall((network.next_deadline() - host.now()) / SECOND + late)
-            await trio.sleep(0.2)
+            await loop.sleep(0.2)
             assert [node.state for node in drives(host)] == [NmtState.OPERATIONAL] * 2

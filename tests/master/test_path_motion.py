@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Sequence
 
 import pytest
-import trio
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -13,6 +12,7 @@ from canopen_master import ChainHaltedError, ChainState, together
 from canopen_master.motion.moving import Moving
 from canopen_proto.drives.trajectory import Path
 from tests.examples import examples
+from tests.master.loops import loop
 from tests.master.path_world import CYCLE, arms, swing
 from tests.master.world import virtual_time
 
@@ -49,7 +49,7 @@ Stop = Callable[[Moving, float, Path], Awaitable[None]]
 
 
 async def by_halt(arm: Moving, seconds: float, path: Path) -> None:
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
 
         async def follow() -> None:
             with pytest.raises(ChainHaltedError, match="by halt()"):
@@ -62,7 +62,7 @@ async def by_halt(arm: Moving, seconds: float, path: Path) -> None:
 
 
 async def by_cancel(arm: Moving, seconds: float, path: Path) -> None:
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         nursery.start_soon(arm.follow, path)
         await moved(arm, seconds)
         nursery.cancel_scope.cancel()
@@ -75,7 +75,7 @@ async def by_failing_caller(arm: Moving, seconds: float, path: Path) -> None:
         raise KeyError("a bug of the user's")
 
     with pytest.raises(ExceptionGroup) as caught:
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(arm.follow, path)
             nursery.start_soon(fail)
     assert caught.group_contains(KeyError)
@@ -84,7 +84,7 @@ async def by_failing_caller(arm: Moving, seconds: float, path: Path) -> None:
 
 async def by_next_command(arm: Moving, seconds: float, path: Path) -> None:
     """Another command that needs joints at rest."""
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
 
         async def follow() -> None:
             with pytest.raises(ChainHaltedError, match="to follow set-points"):
@@ -119,7 +119,7 @@ def test_any_stop_at_any_moment_is_on_the_path_and_within_the_limits(stop: Stop,
             path = swing(*WAYS[: sum(joints)], duration=1.0)
             moving = chains[0] if len(chains) == 1 else together(*chains)
             await stop(moving, seconds, path)
-            await trio.sleep(0.5)
+            await loop.sleep(0.5)
             assert max(distance_from(path, row) for row in record.rows) < ON_PATH
             assert record.rows[-1] == pytest.approx(record.rows[-20], abs=1e-9)
             assert record.largest(1) <= 1.0

@@ -6,9 +6,6 @@ import signal
 from dataclasses import replace
 
 import pytest
-import trio
-from trio.lowlevel import enable_ki_protection
-from trio.testing import MockClock
 
 from canopen_master import (
     AxisSettings,
@@ -24,7 +21,9 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.drives.axis import TakenOverError, run_at
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.simulation.drive.answers import Answer
+from canopen_transports.loop import protected
 from tests.master.direct_world import patient
+from tests.master.loops import fail_after, jump, loop
 from tests.master.path_world import AXIS, COUNTS, Record, arms, demands, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved
@@ -43,7 +42,7 @@ async def test_a_joint_that_falls_behind_stops_all_on_the_path() -> None:
     async with arms(2, axis=replace(AXIS, following_error_limit=0.02)) as (_, [arm], record):
         for node in drives(record.hosts[0]):
             node.values.store[0x6065_00] = 0xFFFF_FFFF  # no fault because of it
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def follow() -> None:
                 with pytest.raises(ChainFaultError, match="j02 .* off its path"):
@@ -62,7 +61,7 @@ async def test_a_joint_that_falls_behind_stops_all_on_the_path() -> None:
 @virtual_time
 async def test_a_fault_stops_each_joint_by_its_own_ramp() -> None:
     async with arms(2) as (_, [arm], record):
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def follow() -> None:
                 with pytest.raises(ChainFaultError, match="j02 .* fell into fault"):
@@ -73,7 +72,7 @@ async def test_a_fault_stops_each_joint_by_its_own_ramp() -> None:
             host = record.hosts[0]
             drives(host)[1].raise_fault(0x3220, host.now())
             host.pump()
-            failed = trio.current_time()
+            failed = loop.current_time()
         assert arm.state is ChainState.FAULT
         moving = [time for time, row in zip(record.times, record.derivatives(1), strict=False) if abs(row[0]) > 1e-3]
         assert moving[-1] - failed < 0.2  # by its ramp: from full speed in 0.1 s
@@ -81,7 +80,7 @@ async def test_a_fault_stops_each_joint_by_its_own_ramp() -> None:
 
 @virtual_time
 async def test_the_end_of_the_master_is_a_stop_on_the_path() -> None:
-    async with trio.open_nursery() as nursery, arms(2) as (_, [arm], record):
+    async with loop.open_nursery() as nursery, arms(2) as (_, [arm], record):
 
         async def follow() -> None:
             with pytest.raises(MasterClosedError):
@@ -99,7 +98,7 @@ async def test_the_end_of_the_master_is_a_stop_on_the_path() -> None:
 async def test_the_end_of_the_master_halts_a_drive_off_the_path_at_once(ramp: float) -> None:
     """It does not wait until the chains have come to rest on their paths, and goes on if it needs longer than they do."""
     speed = 0.5
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         async with arms(1, 1) as (master, [arm, other], record):
 
             async def follow() -> None:
@@ -113,7 +112,7 @@ async def test_the_end_of_the_master_halts_a_drive_off_the_path_at_once(ramp: fl
             nursery.start_soon(follow)
             nursery.start_soon(run)
             await moved(arm, 0.8)
-            left = trio.current_time()
+            left = loop.current_time()
         assert record.times[-1] - left > 0.2  # the arm needs its time
         before = next(row[1] for time, row in zip(record.times, record.rows, strict=True) if time > left)
         [demand] = demands(record.hosts[1])
@@ -123,7 +122,7 @@ async def test_the_end_of_the_master_halts_a_drive_off_the_path_at_once(ramp: fl
 
 @virtual_time
 async def test_a_shut_down_is_a_stop_on_the_path() -> None:
-    async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+    async with arms(2) as (_, [arm], record), loop.open_nursery() as nursery:
 
         async def follow() -> None:
             with pytest.raises(ChainHaltedError):
@@ -138,13 +137,13 @@ async def test_a_shut_down_is_a_stop_on_the_path() -> None:
 
 @virtual_time
 async def test_ctrl_c_is_a_stop_on_the_path() -> None:
-    @enable_ki_protection
+    @protected
     async def press() -> None:
         await moved(arm, 0.6)
         signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(BaseExceptionGroup) as caught:
-        async with arms(2) as (_, [arm], record), trio.open_nursery() as nursery:
+        async with arms(2) as (_, [arm], record), loop.open_nursery() as nursery:
             nursery.start_soon(press)
             await arm.follow(PATH)
     assert caught.group_contains(KeyboardInterrupt)
@@ -155,7 +154,7 @@ async def test_ctrl_c_is_a_stop_on_the_path() -> None:
 @virtual_time
 async def test_a_halt_without_sync_does_not_wait_for_the_path() -> None:
     """Drives that hold on without SYNC would else stay without a halt as long as a stop on the path may take."""
-    async with arms(2, makers=patient) as (master, [arm], _), trio.open_nursery() as nursery:
+    async with arms(2, makers=patient) as (master, [arm], _), loop.open_nursery() as nursery:
 
         async def follow() -> None:
             with pytest.raises(ChainHaltedError, match="by halt"):
@@ -164,16 +163,16 @@ async def test_a_halt_without_sync_does_not_wait_for_the_path() -> None:
         nursery.start_soon(follow)
         await moved(arm, 0.6)
         master.sync_stop()
-        began = trio.current_time()
+        began = loop.current_time()
         await arm.halt()
-        assert trio.current_time() - began < 2.0
+        assert loop.current_time() - began < 2.0
         assert arm.state is ChainState.HALTED
 
 
 @pytest.mark.parametrize("ends", ["it fails", "it is cancelled"])
 @virtual_time
 async def test_a_halt_of_several_chains_stops_each_of_them_whatever_becomes_of_the_others(ends: str) -> None:
-    async with arms(1, 1) as (_, [arm, leg], record), trio.open_nursery() as nursery:
+    async with arms(1, 1) as (_, [arm, leg], record), loop.open_nursery() as nursery:
         both = together(arm, leg)
         await arm.follow()
 
@@ -188,12 +187,12 @@ async def test_a_halt_of_several_chains_stops_each_of_them_whatever_becomes_of_t
             with pytest.raises(ChainError, match="j01"):
                 await both.halt()
         else:
-            with trio.CancelScope() as scope:
+            with loop.cancel_scope() as scope:
                 scope.cancel()
                 await both.halt()
         while leg.motion is not None:
             assert leg.motion.is_braking
-            await trio.sleep(0.01)
+            await loop.sleep(0.01)
         drives(record.hosts[0])[0].answer(0x6041, 0, None)
 
 
@@ -205,14 +204,12 @@ def test_only_behind_a_long_gap_a_path_goes_on_from_rest(late: float, least: flo
     @virtual_time
     async def run(gap: float) -> None:
         async with arms(2) as (_, [arm], _):
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
                 nursery.start_soon(arm.follow, PATH)
                 await moved(arm, 0.8)
-                begun = trio.current_time()
-                clock = trio.lowlevel.current_clock()
-                assert isinstance(clock, MockClock)
-                clock.jump(gap)
-            ends.append(trio.current_time() - begun)
+                begun = loop.current_time()
+                jump(gap)
+            ends.append(loop.current_time() - begun)
 
     run(0.0)
     run(late)
@@ -225,11 +222,11 @@ async def test_a_shut_down_leaves_sync_to_a_chain_that_initialises() -> None:
     async with arms(1, 1) as (_, [arm, leg], record):
         await leg.shut_down()
         drives(record.hosts[1])[0].answer(0x6060, 0, Answer(delay=300 * MILLISECOND))
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(leg.initialise)
-            await trio.sleep(0.01)
+            await loop.sleep(0.01)
             await arm.shut_down()
-        with trio.fail_after(10.0):
+        with fail_after(10.0):
             await leg.move([0.1])
         assert record.rows[-1] == pytest.approx([0.0, 0.1], abs=3e-6)
 
@@ -239,20 +236,20 @@ async def test_a_shut_down_leaves_sync_to_a_chain_that_initialises() -> None:
 async def test_a_motion_does_not_wait_for_ever_for_a_sync_that_was_stopped(after: float) -> None:
     """These drives do not notice: only the master can end it. `follow` sends SYNC again."""
     axis = AxisSettings(counts_per_unit=1000, max_speed=20.0, max_acceleration=50.0, max_jerk=500.0)
-    async with simulated(3, 4), open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with simulated(3, 4), open_master(BUS) as master, loop.open_nursery() as nursery:
         arm = arm_of(master, 3, 4, axes=axis)
         await arm.initialise()
         await arm.follow()
-        begun = trio.current_time()
+        begun = loop.current_time()
 
         async def stop() -> None:
-            await trio.sleep(after)
+            await loop.sleep(after)
             master.sync_stop()
 
         nursery.start_soon(stop)
         with pytest.raises(ChainHaltedError, match="no SYNC came for 0.5 s or more"):
             await arm.move([5.0, 5.0])
-        assert trio.current_time() - begun < after + 1.2  # 0.5 s, and the halt
+        assert loop.current_time() - begun < after + 1.2  # 0.5 s, and the halt
         assert arm.state is ChainState.HALTED
         await arm.follow()
         await arm.move([5.0, 5.0])

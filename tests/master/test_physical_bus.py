@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import trio
-
 from canopen_master import open_master
 from canopen_master.simulation.host import powerballs, simulate
 from canopen_proto.heartbeat import HeartbeatLost
 from canopen_transports import open_transport
 from canopen_transports.virtual_wire import WireTransport
 from canopen_transports.wire import FaultKind
+from tests.master.loops import loop
 from tests.transports.support import trio_test
 
 
@@ -24,7 +23,7 @@ async def test_who_opens_a_bus_may_ask_at_once() -> None:
     """The boot-ups, which nobody was there to acknowledge, are over when the bus is open: no drive seems to have been reset."""
     for count, locator in ((1, "virtual:one?bitrate=1M"), (6, "virtual:six?bitrate=50k"), (3, "virtual:three?ack=false")):
         drives = await _opened(locator)
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             await nursery.start(simulate, drives, powerballs(*range(1, count + 1)))
             async with open_master(locator) as master:
                 for number in range(1, count + 1):
@@ -37,7 +36,7 @@ async def test_values_are_read_over_a_disturbed_bus() -> None:
     """Frames that are corrupted are sent again by the controllers: nobody above them notices."""
     locator = "virtual:arm?bitrate=1M&corrupt=0.002&seed=3"
     drives = await _opened(locator)
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         await nursery.start(simulate, drives, powerballs(*range(1, 7)))
         async with open_master(locator) as master:
             for number in range(1, 7):
@@ -53,12 +52,12 @@ async def test_values_are_read_over_a_disturbed_bus() -> None:
 @trio_test()
 async def test_a_cut_cable_is_a_lost_heartbeat() -> None:
     drives = await _opened("virtual:arm?bitrate=500k")
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         await nursery.start(simulate, drives, powerballs(1, 2))
         async with open_master("virtual:arm", heartbeat_timeout=0.3) as master:
             for number in (1, 2):
                 await master.node(number).write("0x1017", 100)
-            await trio.sleep(1)
+            await loop.sleep(1)
             async with master.events(HeartbeatLost) as lost:
                 drives.bus.cut([drives])
                 async for event in lost:

@@ -6,7 +6,6 @@ On a virtual bus a drive answers within the turn of the pump that asks it.
 from __future__ import annotations
 
 import pytest
-import trio
 
 from canopen_master import ChainHaltedError, ChainState, DeviceModel, Master, open_master
 from canopen_master.direct.drive import DirectDrive
@@ -21,6 +20,7 @@ from canopen_proto.machine import Event
 from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.runner import ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, act, sleep
+from tests.master.loops import fail_after, loop
 from tests.master.world import BUS, following_arm, simulated, virtual_time
 
 
@@ -82,7 +82,7 @@ async def test_a_node_whose_file_has_no_pdos_is_started() -> None:
     dictionary = ObjectDictionary([standard_object(index) for index in (0x1000, 0x1001, 0x1018)])
     async with simulated(makers=[DeviceModel(dictionary, 5)]) as host, open_master(BUS) as master:
         node = master.node(5, dictionary)
-        with trio.fail_after(1):
+        with fail_after(1):
             assert await node.exchange_pdos() == ()
             await node.start()
             assert await node.exchange_pdos() == ()
@@ -105,7 +105,7 @@ async def test_a_chain_that_is_stopped_while_it_begins_to_follow_is_stopped(monk
         assert arm.state is ChainState.FAULT
         with pytest.raises(ProcedureTakenBackError):  # the reading was taken back
             arm.members[0].supervision._beside.result()
-        await trio.sleep(2)
+        await loop.sleep(2)
         assert arm.state is ChainState.FAULT
         assert not master.runner.busy
 

@@ -1,7 +1,6 @@
 """The pump: what is sent in which order, and what happens when a bus does not do its part."""
 
 import pytest
-import trio
 
 from canopen_master import BusChanged, BusError, FramesLost, FramesNotSent, open_master
 from canopen_master.participant.bus import MAX_SEND_QUEUE
@@ -10,6 +9,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
 from canopen_proto.sdo.events import SdoUploaded
 from canopen_transports import BusState, BusStateChanged, FrameNotSentError, Received, Report, VirtualTransport, open_transport
+from tests.master.loops import Channel, loop, settled
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 
@@ -19,7 +19,7 @@ async def test_sync_goes_before_sdo_that_was_asked_for_earlier() -> None:
     async with open_master(cable) as master:
         master.launch(read(master.node(3).remote, "statusword"))
         master.sync_start(1.0)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert [frame for _, frame in cable.sent] == ["080#", "603#4041600000000000"]
 
 
@@ -29,9 +29,9 @@ async def test_sdo_is_held_back_right_before_a_sync() -> None:
         node = master.node(3)
         await node.read("statusword")
         master.sync_start(0.01)
-        await trio.sleep(0.0098)
+        await loop.sleep(0.0098)
         await node.read("statusword")
-        assert trio.current_time() == pytest.approx(0.01)
+        assert loop.current_time() == pytest.approx(0.01)
     tail = [(round(time, 6), frame[:3]) for time, frame in cable.sent[2:]]
     assert tail == [(0.01, "080"), (0.01, "603")]
 
@@ -41,12 +41,12 @@ async def test_sdo_is_not_held_back_for_a_sync_that_was_stopped() -> None:
     async with simulated(3), open_master(BUS) as master:
         node = master.node(3)
         master.sync_start(0.01)
-        await trio.sleep(0.0098)
-        async with trio.open_nursery() as nursery:
+        await loop.sleep(0.0098)
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(node.read, "statusword")
-            await trio.testing.wait_all_tasks_blocked()
+            await settled()
             master.sync_stop()
-        assert trio.current_time() < 0.0102
+        assert loop.current_time() < 0.0102
 
 
 @virtual_time
@@ -80,16 +80,16 @@ class Away:
     """A transport whose bus goes away and comes back as it is told."""
 
     def __init__(self) -> None:
-        self._report, self._reports = trio.open_memory_channel[BusStateChanged](10)
+        self._reports: Channel[BusStateChanged] = Channel()
         self.is_away = False
         self.sent: list[str] = []
 
     def tell(self, state: BusState) -> None:
         self.is_away = state is BusState.DOWN
-        self._report.send_nowait(BusStateChanged("away", state, f"the plug is {state.value}"))
+        self._reports.send(BusStateChanged("away", state, f"the plug is {state.value}"))
 
     async def send(self, frame: Frame) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
         if self.is_away:
             raise FrameNotSentError("CO111", "away", f"cannot send {frame} on away", seen="the plug is down")
         self.sent.append(str(frame))
@@ -98,7 +98,7 @@ class Away:
         return await self._reports.receive()
 
     async def aclose(self) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
 
 
 @virtual_time
@@ -133,13 +133,13 @@ async def test_a_cut_cable_ends_what_waits_and_the_block() -> None:
     cable = Breakable()
     seen: list[BaseException] = []
     with pytest.raises(BusError) as caught:
-        async with open_master(buses={"can0": cable}) as master, trio.open_nursery() as nursery:
+        async with open_master(buses={"can0": cable}) as master, loop.open_nursery() as nursery:
             nursery.start_soon(_cut_after, cable, 0.1)
             try:
                 await master.node(3).read("statusword")
             except BusError as error:
                 seen.append(error)
-            await trio.sleep_forever()  # cancelled
+            await loop.sleep_forever()  # cancelled
     assert seen == [caught.value]
     assert caught.value.bus == "can0"
     assert caught.value.code == "CO111"
@@ -148,7 +148,7 @@ async def test_a_cut_cable_ends_what_waits_and_the_block() -> None:
 
 
 async def _cut_after(cable: Breakable, seconds: float) -> None:
-    await trio.sleep(seconds)
+    await loop.sleep(seconds)
     cable.cut()
 
 
@@ -158,8 +158,8 @@ async def test_after_a_failure_each_call_says_so() -> None:
     with pytest.raises(BusError):
         async with open_master(cable) as master:
             cable.cut()
-            with trio.CancelScope(shield=True):
-                await trio.sleep(0.1)
+            with loop.cancel_scope(shield=True):
+                await loop.sleep(0.1)
                 with pytest.raises(BusError):
                     master.node(3)
                 with pytest.raises(BusError):
@@ -183,9 +183,9 @@ async def test_a_bus_that_takes_no_frames_fills_the_queue_and_fails() -> None:
     with pytest.raises(BusError, match="does not take our frames") as caught:
         async with open_master(cable) as master:
             master.sync_start(0.001)
-            await trio.sleep_forever()
+            await loop.sleep_forever()
     assert f"{MAX_SEND_QUEUE + 1} frames" in caught.value.seen or "frames wait" in caught.value.seen
-    assert trio.current_time() == pytest.approx(MAX_SEND_QUEUE * 0.001, abs=0.01)
+    assert loop.current_time() == pytest.approx(MAX_SEND_QUEUE * 0.001, abs=0.01)
 
 
 @virtual_time
@@ -194,22 +194,22 @@ async def test_a_transport_that_somebody_else_closes() -> None:
     with pytest.raises(BusError, match="somebody has closed the transport"):
         async with open_master(transport):
             await transport.aclose()
-            await trio.sleep_forever()
+            await loop.sleep_forever()
 
 
 class Rude:
     """A transport that does not keep to the rules."""
 
     async def send(self, frame: Frame) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
         raise OSError(19, "No such device")
 
     async def receive(self) -> Received:
-        await trio.sleep_forever()
+        await loop.sleep_forever()
         raise AssertionError
 
     async def aclose(self) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
 
 
 @virtual_time
@@ -243,7 +243,7 @@ async def test_a_bug_in_a_machine_reaches_the_user_and_the_drives_are_halted_bef
                 network.attach(broken)
                 broken._arm(master.now() + 10**8)
                 await master.send_sync()
-                await trio.sleep_forever()
+                await loop.sleep_forever()
         assert host.nodes[0].values.store[0x6040_00] == 0x10F
 
 

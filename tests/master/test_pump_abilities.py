@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import pytest
-import trio
 
 from canopen_master import BusChanged, BusError, FramesNotSent, open_master
 from canopen_proto.frame import Frame
 from canopen_proto.procedures.objects import read
 from canopen_proto.sync import SyncSent
 from canopen_transports import BusState, BusStateChanged, FrameNotSentError, Received, Report, TransportError
+from tests.master.loops import Channel, loop, settled
 from tests.master.world import virtual_time
 
 
@@ -28,21 +28,21 @@ class Able:
         self.sent: list[str] = []
         self.room = 512
         self.refusal: TransportError | None = None
-        self._feed, self._fed = trio.open_memory_channel[Frame | Report](100)
+        self._feed: Channel[Frame | Report] = Channel()
 
     def feed(self, item: Frame | Report) -> None:
-        self._feed.send_nowait(item)
+        self._feed.send(item)
 
     async def send(self, frame: Frame) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
         self.sent.append(str(frame))
 
     async def receive(self) -> Received | Report:
-        item = await self._fed.receive()
+        item = await self._feed.receive()
         return (item, None) if isinstance(item, Frame) else item
 
     async def aclose(self) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
 
     def set_filters(self, keys: Iterable[int] | None) -> bool:
         self.keys.append(set(keys or ()))
@@ -83,7 +83,7 @@ async def test_a_transport_that_need_not_filter_is_not_asked() -> None:
         master.node(12)
         master.sync_start(0.01)
         assert master.bus().network.hears_all
-        await trio.sleep(0.001)
+        await loop.sleep(0.001)
         master.sync_stop()
     assert bus.sent == ["080#"]
     assert not bus.keys
@@ -99,18 +99,18 @@ async def test_sync_that_the_transport_sends_is_reported_as_ours() -> None:
             assert bus.cyclic == [(["080#"], 10_000_000)]
             assert master.sync_period == 10_000_000
             for pause in (0.01, 0.0104, 0.0301):
-                await trio.sleep(pause)
+                await loop.sleep(pause)
                 bus.feed(Frame(0x80))
             assert [await events.receive() for _ in range(3)] == [SyncSent(0, None, skipped) for skipped in (0, 0, 2)]
         bus.feed(BusStateChanged("able", BusState.UP, "a new one"))
-        await trio.sleep(0)
-        await trio.testing.wait_all_tasks_blocked()
+        await loop.sleep(0)
+        await settled()
         assert bus.cyclic[1:] == [(["080#"], 10_000_000)]  # it may have forgotten
         master.sync_stop()
         assert bus.cyclic[2:] == [([], 0)]
         assert master.sync_period == 0
         bus.feed(Frame(0x80))  # somebody else's
-        await trio.testing.wait_all_tasks_blocked()
+        await settled()
         master.sync_start(0.02)
         assert bus.sent == []
 
@@ -122,11 +122,11 @@ async def test_syncs_that_came_while_the_process_was_stalled_are_one_cycle() -> 
         with master.events(SyncSent) as events:
             master.sync_start(0.01)
             bus.feed(Frame(0x80))
-            await trio.sleep(0.03)
+            await loop.sleep(0.03)
             for _ in range(3):
                 bus.feed(Frame(0x80))
-            await trio.testing.wait_all_tasks_blocked()
-            await trio.sleep(0.01)
+            await settled()
+            await loop.sleep(0.01)
             bus.feed(Frame(0x80))
             assert [await events.receive() for _ in range(3)] == [SyncSent(0, None, skipped) for skipped in (0, 2, 0)]
 
@@ -168,13 +168,13 @@ async def test_sdo_is_held_back_before_a_sync_of_the_transport() -> None:
         node = master.node(3)
         master.sync_start(0.01)
         bus.feed(Frame(0x80))
-        await trio.testing.wait_all_tasks_blocked()
-        await trio.sleep(0.0099)
-        async with trio.open_nursery() as nursery:
+        await settled()
+        await loop.sleep(0.0099)
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(node.read, 0x1000)
-            await trio.testing.wait_all_tasks_blocked()
+            await settled()
             assert bus.sent == []
-            await trio.sleep(0.0005)
+            await loop.sleep(0.0005)
             assert bus.sent == ["603#4000100000000000"]
             nursery.cancel_scope.cancel()
 
@@ -198,7 +198,7 @@ class Eager(Able):
 @virtual_time
 async def test_frames_go_out_in_the_turn_that_made_them_where_the_transport_can() -> None:
     bus = Eager()
-    async with open_master(bus) as master, trio.open_nursery() as nursery:
+    async with open_master(bus) as master, loop.open_nursery() as nursery:
         node = master.node(3)
         master.launch(read(node.remote, 0x1000))
         assert bus.at_once == ["603#4000100000000000"]
@@ -206,15 +206,15 @@ async def test_frames_go_out_in_the_turn_that_made_them_where_the_transport_can(
         master.sync_start(0.1)
         bus.room = 512
         nursery.start_soon(master.send_sync)  # something waits: it stays behind that
-        await trio.testing.wait_all_tasks_blocked()
+        await settled()
         assert bus.sent == ["080#", "080#"]
         assert len(bus.at_once) == 1
         await master.send_sync()
         assert bus.at_once[1:] == ["080#"]
-        await trio.sleep(0.0999)
+        await loop.sleep(0.0999)
         master.launch(read(master.node(4).remote, 0x1000))
         assert bus.at_once[2:] == []  # a SYNC is near
-        await trio.sleep(0.0002)
+        await loop.sleep(0.0002)
         assert bus.at_once[2:] == ["080#", "604#4000100000000000"]
         assert len(bus.sent) == 2
 
@@ -231,5 +231,5 @@ async def test_a_bus_that_is_away_or_fails_when_a_frame_is_to_go_out_at_once() -
                 bus.failure = None
                 await master.send_sync()
                 assert [(await events.receive()).count for _ in range(2)] == [1, 2]
-            bus.failure = trio.ClosedResourceError()
+            bus.failure = loop.ClosedResourceError()
             await master.send_sync()

@@ -10,6 +10,7 @@ from canopen_master import BusError, open_master
 from canopen_proto.frame import Frame
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived
 from canopen_transports import Received, Report, TransportError, open_transport
+from tests.master.loops import jump, loop, settled
 from tests.master.world import BUS, virtual_time
 
 
@@ -22,16 +23,16 @@ def test_a_heartbeat_that_came_while_the_process_was_stalled_counts() -> None:
             node.supervise_heartbeat(0.5)
             with master.events(HeartbeatLost) as lost:
                 await device.send(Frame(0x705, b"\x05"))
-                await trio.testing.wait_all_tasks_blocked()
-                clock.jump(2.0)  # and meanwhile came:
+                await settled()
+                jump(2.0)  # and meanwhile came:
                 for _ in range(500):
                     await device.send(Frame(0x184, b"\x00\x00"))
                 await device.send(Frame(0x705, b"\x05"))
-                await trio.testing.wait_all_tasks_blocked()
-                clock.jump(0.4)
-                await trio.testing.wait_all_tasks_blocked()
+                await settled()
+                jump(0.4)
+                await settled()
                 assert lost.take() == []
-                clock.jump(0.2)
+                jump(0.2)
                 assert (await lost.receive()).node_id == 5
 
     trio.run(main, clock=clock)
@@ -44,10 +45,10 @@ class Prompt:
         self.came: list[Received | Report] | TransportError = []
 
     async def send(self, frame: Frame) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
 
     async def receive(self) -> Received | Report:
-        await trio.sleep_forever()
+        await loop.sleep_forever()
         raise AssertionError
 
     def receive_nowait(self, limit: int) -> list[Received | Report]:
@@ -57,7 +58,7 @@ class Prompt:
         return taken
 
     async def aclose(self) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
 
 
 @virtual_time
@@ -70,7 +71,7 @@ async def test_a_transport_that_can_tell_is_asked_what_has_come_before_a_timeout
             bus.came = [(Frame(0x705, b"\x05"), None)]
             master.sync_start(0.1)  # at each of whose deadlines it is asked
             assert isinstance(await told.receive(), HeartbeatReceived)
-            await trio.sleep(0.45)
+            await loop.sleep(0.45)
             bus.came = [(Frame(0x181), None)] * 30 + [(Frame(0x705, b"\x05"), None)]
             assert isinstance(await told.receive(), HeartbeatReceived)
 
@@ -86,9 +87,7 @@ class Stalled(Prompt):
     def receive_nowait(self, limit: int) -> list[Received | Report]:
         taken = super().receive_nowait(limit)
         if self.stall:
-            clock = trio.lowlevel.current_clock()
-            assert isinstance(clock, trio.testing.MockClock)
-            clock.jump(self.stall)
+            jump(self.stall)
             self.stall, self.came = 0.0, self.meanwhile
         return taken
 
@@ -116,4 +115,4 @@ async def test_a_bus_that_fails_when_it_is_asked_has_failed() -> None:
         async with open_master(bus) as master:
             bus.came = TransportError("CO111", "prompt", "broken")
             master.sync_start(0.01)
-            await trio.sleep_forever()
+            await loop.sleep_forever()

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import trio
-from trio.testing import MockClock
 
 from canopen_master import Chain, open_master
 from canopen_master.errors import PackageMissingError
@@ -21,6 +19,7 @@ from canopen_master.motion.record_format import OF_CHAIN, OF_JOINT, RecordedJoin
 from canopen_master.motion.record_reader import MotionRecord, is_record, read_record
 from canopen_proto.drives.axis.axis import AxisSettings
 from canopen_proto.drives.axis.units import Unit
+from tests.master.loops import jump, loop
 from tests.master.world import BUS, arm_of, following_arm, simulated, virtual_time
 
 CYCLES = 30
@@ -98,14 +97,14 @@ async def test_rows_come_at_each_sync_whether_the_chain_follows_or_not(tmp_path:
         arm = arm_of(master, 3)
         async with arm.record(path):
             master.sync_start(0.01)
-            await trio.sleep(0.1)  # not initialised: no rows
+            await loop.sleep(0.1)  # not initialised: no rows
             await arm.initialise()
-            await trio.sleep(0.0505)
+            await loop.sleep(0.0505)
             await arm.enable_interpolated_position()
             await swing(arm)
             await arm.halt()
             host.nodes[0].raise_fault(0x2310, host.now())  # type: ignore[attr-defined]
-            await trio.sleep(0.0505)
+            await loop.sleep(0.0505)
     record = read_record(path)
     points = numbers(record, "joint1.set_point")
     followed = [number for number, point in enumerate(points) if point is not None]
@@ -125,11 +124,9 @@ async def test_late_cycles_are_seen(tmp_path: Path) -> None:
         async for cycle in arm.cycles():
             arm.set_positions(arm.desired_positions)
             if cycle.number == 5:
-                await trio.sleep(0.025)  # the loop is late
+                await loop.sleep(0.025)  # the loop is late
             if cycle.number == 10:
-                clock = trio.lowlevel.current_clock()
-                assert isinstance(clock, MockClock)
-                clock.jump(0.0305)  # the whole process is
+                jump(0.0305)  # the whole process is
             if cycle.number == 15:
                 break
     record = read_record(path)
@@ -151,11 +148,11 @@ async def test_a_cancelled_block_waits_for_nothing_and_the_file_is_whole(tmp_pat
 
     monkeypatch.setattr(CsvFile, "write", late)
     async with following_arm(3) as (_, _, arm):
-        with trio.CancelScope() as scope:
+        with loop.cancel_scope() as scope:
             async with arm.record(path) as recorder:
                 await swing(arm)
                 scope.cancel()
-                await trio.sleep_forever()
+                await loop.sleep_forever()
         assert len(path.read_text().splitlines()) <= 3  # the disk does nothing yet, and nobody waits for it
         slow.set()
         recorder.wait()

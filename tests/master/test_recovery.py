@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-import trio
 
 from canopen_master import (
     ChainError,
@@ -23,6 +22,7 @@ from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import BusState, BusStateChanged, Received, Report
 from tests.drives.drive_dictionaries import changed, empty_pdos, supports
 from tests.master.cell import WATCHDOG, assert_moves, assert_moves_back, chain_of, fails, homed_arm, joints, move
+from tests.master.loops import Channel, loop
 from tests.master.world import Link, position_of, value, virtual_time
 
 # ---- emergency stop ----
@@ -80,7 +80,7 @@ async def test_an_emergency_stop_at_boot() -> None:
 @virtual_time
 async def test_a_joint_that_is_power_cycled() -> None:
     async with homed_arm(3, 4) as ((one, two), arm):
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             fault = await fails(arm, lambda: nursery.start_soon(two.switch_off))
         assert fault.joint == "joint2"
         assert await one.stands()
@@ -114,7 +114,7 @@ async def test_a_joint_that_is_power_cycled_gets_its_mapping_again(mode: int) ->
         counts = [index << 8 for index in (*range(0x1600, 0x1604), *range(0x1A00, 0x1A04))]
         mapped = [value(two.node, count) for count in counts]
         assert any(mapped)
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             await fails(arm, lambda: nursery.start_soon(two.switch_off))
         await two.switch_on()
         assert not any(value(two.node, count) for count in counts)
@@ -130,7 +130,7 @@ async def test_a_joint_that_is_power_cycled_gets_its_mapping_again(mode: int) ->
 @virtual_time
 async def test_all_joints_that_lost_their_reference_are_named() -> None:
     async with homed_arm(3, 4) as (made, arm):
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             await fails(arm, lambda: [nursery.start_soon(joint.switch_off) for joint in made])
         for joint in made:
             await joint.switch_on()
@@ -143,7 +143,7 @@ async def test_the_cable_of_a_joint_is_pulled_and_plugged() -> None:
     async with homed_arm(3, 4) as ((one, two), arm):
         fault = await fails(arm, two.pull_cable)
         assert (fault.joint, "is silent" in fault.reason) == ("joint2", True)
-        await trio.sleep(WATCHDOG + 0.2)
+        await loop.sleep(WATCHDOG + 0.2)
         assert two.state is State.SWITCH_ON_DISABLED  # a quick stop, by its watchdog
         assert await two.stands()
         assert one.state is State.OPERATION_ENABLED
@@ -165,7 +165,7 @@ async def test_the_cable_of_the_master_is_pulled_and_plugged() -> None:
             cable.copies = lambda frame, is_sent: 0
 
         await fails(arm, pull)
-        await trio.sleep(WATCHDOG + 0.2)
+        await loop.sleep(WATCHDOG + 0.2)
         for joint in (one, two):
             assert joint.state is State.SWITCH_ON_DISABLED
             assert await joint.stands()
@@ -213,15 +213,15 @@ class BusOff(Link):
 
     def __init__(self) -> None:
         super().__init__()
-        self._report, self._reports = trio.open_memory_channel[BusStateChanged](10)
+        self._reports: Channel[BusStateChanged] = Channel()
 
     def change(self, state: BusState) -> None:
         self.copies = lambda frame, is_sent: int(state is not BusState.BUS_OFF)
-        self._report.send_nowait(BusStateChanged(self.locator, state, "by the test"))
+        self._reports.send(BusStateChanged(self.locator, state, "by the test"))
 
     async def receive(self) -> Received | Report:  # type: ignore[override]
         got: list[Received | Report] = []
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def first(source: Callable[[], object]) -> None:
                 got.append(await source())  # type: ignore[misc]
@@ -240,7 +240,7 @@ async def test_bus_off_and_back() -> None:
         with pytest.raises(ChainError, match="is bus-off") as away:
             await arm.recover()
         assert "bus-off: by the test" in str(away.value)
-        await trio.sleep(WATCHDOG + 0.2)
+        await loop.sleep(WATCHDOG + 0.2)
         for joint in (one, two):
             assert joint.state is State.SWITCH_ON_DISABLED
             assert await joint.stands()
@@ -258,7 +258,7 @@ async def test_bus_off_and_back() -> None:
 @virtual_time
 async def test_a_master_that_is_killed_and_started_again(moves: bool, pause: float) -> None:
     """pause: until it is started again; after 0.5 s its drives have stopped by themselves."""
-    async with joints(3, 4) as made, trio.open_nursery() as nursery:
+    async with joints(3, 4) as made, loop.open_nursery() as nursery:
         cable = Link()
 
         async def first() -> None:
@@ -270,12 +270,12 @@ async def test_a_master_that_is_killed_and_started_again(moves: bool, pause: flo
                     if moves:
                         await arm.enable_interpolated_position()
                         await move(arm, 10_000)
-                    await trio.sleep_forever()
+                    await loop.sleep_forever()
 
         nursery.start_soon(first)
-        await trio.sleep(3)
+        await loop.sleep(3)
         cable.copies = lambda frame, is_sent: 0  # kill -9
-        await trio.sleep(pause)
+        await loop.sleep(pause)
         expected = State.SWITCH_ON_DISABLED if pause > WATCHDOG else State.OPERATION_ENABLED
         assert [joint.state for joint in made] == [expected] * 2
         async with open_master(Link()) as master:

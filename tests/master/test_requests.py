@@ -3,7 +3,6 @@
 import dataclasses
 
 import pytest
-import trio
 
 from canopen_master import (
     BusError,
@@ -25,6 +24,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.procedures.objects import read, write
 from canopen_proto.procedures.steps import Cancelled, ProcedureError, sleep
 from canopen_transports import open_transport
+from tests.master.loops import loop, settled
 from tests.master.world import BUS, simulated, value, virtual_time
 
 
@@ -85,7 +85,7 @@ async def test_a_wrong_call_sends_nothing() -> None:
             await node.matches("statusword", "no_such_constant")
         with pytest.raises(LocalProtocolError, match="127"):
             master.node(200)
-        with trio.move_on_after(1):
+        with loop.move_on_after(1):
             pytest.fail(f"{await spy.receive()} was sent")
 
 
@@ -108,10 +108,10 @@ async def test_a_refusal_says_what_was_asked_and_why_not() -> None:
 @virtual_time
 async def test_a_node_that_was_never_heard() -> None:
     async with simulated(12), open_master(BUS, sdo_timeout=0.3) as master:
-        started = trio.current_time()
+        started = loop.current_time()
         with pytest.raises(SdoTimeoutError) as caught:
             await master.node(13).read("statusword")
-        assert trio.current_time() - started == pytest.approx(0.3)
+        assert loop.current_time() - started == pytest.approx(0.3)
         assert isinstance(caught.value, TimeoutError)
         assert caught.value.code == "CO201"
         assert "did not answer reading 6041:00 (statusword) in 0.3 s" in str(caught.value)
@@ -148,7 +148,7 @@ async def test_a_node_that_is_alive_and_does_not_answer_this() -> None:
 
 @virtual_time
 async def test_a_reset_ends_the_requests_to_that_node() -> None:
-    async with simulated(12) as host, open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with simulated(12) as host, open_master(BUS) as master, loop.open_nursery() as nursery:
         node = master.node(12)
         host.nodes[0].sdo.disable()
 
@@ -159,7 +159,7 @@ async def test_a_reset_ends_the_requests_to_that_node() -> None:
             assert "reset" in caught.value.cause
 
         nursery.start_soon(reading)
-        await trio.testing.wait_all_tasks_blocked()
+        await settled()
         await node.reset()
     assert node.nmt_state is NmtState.PRE_OPERATIONAL
 
@@ -185,7 +185,7 @@ async def test_many_requests_at_once_each_get_their_own_answer() -> None:
         async def ask(node_id: int, key: str) -> None:
             found[node_id, key] = await master.node(node_id).read(key)
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             for node_id in (3, 4):
                 for key in ("statusword", "device_type", "supported_drive_modes", "position_actual_value"):
                     nursery.start_soon(ask, node_id, key)
@@ -198,12 +198,12 @@ async def test_many_requests_at_once_each_get_their_own_answer() -> None:
 async def test_a_cancelled_request_is_aborted_on_the_wire_and_the_next_works() -> None:
     async with simulated(12), open_master(BUS) as master, await open_transport(BUS) as spy:
         silent = master.node(99)
-        with trio.move_on_after(0.1) as scope:
+        with loop.move_on_after(0.1) as scope:
             await silent.read("statusword")
         assert scope.cancelled_caught
         frames = [str((await spy.receive())[0]) for _ in range(2)]
         assert frames == ["663#4041600000000000", "663#8041600000000008"]
-        with trio.move_on_after(0.1) as scope:
+        with loop.move_on_after(0.1) as scope:
             await silent.write("controlword", 6)
         assert scope.cancelled_caught
         assert await master.node(12).read("statusword") == 0x240
@@ -218,12 +218,12 @@ async def test_a_request_that_waits_behind_another_is_never_sent_once_cancelled(
             with pytest.raises(SdoTimeoutError):
                 await silent.read("statusword")
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(first)
-            await trio.testing.wait_all_tasks_blocked()
-            with trio.move_on_after(0.1):
+            await settled()
+            with loop.move_on_after(0.1):
                 await silent.write("controlword", 6)
-        with trio.move_on_after(1):
+        with loop.move_on_after(1):
             while True:
                 assert "4060" not in str((await spy.receive())[0])
 
@@ -282,7 +282,7 @@ async def test_a_cancelled_procedure_cleans_up_before_the_task_goes_on() -> None
                 yield from write(node.remote, "ip_time_units", 77)
                 raise
 
-        with trio.move_on_after(1) as scope:
+        with loop.move_on_after(1) as scope:
             await master.run(procedure())
         assert scope.cancelled_caught
         assert value(host.nodes[0], 0x60C2_01) == 77

@@ -380,6 +380,18 @@ def test_a_pdo_is_taken_whole_or_not_at_all(imported: Import, tmp_path: Path) ->
     assert "without it the PDO would be another one" in told(made, "defaults.tpdo.1")[0][1]
 
 
+def test_a_pdo_gets_the_keys_of_its_direction(imported: Import, tmp_path: Path) -> None:
+    """dcfgen writes event_deadline to RPDOs only, and inhibit_time, event_timer and sync_start to TPDOs only."""
+    rpdo = "{cob_id: 0x40000205, transmission: 255, inhibit_time: 10, event_timer: 20, event_deadline: 30, sync_start: 4}"
+    tpdo = "{transmission: 255, inhibit_time: 10, event_timer: 20, event_deadline: 30}"
+    made = imported(f"master: {{}}\nnodes: {{a: {{node_id: 2, dcf: drive.eds, rpdo: {{1: {rpdo}}}, tpdo: {{1: {tpdo}}}}}}}")
+    dictionary = load_description(tmp_path / "a.dcf").dictionary
+    configured = {key: dictionary.variable(key).configured for key in ("1400:01", "1400:05", "1800:03", "1800:05")}
+    assert configured == {"1400:01": 0x40000205, "1400:05": 30, "1800:03": 10, "1800:05": 20}
+    for key in ("rpdo.1.inhibit_time", "rpdo.1.event_timer", "rpdo.1.sync_start", "tpdo.1.event_deadline"):
+        assert told(made, f"nodes.a.{key}") == [(KeyOutcome.LEFT_OUT, f"dcfgen writes it to no {key[:4].upper()}")]
+
+
 def test_a_brake_test_is_told_as_what_it_is(imported: Import) -> None:
     made = imported("nodes: {a: {id: 3, braketest_required: true}, b: {id: 4, braketest_required: false}}")
     assert told(made, "nodes.a.braketest_required")[0][0] is KeyOutcome.LEFT_OUT

@@ -1,10 +1,11 @@
 """How a master comes and goes: the block's own exception, cancels, Ctrl-C; drives stand in each case."""
 
 import signal
-from collections.abc import Awaitable, Callable
+import types
+from collections.abc import Awaitable, Callable, Coroutine, Generator
+from typing import Any
 
 import pytest
-import trio
 
 from canopen_master import BusError, Chain, HaltNotConfirmedError, Master, MasterClosedError, open_master, standard_drives
 from canopen_master.session import SHUTDOWN_TIME
@@ -12,8 +13,10 @@ from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402.states import State
 from canopen_transports import VirtualTransport
+from canopen_transports.loop import CancelScope
 from canopen_transports.record import Record
 from canopen_transports.tracing import tapped
+from tests.master.loops import beside, loop, settled
 from tests.master.world import (
     BUS,
     Breakable,
@@ -63,7 +66,7 @@ async def test_a_group_of_the_blocks_own_nursery_stays_a_group() -> None:
         raise OurError
 
     with pytest.raises(ExceptionGroup) as caught:
-        async with open_master(BUS), trio.open_nursery() as nursery:
+        async with open_master(BUS), loop.open_nursery() as nursery:
             nursery.start_soon(fail)
     assert [type(error) for error in caught.value.exceptions] == [OurError]
 
@@ -72,10 +75,10 @@ async def test_a_group_of_the_blocks_own_nursery_stays_a_group() -> None:
 async def test_a_bus_error_in_a_nursery_of_the_block_comes_out_plain() -> None:
     cable = Breakable()
     with pytest.raises(BusError):
-        async with open_master(cable) as master, trio.open_nursery() as outer, trio.open_nursery() as nursery:
+        async with open_master(cable) as master, loop.open_nursery() as outer, loop.open_nursery() as nursery:
             nursery.start_soon(master.node(3).read, "statusword")
             outer.start_soon(master.node(4).read, "statusword")
-            await trio.testing.wait_all_tasks_blocked()
+            await settled()
             cable.cut()
 
 
@@ -85,14 +88,14 @@ async def test_other_errors_in_a_nursery_are_not_lost_when_the_bus_fails() -> No
 
     async def fail_in_the_end() -> None:
         try:
-            await trio.sleep_forever()
+            await loop.sleep_forever()
         finally:
             raise OurError
 
     with pytest.raises(BaseExceptionGroup) as caught:
-        async with open_master(cable), trio.open_nursery() as nursery:
+        async with open_master(cable), loop.open_nursery() as nursery:
             nursery.start_soon(fail_in_the_end)
-            await trio.testing.wait_all_tasks_blocked()
+            await settled()
             cable.cut()
     assert caught.group_contains(OurError)
 
@@ -103,18 +106,18 @@ async def test_a_failed_bus_does_not_hide_the_blocks_own_exception() -> None:
     with pytest.raises(OurError):
         async with open_master(cable):
             cable.cut()
-            with trio.CancelScope(shield=True):
-                await trio.sleep(0.1)
+            with loop.cancel_scope(shield=True):
+                await loop.sleep(0.1)
             raise OurError
 
 
 @virtual_time
 async def test_an_outer_cancel_is_the_outer_scopes_business() -> None:
-    with trio.move_on_after(1) as scope:
+    with loop.move_on_after(1) as scope:
         async with open_master(BUS):
-            await trio.sleep_forever()
+            await loop.sleep_forever()
     assert scope.cancelled_caught
-    assert trio.current_time() == 1
+    assert loop.current_time() == 1
 
 
 @virtual_time
@@ -128,7 +131,7 @@ async def test_a_bus_that_cannot_be_opened_closes_those_that_were() -> None:
 
 @virtual_time
 async def test_tasks_that_outlive_the_block_are_told() -> None:
-    async with simulated(3) as host, trio.open_nursery() as nursery:
+    async with simulated(3) as host, loop.open_nursery() as nursery:
         host.nodes[0].sdo.disable()
 
         async def read(master: Master) -> None:
@@ -137,7 +140,7 @@ async def test_tasks_that_outlive_the_block_are_told() -> None:
 
         async with open_master(BUS) as master:
             nursery.start_soon(read, master)
-            await trio.testing.wait_all_tasks_blocked()
+            await settled()
 
 
 # ---- the way out while drives move ----
@@ -146,7 +149,7 @@ async def test_tasks_that_outlive_the_block_are_told() -> None:
 async def _home(master: Master, arm: Chain) -> None:
     await arm.initialise()
     await arm.home()
-    await trio.sleep_forever()
+    await loop.sleep_forever()
 
 
 async def _follow(master: Master, arm: Chain) -> None:
@@ -162,7 +165,7 @@ async def _by_hand(master: Master, arm: Chain) -> None:
     await node.write("modes_of_operation", 6)
     for word in (6, 7, 15, 31):
         await node.write("controlword", word)
-    await trio.sleep_forever()
+    await loop.sleep_forever()
 
 
 async def _shut_down(master: Master, arm: Chain) -> None:
@@ -174,7 +177,7 @@ async def _shut_down(master: Master, arm: Chain) -> None:
 Scenario = Callable[[Master, Chain], Awaitable[None]]
 
 
-async def _leave(scenario: Scenario, scope: trio.CancelScope) -> None:
+async def _leave(scenario: Scenario, scope: CancelScope) -> None:
     """Run a scenario until it is cancelled; then no drive may move, whatever was under way."""
     async with simulated(3, 4, 5) as host:
         with scope:
@@ -200,29 +203,33 @@ HOMING = [640, 1300, 1640, 1670, 2500]
 def test_cancelled_at_any_time_the_drives_stand(scenario: Scenario, milliseconds: int) -> None:
     @virtual_time
     async def test() -> None:
-        scope = trio.CancelScope(deadline=milliseconds / 1000)
+        scope = loop.cancel_scope(deadline=milliseconds / 1000)
         await _leave(scenario, scope)
         assert scope.cancelled_caught
-        assert trio.current_time() <= milliseconds / 1000 + SHUTDOWN_TIME + 1
+        assert loop.current_time() <= milliseconds / 1000 + SHUTDOWN_TIME + 1
 
     test()
 
 
-class CancelAtStep(trio.abc.Instrument):
-    """Cancels a scope when the main task goes on for the n-th time: at each await in turn."""
+@types.coroutine
+def step_by_step(work: Coroutine[Any, Any, None], step: int, scope: CancelScope) -> Generator[Any, Any, int]:
+    """Do some work, and cancel a scope when it goes on for the n-th time: at each await in turn. Returns the steps left."""
+    value, error = None, None
+    while True:
+        step -= 1
+        if step == 0:
+            scope.cancel()
+        try:
+            asked = work.send(value) if error is None else work.throw(error)
+        except StopIteration:
+            return step
+        try:
+            value, error = (yield asked), None
+        except BaseException as raised:  # noqa: BLE001 - handed to the work
+            value, error = None, raised
 
-    def __init__(self, step: int, scope: trio.CancelScope) -> None:
-        self.left = step
-        self.scope = scope
 
-    def before_task_step(self, task: trio.lowlevel.Task) -> None:
-        if task is trio.lowlevel.current_root_task() or not task.name.endswith("limited"):
-            return
-        self.left -= 1
-        if self.left == 0:
-            self.scope.cancel()
-
-
+@pytest.mark.both_loops
 @pytest.mark.parametrize("scenario", [_home, _follow, _shut_down])
 def test_cancelled_at_each_await_the_drives_stand(scenario: Scenario) -> None:
     tested = 0
@@ -232,14 +239,8 @@ def test_cancelled_at_each_await_the_drives_stand(scenario: Scenario) -> None:
 
         @virtual_time
         async def test() -> None:
-            scope = trio.CancelScope(deadline=4)
-            instrument = CancelAtStep(tested, scope)
-            trio.lowlevel.add_instrument(instrument)
-            try:
-                await _leave(scenario, scope)
-            finally:
-                trio.lowlevel.remove_instrument(instrument)
-            left.append(instrument.left)
+            scope = loop.cancel_scope(deadline=4)
+            left.append(await step_by_step(_leave(scenario, scope), tested, scope))
 
         test()
         return left[0] > 0
@@ -255,7 +256,7 @@ def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
     hosts = []
 
     async def press() -> None:
-        await trio.sleep(0.5)
+        await loop.sleep(0.5)
         signal.raise_signal(signal.SIGINT)
 
     @virtual_time
@@ -263,7 +264,7 @@ def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
         async with simulated(3, 4) as host:
             hosts.append(host)
             try:
-                async with open_master(BUS) as master, trio.open_nursery() as nursery:
+                async with open_master(BUS) as master, loop.open_nursery() as nursery:
                     nursery.start_soon(press)
                     await _home(master, arm_of(master, 3, 4))
             except* KeyboardInterrupt:
@@ -283,17 +284,17 @@ def test_ctrl_c_in_the_middle_of_a_move_halts_the_drives() -> None:
 )
 def test_further_ctrl_c_come_out_when_the_drives_stand(scenario: Scenario, at: float, gap: float) -> None:
     async def press() -> None:
-        await trio.sleep(at)
+        await loop.sleep(at)
         for _ in range(3):
             signal.raise_signal(signal.SIGINT)
-            await trio.sleep(gap)
+            await loop.sleep(gap)
 
     @virtual_time
     async def test() -> None:
         async with simulated(3, 4, 5) as host:
             try:
                 async with open_master(BUS) as master:
-                    trio.lowlevel.spawn_system_task(press)
+                    beside(press)
                     await scenario(master, arm_of(master, 3, 4))
             finally:
                 assert_all_halted(host)
@@ -331,10 +332,10 @@ async def test_a_drive_that_does_not_answer_is_told_and_holds_up_nobody() -> Non
             async with open_master(BUS) as master:
                 await arm_of(master, 3, 4).initialise()
                 master.sync_stop()
-                await trio.sleep(1)  # what the PDOs told is old now
+                await loop.sleep(1)  # what the PDOs told is old now
                 host.nodes[0].sdo.disable()
-                started = trio.current_time()
-        assert trio.current_time() - started <= SHUTDOWN_TIME
+                started = loop.current_time()
+        assert loop.current_time() - started <= SHUTDOWN_TIME
         assert caught.value.code == "CO131"
         assert "emergency stop" in str(caught.value)
         assert drives(host)[1].values.store[0x6040_00] == 0x10F
@@ -350,7 +351,7 @@ async def test_a_drive_that_its_dictionary_does_not_describe_is_halted_by_number
                 await node.write_bytes(0x60FF, 0, (20_000).to_bytes(4, "little"))
                 for word in (6, 7, 15):
                     await node.write_bytes(0x6040, 0, word.to_bytes(2, "little"))
-                await trio.sleep(1)
+                await loop.sleep(1)
         assert_all_halted(host)
 
 
@@ -361,7 +362,7 @@ async def test_an_exception_that_is_under_way_gets_a_note_of_such_drives() -> No
             async with open_master(BUS) as master:
                 await arm_of(master, 3).initialise()
                 master.sync_stop()
-                await trio.sleep(1)
+                await loop.sleep(1)
                 host.nodes[0].sdo.disable()
                 raise OurError
         assert "not confirmed to stand: joint1" in caught.value.__notes__[0]
@@ -395,8 +396,8 @@ async def test_the_way_out_ends_in_time_when_the_bus_takes_no_frames() -> None:
             async with open_master(cable) as master:
                 await arm_of(master, 3).initialise()
                 cable.is_stuck = True
-                started = trio.current_time()
-        assert trio.current_time() - started == pytest.approx(SHUTDOWN_TIME)
+                started = loop.current_time()
+        assert loop.current_time() - started == pytest.approx(SHUTDOWN_TIME)
 
 
 @virtual_time
@@ -405,5 +406,5 @@ async def test_transports_are_closed_in_any_case() -> None:
     async with open_master(cable, given):
         pass
     assert cable.closed == 1
-    with pytest.raises(trio.ClosedResourceError):
+    with pytest.raises(loop.ClosedResourceError):
         await given.receive()

@@ -9,7 +9,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-import trio
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,6 +20,7 @@ from canopen_proto.drives.cia402.states import State
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_transports import open_transport
 from tests.examples import examples
+from tests.master.loops import loop
 from tests.master.world import BUS, arm_of, drives, following_arm, simulated, virtual_time
 
 DEGREES = AxisSettings(counts_per_unit=1000)
@@ -105,7 +105,7 @@ async def test_a_joint_that_stands_outside_may_come_back() -> None:
         with pytest.raises(SetPointRefusedError, match="above 2"):
             arm.set_positions([3.1])
         arm.set_positions([2.5], cycles=2)
-        await trio.sleep(0.03)
+        await loop.sleep(0.03)
         with pytest.raises(SetPointRefusedError, match="above 2"):
             arm.set_positions([2.6])
         arm.set_positions([2.4])
@@ -136,7 +136,7 @@ def test_whatever_is_asked_no_set_point_leaves_that_is_too_far_from_the_last(tri
     async def run() -> None:
         axis = replace(DEGREES, direction=direction, max_position=direction * 3 + 1.0)
         sent = [HERE]
-        async with following_drive(axis) as (_, arm), await open_transport(BUS) as spy, trio.open_nursery() as nursery:
+        async with following_drive(axis) as (_, arm), await open_transport(BUS) as spy, loop.open_nursery() as nursery:
 
             async def listen() -> None:
                 while True:
@@ -150,8 +150,8 @@ def test_whatever_is_asked_no_set_point_leaves_that_is_too_far_from_the_last(tri
                     arm.set_positions([direction * 3 + offset], cycles=cycles)
                 except SetPointRefusedError:
                     arm.hold()
-                await trio.sleep(0.01)
-            await trio.sleep(0.06)
+                await loop.sleep(0.01)
+            await loop.sleep(0.06)
             nursery.cancel_scope.cancel()
         assert len(sent) > len(tries)
         assert max(abs(after - before) for before, after in pairwise(sent)) <= DEFAULT_SPEED / 100 + 1
@@ -183,7 +183,7 @@ def test_send_pos_lets_no_set_point_through_that_is_too_fast(steps: list[int], p
     @virtual_time
     async def run() -> None:
         async with directly_driven() as (master, drive):
-            taken = [(trio.current_time(), HERE)]
+            taken = [(loop.current_time(), HERE)]
             for step in steps:
                 position = taken[-1][1] + step
                 try:
@@ -192,9 +192,9 @@ def test_send_pos_lets_no_set_point_through_that_is_too_fast(steps: list[int], p
                     assert refused.joint == "node 3"
                     position -= step
                     await drive.send_position(position)
-                await trio.sleep(period)
+                await loop.sleep(period)
                 await master.send_sync()
-                taken.append((trio.current_time(), position))
+                taken.append((loop.current_time(), position))
         assert max(abs(after - before) for (_, before), (_, after) in pairwise(taken)) <= DEFAULT_SPEED / 100
         for number in range(1, len(taken)):
             (then, start), (_, last), (now, position) = taken[max(0, number - STEPS)], taken[number - 1], taken[number]
@@ -211,7 +211,7 @@ async def test_send_pos_within_its_limits_is_never_refused() -> None:
         for step in range(1, 101):
             await drive.send_position(HERE + 300 * step)
             await master.send_sync()
-            await trio.sleep(0.01)
+            await loop.sleep(0.01)
         with pytest.raises(SetPointRefusedError, match="60000 per second, more than 30000: the default"):
             await drive.send_position(HERE + 300 * 102)
         await drive.set_max_speed(60_000)

@@ -8,7 +8,6 @@ from contextlib import asynccontextmanager
 from functools import partial
 
 import pytest
-import trio
 
 from canopen_data import DictionaryError, load_dictionary
 from canopen_master import AxisSettings, Chain, ChainFaultError, ChainSettings, Host, Master, Watchdog, open_master
@@ -24,6 +23,7 @@ from canopen_proto.nmt import NmtState
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings
+from tests.master.loops import loop
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 TWO = drive_dictionary(axes=2)
@@ -76,7 +76,7 @@ async def test_a_chain_with_two_joints_on_one_node_and_one_on_another_follows(mo
         await arm.follow()
         start = arm.positions
         await follow_path(arm)
-        await trio.sleep(1.0)
+        await loop.sleep(1.0)
         assert [here - there for here, there in zip(arm.positions, start, strict=True)] == pytest.approx([2, -4, 6], abs=0.1)
         assert [each.drive.mode for each in drives(host)] == [mode, mode]
         assert drives(host)[0].drives[1].mode == mode
@@ -122,7 +122,7 @@ async def test_a_lost_node_names_each_of_its_joints() -> None:
         arm = chain_of(master, *SHOULDER, ("three", 4, 0))
         await arm.initialise()
         drives(host)[0].communication.heartbeat.set_period(0, host.now())
-        await trio.sleep(1.0)
+        await loop.sleep(1.0)
         with pytest.raises(
             ChainFaultError, match=r"was lost: no heartbeat for 0.3 s; and with it two, on the same node"
         ) as caught:
@@ -170,7 +170,7 @@ async def test_two_axes_move_at_once_and_the_master_halts_both_when_it_is_left()
             node = master.node(3, TWO)
             await node.start()
             joints = [master.device(node, settings=SETTINGS, axis=axis) for axis in (0, 1)]
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
                 for joint, target in zip(joints, (5.0, -5.0), strict=True):
                     nursery.start_soon(partial(master.run, drive.move_to(joint.axis, target, timeout=20 * 10**9)))
             assert [await node.read("0x6064"), await node.read("0x6864")] == pytest.approx([5_000, -5_000], abs=20)

@@ -1,7 +1,6 @@
 """One master, two buses; the same node-ID on both."""
 
 import pytest
-import trio
 
 from canopen_master import ChainFaultError, SdoTimeoutError, open_master
 from canopen_proto.emcy import EmcyReceived
@@ -9,6 +8,7 @@ from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.objects import read
 from canopen_proto.procedures.steps import all_of
 from canopen_transports import open_transport
+from tests.master.loops import loop
 from tests.master.world import assert_all_halted, assert_all_stand, drives, position_of, simulated, virtual_time
 
 BUSES = {"can0": "virtual:one", "can1": "virtual:two"}
@@ -31,12 +31,12 @@ async def test_a_node_is_a_bus_and_an_id() -> None:
             await of_second.receive()
             assert of_first.take() == []
         await master.nmt_start()
-        await trio.sleep(0.001)
+        await loop.sleep(0.001)
         assert [host.nodes[0].state.name for host in (one, two)] == ["OPERATIONAL", "OPERATIONAL"]
         await second.nmt(2)  # type: ignore[arg-type]  # a plain number will do
         with pytest.raises(LocalProtocolError, match="3 is not an NMT command; these are: 1 START, 2 STOP"):
             await second.nmt(3)  # type: ignore[arg-type]
-        await trio.sleep(0.001)
+        await loop.sleep(0.001)
         assert [host.nodes[0].state.name for host in (one, two)] == ["OPERATIONAL", "STOPPED"]
         with pytest.raises(SdoTimeoutError):
             await second.read("statusword")
@@ -62,7 +62,7 @@ async def test_a_chain_over_two_buses_has_one_sync_on_both() -> None:
             stamps = []
             for each in (spy, other_spy):
                 syncs = []
-                with trio.move_on_after(0.0001):
+                with loop.move_on_after(0.0001):
                     while True:
                         frame, stamp = await each.receive()
                         if frame.can_id == 0x80:
@@ -70,7 +70,7 @@ async def test_a_chain_over_two_buses_has_one_sync_on_both() -> None:
                 stamps.append(syncs)
         assert len(stamps[1]) > 50
         assert stamps[0][-50:] == stamps[1][-50:]
-        await trio.sleep(0.06)
+        await loop.sleep(0.06)
         found = [position_of(host, node) for host in (one, two) for node in drives(host)]
         assert found == pytest.approx([2865, 5730, 8594], abs=1)
         await arm.shut_down()
@@ -96,7 +96,7 @@ async def test_a_fault_on_one_bus_halts_the_joints_on_the_other() -> None:
 @virtual_time
 async def test_cancelled_both_buses_are_halted() -> None:
     async with simulated(3, bus="virtual:one") as one, simulated(3, bus="virtual:two") as two:
-        with trio.move_on_after(0.5):
+        with loop.move_on_after(0.5):
             async with open_master(buses=BUSES) as master:
                 arm = master.load_chains(text="arm j1 can0 3 j2 can1 3")["arm"]
                 await arm.initialise()

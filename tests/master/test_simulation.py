@@ -3,7 +3,6 @@
 from functools import partial
 
 import pytest
-import trio
 
 from canopen_master import BusError, Host, open_master, powerballs, simulate, standard_drives
 from canopen_master.simulation.parameter_keeper import ParameterKeeper
@@ -20,6 +19,7 @@ from canopen_proto.simulation.drive.node import powerball
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape
 from canopen_transports import BusState, BusStateChanged, Report, open_transport
 from tests.core.devices import io_device
+from tests.master.loops import loop
 from tests.master.test_pump_abilities import Able
 from tests.master.world import BUS, Breakable, virtual_time
 
@@ -27,21 +27,21 @@ from tests.master.world import BUS, Breakable, virtual_time
 @virtual_time
 async def test_devices_boot_and_are_served_until_cancelled() -> None:
     events: list[Event] = []
-    async with open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with open_master(BUS) as master, loop.open_nursery() as nursery:
         with master.node(3).events(NodeBooted) as boots:
             host: Host = await nursery.start(simulate, await open_transport(BUS), powerballs(3))
             assert (await boots.receive()).node_id == 3
         nursery.cancel_scope.cancel()
         assert [node.node_id for node in host.nodes] == [3]
     transport = await open_transport(BUS)
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         nursery.start_soon(_simulate, transport, events)
         async with open_master(BUS) as master:
-            await trio.sleep(0.01)
+            await loop.sleep(0.01)
             await master.node(5).write("controlword", 6)
         nursery.cancel_scope.cancel()
     assert any(isinstance(event, ObjectWritten) and event.index == 0x6040 for event in events)
-    with pytest.raises(trio.ClosedResourceError):
+    with pytest.raises(loop.ClosedResourceError):
         await transport.receive()
 
 
@@ -54,7 +54,7 @@ async def _simulate(transport, events: list[Event]) -> None:  # type: ignore[no-
 async def test_a_failing_bus_ends_the_simulation() -> None:
     cable = Breakable()
     with pytest.RaisesGroup(pytest.RaisesExc(BusError, match="cable was cut")):
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             await nursery.start(simulate, cable, powerballs(3))
             cable.cut()
     assert cable.closed == 1
@@ -64,17 +64,17 @@ async def test_a_failing_bus_ends_the_simulation() -> None:
 @virtual_time
 async def test_devices_hear_that_their_controller_went_off_the_bus(ended_by: Frame | Report) -> None:
     bus = Able()
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         host: Host = await nursery.start(simulate, bus, powerballs(12))
         bus.feed(Frame.parse("000#010C"))
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert host.nodes[0].state is NmtState.OPERATIONAL
         bus.feed(BusStateChanged("able", BusState.BUS_OFF, "too many errors"))
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert host.nodes[0].state is NmtState.PRE_OPERATIONAL  # 0x1029:01
         assert not any(frame.startswith("08C#") for frame in bus.sent)
         bus.feed(ended_by)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert [frame[:8] for frame in bus.sent if frame.startswith("08C#")] == ["08C#4081", "08C#0000"]  # bus-off recovered
         nursery.cancel_scope.cancel()
 
@@ -82,16 +82,16 @@ async def test_devices_hear_that_their_controller_went_off_the_bus(ended_by: Fra
 @virtual_time
 async def test_event_driven_tpdos_go_once_on_entering_operational() -> None:
     bus = Able()
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         await nursery.start(simulate, bus, [lambda out: LocalNode(out, 5, io_device())])
         for _ in range(2):
             bus.sent.clear()
             bus.feed(Frame.parse("000#0105"))
-            await trio.sleep(0.1)
+            await loop.sleep(0.1)
         assert not bus.sent  # it was Operational already
         bus.feed(Frame.parse("000#8005"))
         bus.feed(Frame.parse("000#0105"))
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         assert [frame for frame in bus.sent if frame.startswith("185#")] == ["185#0000"]
         nursery.cancel_scope.cancel()
 
@@ -102,7 +102,7 @@ async def test_a_node_id_that_lss_stored_is_there_when_the_power_comes_back() ->
     for expected in ([UNCONFIGURED, UNCONFIGURED], [10, 11]):
         transport = await open_transport(BUS)
         host = Host(transport, [partial(powerball_of, serial=2), partial(powerball_of, serial=7)], keeper=keeper)
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             await nursery.start(host.serve)
             assert [node.node_id for node in host.nodes] == expected
             async with open_master(BUS) as master:

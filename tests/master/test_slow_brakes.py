@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-import trio
 
 from canopen_master import HaltNotConfirmedError, Master, open_master
 from canopen_master.session import SHUTDOWN_TIME
@@ -14,6 +13,7 @@ from canopen_proto.drives.cia402.objects import PROFILE_DECELERATION
 from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
+from tests.master.loops import loop
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 SPEED = 50_000
@@ -28,7 +28,7 @@ async def running(master: Master) -> None:
     await master.run(drive.set_mode(device.axis, Mode.PROFILE_VELOCITY))
     await master.run(drive.enable(device.axis))
     await node.write("0x60FF", SPEED)
-    await trio.sleep(1)
+    await loop.sleep(1)
 
 
 @virtual_time
@@ -39,10 +39,10 @@ async def test_a_drive_that_brakes_for_seconds_stands_when_the_master_has_gone(r
         node.values.store[PROFILE_DECELERATION] = ramp
         async with open_master(BUS) as master:
             await running(master)
-            left = trio.current_time()
+            left = loop.current_time()
         node.drive.refresh(host.now())
         assert node.drive._servo.velocity == 0
-        assert trio.current_time() - left == pytest.approx(SPEED / ramp, abs=0.3)
+        assert loop.current_time() - left == pytest.approx(SPEED / ramp, abs=0.3)
 
 
 @virtual_time
@@ -54,7 +54,7 @@ async def test_a_procedure_that_was_cancelled_has_halted_its_drive_when_it_retur
             device = master.device(master.node(5, drive_dictionary()))
             await master.nmt_start(5)
             await device.node.write("0x6081", SPEED)
-            with trio.move_on_after(2):
+            with loop.move_on_after(2):
                 await master.run(drive.move_to(device.axis, 1_000_000, timeout=60 * SECOND))
             node.drive.refresh(host.now())
             assert node.drive._servo.velocity == 0
@@ -68,9 +68,9 @@ async def test_a_drive_that_answers_and_goes_on_is_told_soon() -> None:
         with pytest.raises(HaltNotConfirmedError):
             async with open_master(BUS) as master:
                 await running(master)
-                await trio.sleep(3)
-                left = trio.current_time()
-        assert trio.current_time() - left <= SHUTDOWN_TIME + 1.5
+                await loop.sleep(3)
+                left = loop.current_time()
+        assert loop.current_time() - left <= SHUTDOWN_TIME + 1.5
 
 
 @virtual_time
@@ -80,5 +80,5 @@ async def test_a_drive_that_is_dead_keeps_nobody_waiting() -> None:
             async with open_master(BUS) as master:
                 await running(master)
                 host.nodes[0].sdo.disable()
-                left = trio.current_time()
-        assert trio.current_time() - left <= SHUTDOWN_TIME
+                left = loop.current_time()
+        assert loop.current_time() - left <= SHUTDOWN_TIME

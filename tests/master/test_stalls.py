@@ -8,10 +8,8 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
 
 import pytest
-import trio
 from hypothesis import example, given
 from hypothesis import strategies as st
-from trio.testing import MockClock
 
 from canopen_master import Chain, ChainFaultError, ChainHaltedError
 from canopen_master.motion.late_sync import WithinReach
@@ -19,6 +17,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.simulation.drive.answers import Answer
 from tests.examples import examples
+from tests.master.loops import jump, loop
 from tests.master.path_world import AXIS, COUNTS, CYCLE, Record, arms, swing
 from tests.master.test_moving import assert_within_limits
 from tests.master.test_path_motion import ON_PATH, distance_from, moved
@@ -40,9 +39,7 @@ turns = st.lists(st.tuples(st.booleans(), times, times), min_size=1, max_size=8)
 
 
 def stall(seconds: float) -> None:
-    clock = trio.lowlevel.current_clock()
-    assert isinstance(clock, MockClock)
-    clock.jump(seconds)
+    jump(seconds)
 
 
 async def late(turns: Sequence[Turn]) -> None:
@@ -50,8 +47,8 @@ async def late(turns: Sequence[Turn]) -> None:
         if is_process:
             stall(seconds)
         else:
-            await trio.sleep(seconds)
-        await trio.sleep(pause)
+            await loop.sleep(seconds)
+        await loop.sleep(pause)
 
 
 @asynccontextmanager
@@ -65,9 +62,9 @@ async def watched(record: Record) -> AsyncIterator[list[float]]:
                 for node in drives(host):
                     node.drive.refresh(host.now())
                     largest[0] = max(largest[0], abs(node.drive._servo.demand_velocity) / COUNTS)
-            await trio.sleep(each)
+            await loop.sleep(each)
 
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         nursery.start_soon(measure)
         yield largest
         nursery.cancel_scope.cancel()
@@ -87,7 +84,7 @@ def test_whatever_is_late_no_joint_exceeds_its_speed(mode: Mode, keeps_its_speed
             if keeps_its_speed:
                 for node in drives(record.hosts[0]):
                     node.values.store[0x607F_00] = round(SPEED * COUNTS)
-            async with watched(record) as largest, trio.open_nursery() as nursery:
+            async with watched(record) as largest, loop.open_nursery() as nursery:
                 nursery.start_soon(arm.follow, PATH)
                 await moved(arm, 0.4)
                 await late(turns)
@@ -114,7 +111,7 @@ def test_a_loop_that_gives_set_points_keeps_the_speed_too(mode: Mode, gap: float
                 if cycle.number == 100:
                     break
             (wanted,) = arm.desired
-            await trio.sleep(1.0)
+            await loop.sleep(1.0)
             assert record.rows[-1] == pytest.approx([wanted], abs=3e-6)
             assert 0.94 < largest[0] <= SPEED
 
@@ -124,7 +121,7 @@ def test_a_loop_that_gives_set_points_keeps_the_speed_too(mode: Mode, gap: float
 @virtual_time
 async def test_chains_on_two_buses_stall_and_go_on_together() -> None:
     async with arms(1, 1) as (_, chains, record), watched(record) as largest:
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             for chain, way in zip(chains, WAYS, strict=True):
                 nursery.start_soon(chain.follow, swing(way, duration=1.2))
             await moved(chains[0], 0.5)
@@ -136,20 +133,20 @@ async def test_chains_on_two_buses_stall_and_go_on_together() -> None:
 async def stalled(arm: Chain) -> None:
     await moved(arm, 0.5)
     stall(0.15)
-    await trio.sleep(0.005)
+    await loop.sleep(0.005)
 
 
 @virtual_time
 async def test_behind_a_gap_a_joint_comes_back_to_its_path_from_where_it_is() -> None:
     """It has braked beyond its last set-point; the others go on along the path."""
-    async with arms(2) as (_, [arm], record), watched(record) as largest, trio.open_nursery() as nursery:
+    async with arms(2) as (_, [arm], record), watched(record) as largest, loop.open_nursery() as nursery:
         nursery.start_soon(arm.follow, PATH)
         await stalled(arm)
         assert not arm.is_on_path
         before = len(record.rows)
         while not arm.is_on_path:
-            await trio.sleep(0.01)
-        await trio.sleep(0.03)
+            await loop.sleep(0.01)
+        await loop.sleep(0.03)
         assert distance_from(PATH, record.rows[before]) > 1000 * ON_PATH
         assert distance_from(PATH, record.rows[-1]) < ON_PATH
         assert largest[0] <= SPEED
@@ -158,12 +155,12 @@ async def test_behind_a_gap_a_joint_comes_back_to_its_path_from_where_it_is() ->
 @virtual_time
 async def test_a_motion_that_is_cancelled_on_the_way_back_ends_on_its_path() -> None:
     async with arms(2) as (_, [arm], record):
-        with trio.CancelScope() as scope:
-            async with trio.open_nursery() as nursery:
+        with loop.cancel_scope() as scope:
+            async with loop.open_nursery() as nursery:
                 nursery.start_soon(arm.follow, PATH)
                 await stalled(arm)
                 scope.cancel()
-        await trio.sleep(CYCLE)
+        await loop.sleep(CYCLE)
         assert distance_from(PATH, record.rows[-1]) < ON_PATH
 
 
@@ -175,7 +172,7 @@ async def test_a_joint_that_does_not_tell_where_it_is_halts_its_chain_before_syn
             with pytest.raises(ChainHaltedError, match="SYNC was 1[45]. ms late, and j02 did not tell where it is"):
                 await arm.follow(PATH)
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(follow)
             await moved(arm, 0.5)
             drives(record.hosts[0])[1].answer(0x6064, 0, Answer(abort=AbortCode.GENERAL_ERROR))
@@ -256,7 +253,7 @@ def test_a_slow_answer_of_one_joint_makes_no_other_one_jump(joints: tuple[int, .
                 with suppress(ChainHaltedError, ChainFaultError):
                     await chain.follow(swing(*WAYS[: len(chain.devices)], duration=1.2))
 
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
                 for chain in chains:
                     nursery.start_soon(follow, chain)
                 await moved(chains[0], 0.5)
@@ -278,12 +275,12 @@ async def test_transfers_with_a_joint_do_not_keep_sync_away() -> None:
             with pytest.raises(ChainHaltedError, match="j11 did not tell where it is: no answer within 200 ms"):
                 await chains[1].follow(PATH_OF_ONE)
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(follow)
             await moved(chains[1], 0.5)
             for _ in range(5):
                 nursery.start_soon(chains[1].devices[0].node.read, (0x1018, 1))
-            await trio.sleep(0.001)
+            await loop.sleep(0.001)
             stall(0.045)
         assert max(after - before for before, after in itertools.pairwise(record.times)) < 0.3
 
@@ -325,16 +322,16 @@ def test_sync_that_is_started_again_lets_no_joint_jump(gap: float, looks: bool) 
                 with pytest.raises(ChainHaltedError if not looks else (ChainHaltedError, ChainFaultError)):
                     await arm.follow(PATH)
 
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
                 nursery.start_soon(follow)
                 await moved(arm, 0.5)
                 if looks:
                     drives(record.hosts[0])[1].answer(0x6064, 0, Answer(delay=round(0.1e9)))
                     stall(gap)
-                    await trio.sleep(0.05)
+                    await loop.sleep(0.05)
                 else:
                     master.sync_stop()
-                    await trio.sleep(gap)
+                    await loop.sleep(gap)
                 master.sync_start(CYCLE)
             assert largest[0] <= SPEED
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 
 import pytest
-import trio
 
 from canopen_master import Chain, ChainError, ChainHaltedError, ChainState
+from tests.master.loops import loop
 from tests.master.path_world import arms, swing
 from tests.master.world import virtual_time
 
@@ -20,7 +20,7 @@ async def test_a_halt_while_a_command_waits_for_the_stop_before_it_ends_that_com
     }  # fmt: skip
     async with arms(2) as (_, [arm], record):
         ended: list[str] = []
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def follow() -> None:
                 with pytest.raises(ChainHaltedError):
@@ -32,30 +32,30 @@ async def test_a_halt_while_a_command_waits_for_the_stop_before_it_ends_that_com
                 ended.append(name)
 
             nursery.start_soon(follow)
-            await trio.sleep(1.5)
+            await loop.sleep(1.5)
             nursery.start_soon(command)
-            await trio.sleep(0.05)  # it brakes along the path
+            await loop.sleep(0.05)  # it brakes along the path
             await arm.halt()
         assert ended == [name]
         assert arm.state is ChainState.HALTED
         before = record.rows[-1]
-        await trio.sleep(1)
+        await loop.sleep(1)
         assert record.rows[-1] == before
 
 
 @virtual_time
 async def test_nothing_begins_beside_a_shut_down() -> None:
     async with arms(2) as (_, [arm], _record):
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def follow() -> None:
                 with pytest.raises(ChainHaltedError):
                     await arm.follow(swing(0.5, -0.3))
 
             nursery.start_soon(follow)
-            await trio.sleep(1.5)
+            await loop.sleep(1.5)
             nursery.start_soon(arm.shut_down)
-            await trio.sleep(0.05)  # it brakes along the path
+            await loop.sleep(0.05)  # it brakes along the path
             with pytest.raises(ChainError, match="it is busy: shut down"):
                 await arm.initialise()
         assert arm.state is ChainState.OFF
@@ -64,7 +64,7 @@ async def test_nothing_begins_beside_a_shut_down() -> None:
 @virtual_time
 async def test_two_shut_downs_at_once() -> None:
     async with arms(2) as (_, [arm], _record):
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             results: list[Exception | None] = []
 
             async def shut_down() -> None:

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any
 
 import pytest
-import trio
 
 from canopen_master import (
     BusError,
@@ -34,6 +33,7 @@ from canopen_proto.sdo.block_client import MAX_FED
 from canopen_transports import Transport, open_transport
 from tests.core.block_pair import pattern
 from tests.core.devices import io_device
+from tests.master.loops import fail_after, loop
 from tests.master.world import BUS, Breakable, simulated, virtual_time
 
 IMAGE = 0x1F50
@@ -78,7 +78,7 @@ def content_of(node: LocalNode) -> Any:
 async def said_on(spy: Transport) -> list[str]:
     """What the master has said until now."""
     frames = []
-    with trio.move_on_after(0.2):
+    with loop.move_on_after(0.2):
         while True:
             frames.append(str((await spy.receive())[0]))
     return [frame for frame in frames if frame.startswith("605")]
@@ -90,7 +90,7 @@ def cut(content: bytes, size: int) -> Iterator[bytes]:
 
 async def slowly(content: bytes, size: int, pause: float = 0.01) -> AsyncIterator[bytes]:
     for piece in cut(content, size):
-        await trio.sleep(pause)
+        await loop.sleep(pause)
         yield piece
 
 
@@ -100,7 +100,7 @@ async def read_all(node: Node, **options: Any) -> bytes:
 
 async def works(node: Node) -> None:
     """The next request is served at once."""
-    with trio.fail_after(0.1):
+    with fail_after(0.1):
         assert await node.read_bytes(0x1000) == b"\x91\x01\x00\x00"
 
 
@@ -191,7 +191,7 @@ async def test_what_is_long_is_never_held() -> None:
 async def test_what_the_producer_raises_aborts_and_comes_out_as_it_is() -> None:
     async def failing_late() -> AsyncIterator[bytes]:
         yield bytes(5000)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         raise ZeroDivisionError("the file is gone")
 
     def failing() -> Iterator[bytes]:
@@ -258,19 +258,19 @@ async def test_a_time_out_names_the_time_that_was_waited() -> None:
     async with simulated(makers=[partial(device, kind=MuteNode)]), open_master(BUS, sdo_timeout=0.25) as master:
         node = master.node(5, dictionary())
         for block, seconds in [(True, 2), (False, 0.25)]:
-            started = trio.current_time()
+            started = loop.current_time()
             with pytest.raises(SdoTimeoutError, match=f"did not answer reading 1F50:01 .image:1. in {seconds:g} s"):
                 await node.read_bytes(IMAGE, 1, block=block)
-            assert trio.current_time() - started == pytest.approx(seconds, abs=0.01)
+            assert loop.current_time() - started == pytest.approx(seconds, abs=0.01)
 
 
 @virtual_time
 async def test_a_node_that_boots_ends_a_stream_whatever_its_producer_does() -> None:
     async def forever() -> AsyncIterator[bytes]:
         yield bytes(100)
-        await trio.sleep_forever()
+        await loop.sleep_forever()
 
-    async with simulated(makers=MAKERS), open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with simulated(makers=MAKERS), open_master(BUS) as master, loop.open_nursery() as nursery:
         node = master.node(5, dictionary())
 
         async def writing() -> None:
@@ -279,7 +279,7 @@ async def test_a_node_that_boots_ends_a_stream_whatever_its_producer_does() -> N
             assert not isinstance(caught.value, SdoNotConfirmedError)
 
         nursery.start_soon(writing)
-        await trio.sleep(0.1)
+        await loop.sleep(0.1)
         await node.nmt(NmtCommand.RESET_NODE)
 
 
@@ -294,7 +294,7 @@ async def test_who_is_too_slow_is_told_so() -> None:
         await node.write_stream(IMAGE, 1, [bytes(5000)])
         with pytest.raises(SdoError, match="given up|refused"):
             async for _ in node.read_stream(IMAGE, 1):
-                await trio.sleep(1)
+                await loop.sleep(1)
 
 
 # ---- leaving it ----
@@ -305,7 +305,7 @@ async def test_who_is_too_slow_is_told_so() -> None:
 async def test_a_cancelled_write_is_aborted_and_the_next_request_works_at_once(after: float) -> None:
     async with simulated(makers=MAKERS) as host, open_master(BUS) as master, await open_transport(BUS) as spy:
         node = master.node(5, dictionary())
-        with trio.move_on_after(after) as scope:
+        with loop.move_on_after(after) as scope:
             await node.write_stream(IMAGE, 1, slowly(pattern(5000), 1000))
         assert scope.cancelled_caught
         await works(node)
@@ -335,9 +335,9 @@ async def test_a_read_that_is_left_is_aborted_and_the_next_request_works_at_once
             async with node.read_stream(IMAGE, 1) as stream:
                 await anext(stream)
         else:
-            with trio.move_on_after(0.01):
+            with loop.move_on_after(0.01):
                 async for _ in node.read_stream(IMAGE, 1):
-                    await trio.sleep(1)
+                    await loop.sleep(1)
         gc.collect()
         await works(node)
         assert ABORTED in await said_on(spy)
@@ -346,7 +346,7 @@ async def test_a_read_that_is_left_is_aborted_and_the_next_request_works_at_once
 @virtual_time
 async def test_a_read_that_is_cancelled_while_it_waits() -> None:
     async with open_master(BUS) as master, await open_transport(BUS) as spy:
-        with trio.move_on_after(0.1) as scope:
+        with loop.move_on_after(0.1) as scope:
             await read_all(master.node(5, dictionary()))
         assert scope.cancelled_caught
         assert (await said_on(spy))[-1] == ABORTED
@@ -395,7 +395,7 @@ async def test_the_end_of_the_master_and_of_the_bus_end_streams() -> None:
 
 @virtual_time
 async def test_a_device_that_wants_the_size_first_says_so() -> None:
-    async with await open_transport(BUS) as device, open_master(BUS) as master, trio.open_nursery() as nursery:
+    async with await open_transport(BUS) as device, open_master(BUS) as master, loop.open_nursery() as nursery:
         nursery.start_soon(_refuse, device)
         with pytest.raises(SdoRefusedError) as caught:
             await master.node(5).write_stream(0x1F50, 1, [b"firmware"], block=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 import pytest
-import trio
 
 from canopen_master import ChainSettings, open_master, standard_drives
 from canopen_master.bus_timing import OtherTraffic, bus_timing
@@ -20,6 +19,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.settings import DriveSettings, Track
 from canopen_transports import WireTransport
 from tests.examples import takes_all
+from tests.master.loops import loop
 from tests.master.path_world import AXIS, COUNTS, RAMPS
 from tests.master.world import drives, simulated, virtual_time
 
@@ -72,17 +72,17 @@ def test_twelve_joints_follow_a_path_within_the_bound_and_the_bus_has_the_planne
             transport = master.bus().transport
             assert isinstance(transport, WireTransport)
             transport.bus.wire.begin_load(host.now())
-            begun, behind = trio.current_time(), 0.0
+            begun, behind = loop.current_time(), 0.0
 
             async def watch() -> None:
                 nonlocal behind
                 async for progress in arm.progress():
                     behind = max(behind, *map(abs, map(float.__sub__, progress.set_points, progress.positions)))
 
-            async with trio.open_nursery() as nursery:
+            async with loop.open_nursery() as nursery:
                 nursery.start_soon(watch)
                 await arm.follow(path)
-            load, took = transport.bus.load(), trio.current_time() - begun
+            load, took = transport.bus.load(), loop.current_time() - begun
             assert duration <= took < 1.1 * duration + 0.5
             assert arm.missed_cycles == arm.skipped_cycles == 0
             assert arm.sync_cycles == pytest.approx(took / CYCLE, abs=3)

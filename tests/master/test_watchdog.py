@@ -9,7 +9,6 @@ from contextlib import asynccontextmanager, suppress
 from itertools import pairwise
 
 import pytest
-import trio
 
 from canopen_master import (
     ChainError,
@@ -39,6 +38,8 @@ from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import ProcedureError
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import open_transport
+from canopen_transports.loop import CancelScope
+from tests.master.loops import loop
 from tests.master.motions import FAR, MOTIONS, SPEED
 from tests.master.world import BUS, Link, arm_of, drives, following_arm, simulated, value, virtual_time
 
@@ -69,22 +70,22 @@ async def test_a_drive_whose_master_dies_stands_within_the_timeout_and_its_ramp(
                 async with open_master(cable) as master:
                     await MOTIONS[motion](master, NODE)
 
-        async with trio.open_nursery() as nursery, await open_transport(BUS) as other:
+        async with loop.open_nursery() as nursery, await open_transport(BUS) as other:
             nursery.start_soon(live)
-            await trio.sleep(3)
+            await loop.sleep(3)
             node.drive.refresh(host.now())
             assert abs(value(node, objects.VELOCITY_DEMAND_VALUE)) >= SPEED
             assert (value(node, CONSUMERS), value(node, REACTION)) == (ENTRY, 3)
             cable.copies = lambda frame, is_sent: 0  # kill -9
-            limit = trio.current_time() + DEFAULT_WATCHDOG.timeout / SECOND + QUICK_STOP_SECONDS + 0.02
-            while trio.current_time() < limit:
+            limit = loop.current_time() + DEFAULT_WATCHDOG.timeout / SECOND + QUICK_STOP_SECONDS + 0.02
+            while loop.current_time() < limit:
                 if sync_goes_on:
                     await other.send(Frame(0x080, b""))
-                await trio.sleep(0.01)
+                await loop.sleep(0.01)
             node.drive.refresh(host.now())
             assert value(node, objects.VELOCITY_DEMAND_VALUE) == 0
             stood = value(node, objects.POSITION_ACTUAL_VALUE)
-            await trio.sleep(5)
+            await loop.sleep(5)
             node.drive.refresh(host.now())
             assert value(node, objects.POSITION_ACTUAL_VALUE) == pytest.approx(stood, abs=2)
             assert node.drive.state is State.SWITCH_ON_DISABLED
@@ -95,7 +96,7 @@ async def test_a_drive_whose_master_dies_stands_within_the_timeout_and_its_ramp(
 async def test_a_second_master_that_reads_keeps_no_drive_alive() -> None:
     async with one_drive() as (_, node):
         cable = Link()
-        async with trio.open_nursery() as nursery, open_master(BUS) as reader:
+        async with loop.open_nursery() as nursery, open_master(BUS) as reader:
 
             async def live() -> None:
                 with suppress(MasterError, ProcedureError):
@@ -103,11 +104,11 @@ async def test_a_second_master_that_reads_keeps_no_drive_alive() -> None:
                         await MOTIONS["pv"](master, NODE)
 
             nursery.start_soon(live)
-            await trio.sleep(3)
+            await loop.sleep(3)
             cable.copies = lambda frame, is_sent: 0
             for _ in range(20):
                 await reader.node(NODE).read("statusword")
-                await trio.sleep(0.05)
+                await loop.sleep(0.05)
             assert value(node, objects.VELOCITY_DEMAND_VALUE) == 0
             assert node.drive.state is State.SWITCH_ON_DISABLED
             nursery.cancel_scope.cancel()
@@ -116,12 +117,12 @@ async def test_a_second_master_that_reads_keeps_no_drive_alive() -> None:
 # ---- a heartbeat that comes late ----
 
 
-async def beat_until(scope: trio.CancelScope) -> None:
+async def beat_until(scope: CancelScope) -> None:
     with scope:
         async with await open_transport(BUS) as other:
             while True:
                 await other.send(Frame(0x700 + 99, b"\x05"))
-                await trio.sleep(0.02)
+                await loop.sleep(0.02)
 
 
 @pytest.mark.parametrize("missing", [0.103, 0.2])
@@ -129,20 +130,20 @@ async def beat_until(scope: trio.CancelScope) -> None:
 @virtual_time
 async def test_a_joint_that_missed_our_heartbeat_is_not_just_called_silent(missing: float, watchdog: Watchdog | None) -> None:
     """A drive leaves Operational when a heartbeat is late. It clears its emergency with the next one, perhaps before we judge."""
-    beating = trio.CancelScope()
+    beating = loop.cancel_scope()
     async with simulated(3, 4):
         cable = Link()
-        async with open_master(cable, watchdog=watchdog) as master, trio.open_nursery() as nursery:
+        async with open_master(cable, watchdog=watchdog) as master, loop.open_nursery() as nursery:
             arm = arm_of(master, 3, 4)
             await arm.initialise()
             if watchdog is None:  # it watches another node's
                 await arm.devices[0].node.write(CONSUMERS, 99 << 16 | 100)
                 nursery.start_soon(beat_until, beating)
             await arm.follow()
-            lost_at = trio.current_time()
+            lost_at = loop.current_time()
 
             def copies(frame: Frame, is_sent: bool) -> int:
-                return 0 if frame.can_id == 0x77F and trio.current_time() - lost_at < missing else 1
+                return 0 if frame.can_id == 0x77F and loop.current_time() - lost_at < missing else 1
 
             cable.copies = copies
             beating.cancel()
@@ -163,7 +164,7 @@ async def test_a_heartbeat_that_came_late_long_ago_is_not_the_reason(seconds: fl
     async with following_arm(3, 4) as (host, _, arm):
         drives(host)[0].raise_error(0x8130, 0x11, b"\x7f", host.now())
         host.pump()
-        await trio.sleep(seconds)
+        await loop.sleep(seconds)
         drives(host)[0].execute(NmtCommand.ENTER_PRE_OPERATIONAL, host.now())
         with pytest.raises(ChainFaultError) as caught:
             async for _ in arm.cycles():
@@ -186,7 +187,7 @@ async def test_so_does_the_blocking_api_name_a_heartbeat_that_came_late() -> Non
                 for _ in range(200):
                     await joint.send_position(joint.axis.set_points.position)
                     await master.send_sync()
-                    await trio.sleep(0.01)
+                    await loop.sleep(0.01)
 
 
 # ---- a master that lives, and leaves ----
@@ -202,7 +203,7 @@ async def test_whoever_is_left_in_good_order_has_what_it_had_before(shut_down: b
         async with open_master(cable) as master:
             joint = master.node(NODE)
             await joint.read("statusword")
-            await trio.sleep(1)
+            await loop.sleep(1)
             assert heartbeats(cable) == []
             if by_hand:
                 for word in (0x06, 0x07, 0x0F):
@@ -211,17 +212,17 @@ async def test_whoever_is_left_in_good_order_has_what_it_had_before(shut_down: b
                 await master.run(drive.enable(master.device(joint).axis))
             assert node.drive.state is State.OPERATION_ENABLED
             assert (value(node, CONSUMERS), value(node, REACTION)) == (ENTRY, 3)
-            await trio.sleep(10)
+            await loop.sleep(10)
             assert node.drive.state is State.OPERATION_ENABLED
             if shut_down:
                 await master.run(drive.shut_down(master.device(joint).axis))
                 assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 1)
                 ended = len(heartbeats(cable))
-                await trio.sleep(1)
+                await loop.sleep(1)
                 assert len(heartbeats(cable)) == ended
         assert (value(node, CONSUMERS), value(node, REACTION)) == (0, 1)
         assert 90 <= len(heartbeats(cable)) <= 110
-        await trio.sleep(2)
+        await loop.sleep(2)
         assert not any(frame.can_id == 0x080 + NODE for _, _, frame in cable.log)
 
 
@@ -235,11 +236,11 @@ async def test_a_drive_that_does_not_confirm_its_halt_keeps_watching_and_stops_b
         cable = Link()
         with pytest.raises(HaltNotConfirmedError):
             async with open_master(cable) as master:
-                with trio.move_on_after(2):
+                with loop.move_on_after(2):
                     await MOTIONS["pv"](master, NODE)
                 cable.copies = lambda frame, is_sent: frame.can_id == 0x77F  # SDO is lost, heartbeats pass
         assert value(node, CONSUMERS) == ENTRY
-        await trio.sleep(1)
+        await loop.sleep(1)
         node.drive.refresh(host.now())
         assert value(node, objects.VELOCITY_DEMAND_VALUE) == 0
 
@@ -273,10 +274,10 @@ async def test_there_is_one_heartbeat_in_each_period_however_many_drives_are_ena
     async with simulated(3, 4, makers=standard_drives(5)), open_master(cable) as master:
         arm = arm_of(master, 3, 4)
         await arm.initialise()
-        await trio.sleep(0.03)
+        await loop.sleep(0.03)
         await master.run(drive.enable(master.device(master.node(5)).axis))
         await arm.recover()
-        await trio.sleep(0.5)
+        await loop.sleep(0.5)
     times = [at for at, is_sent, frame in cable.log if is_sent and frame.can_id == 0x77F]
     gaps = [later - earlier for earlier, later in pairwise(times)]
     assert len(gaps) >= 5
@@ -285,20 +286,20 @@ async def test_there_is_one_heartbeat_in_each_period_however_many_drives_are_ena
 
 @virtual_time
 async def test_a_drive_that_boots_while_it_is_taken_hold_of_is_enabled_only_when_it_watches() -> None:
-    async with one_drive() as (_, node), trio.open_nursery() as nursery, open_master(BUS) as master:
+    async with one_drive() as (_, node), loop.open_nursery() as nursery, open_master(BUS) as master:
         device = master.device(master.node(NODE))
         await device.node.read("statusword")
         async with await open_transport(BUS) as other:
             nursery.start_soon(master.run, drive.enable(device.axis))
             while value(node, CONSUMERS) == 0:
-                await trio.sleep(0.001)
-            await trio.sleep(0.03)
+                await loop.sleep(0.001)
+            await loop.sleep(0.03)
             assert node.drive.state is State.SWITCH_ON_DISABLED
             await other.send(Frame(0, bytes((0x81, NODE))))
-            await trio.sleep(0.01)
+            await loop.sleep(0.01)
             assert value(node, CONSUMERS) == 0
         while node.drive.state is not State.OPERATION_ENABLED:
-            await trio.sleep(0.001)
+            await loop.sleep(0.001)
         assert value(node, CONSUMERS) == ENTRY
 
 
@@ -319,12 +320,12 @@ async def beat(node_id: int) -> None:
     async with await open_transport(BUS) as transport:
         while True:
             await transport.send(Frame(0x700 + node_id, b"\x05"))
-            await trio.sleep(0.1)
+            await loop.sleep(0.1)
 
 
 @virtual_time
 async def test_a_foreign_heartbeat_with_our_node_id_is_an_error_before_anything_is_enabled() -> None:
-    async with simulated(3, 4) as host, trio.open_nursery() as nursery:
+    async with simulated(3, 4) as host, loop.open_nursery() as nursery:
         nursery.start_soon(beat, 127)
         async with open_master(BUS) as master:
             with pytest.raises(NodeIdTakenError, match="another node 127 was heard .* Try: .*--master-id"):
@@ -357,12 +358,12 @@ async def test_a_node_of_our_node_id_that_was_used_is_an_error() -> None:
 
 @virtual_time
 async def test_a_foreign_heartbeat_that_comes_later_is_told(caplog: pytest.LogCaptureFixture) -> None:
-    async with simulated(makers=standard_drives(3)), trio.open_nursery() as nursery, open_master(BUS) as master:
+    async with simulated(makers=standard_drives(3)), loop.open_nursery() as nursery, open_master(BUS) as master:
         with master.events(ForeignHeartbeat) as foreign:
             await master.run(drive.enable(master.device(master.node(3)).axis))
             nursery.start_soon(beat, 127)
             assert (await foreign.receive()).node_id == 127
-        await trio.sleep(1)
+        await loop.sleep(1)
         assert [each.getMessage() for each in caplog.records if each.name == LOGGER.name] == [
             f"another node on {BUS} sends heartbeats as node 127 too: the drives there will not notice if this program ends"
         ]
@@ -372,12 +373,12 @@ async def test_a_foreign_heartbeat_that_comes_later_is_told(caplog: pytest.LogCa
 @virtual_time
 async def test_each_bus_has_a_heartbeat_of_its_own() -> None:
     one, other = Link("one"), Link("two")
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         for name, node_id in (("one", 3), ("two", 4)):
             await nursery.start(simulate, await open_transport(f"virtual:{name}"), standard_drives(node_id))
         async with open_master(buses={"a": one, "b": other}) as master:
             await master.run(drive.enable(master.device(master.node(3, bus="a")).axis))
-            await trio.sleep(1)
+            await loop.sleep(1)
             assert heartbeats(one)
             assert heartbeats(other) == []
             await master.run(drive.enable(master.device(master.node(4, bus="b")).axis))
@@ -403,7 +404,7 @@ async def test_drives_that_will_not_stop_by_themselves_are_told_once_by_name(cap
                 NotHeld(3, "joint1", NO_REACTION),
                 NotHeld(4, "joint2", NO_REACTION),
             ]
-            with trio.move_on_after(1):
+            with loop.move_on_after(1):
                 pytest.fail(f"{await told.receive()} was told again")
     messages = [each for each in caplog.records if each.name == LOGGER.name]
     assert [each.getMessage() for each in messages] == [

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import pytest
-import trio
 
 from canopen_master import AxisSettings, HaltNotConfirmedError, HomingStyle, Host, Master, open_master
 from canopen_proto.application import PlainMemory
@@ -30,7 +29,9 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_proto.sync import SyncSent
+from canopen_transports.loop import TaskStatus
 from tests.examples import takes_all
+from tests.master.loops import beside, loop
 from tests.master.world import BUS, drives, simulated, value, virtual_time
 
 PERIOD = 0.05
@@ -107,7 +108,7 @@ def begin(axis: Axis, row: Row) -> Procedure[None]:
     yield from command(axis, Command.ENABLE_OPERATION | bits)
 
 
-async def keep_moving(master: Master, rows: Sequence[Row], task_status: trio.TaskStatus[None]) -> None:
+async def keep_moving(master: Master, rows: Sequence[Row], task_status: TaskStatus[None]) -> None:
     """Have all drives move; started when they do."""
     await master.nmt_start()
     master.sync_start(PERIOD)
@@ -120,16 +121,16 @@ async def keep_moving(master: Master, rows: Sequence[Row], task_status: trio.Tas
     for cycle in itertools.count(1):
         position = 3_000 + round(SPEED * PERIOD) * cycle
         await master.run(all_of(*(write(axis.node, key, position) for axis, key in followers)))
-        await trio.sleep(PERIOD)
+        await loop.sleep(PERIOD)
         if cycle == 5:
             task_status.started()
 
 
 async def leave(way: str, host: Host, rows: Sequence[Row], obey: bool) -> None:
     """Let the drives move, and leave the master by that way. obey: else they take no more commands, and go on."""
-    scope = trio.CancelScope()
+    scope = loop.cancel_scope()
     with scope:
-        async with open_master(BUS) as master, trio.open_nursery() as nursery:
+        async with open_master(BUS) as master, loop.open_nursery() as nursery:
             await nursery.start(keep_moving, master, rows)
             assert [str(row) for row, speed in speeds(host, rows).items() if not speed] == []
             if not obey:
@@ -145,15 +146,15 @@ async def leave(way: str, host: Host, rows: Sequence[Row], obey: bool) -> None:
                 case "ctrl-c":
                     signal.raise_signal(signal.SIGINT)
                 case "two ctrl-c":
-                    trio.lowlevel.spawn_system_task(press, 0.0, 0.009)
+                    beside(press, 0.0, 0.009)
                 case "failing callback":
                     master.watch((SyncSent,), fail)
-            await trio.sleep_forever()
+            await loop.sleep_forever()
 
 
 async def press(*pauses: float) -> None:
     for seconds in pauses:
-        await trio.sleep(seconds)
+        await loop.sleep(seconds)
         signal.raise_signal(signal.SIGINT)
 
 

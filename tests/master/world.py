@@ -8,29 +8,25 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
-import trio
-import trio.testing
-
 from canopen_master import Chain, ChainSettings, Host, Master, open_master, powerballs, simulate
 from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE, VELOCITY_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
 from canopen_proto.frame import Frame
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_transports import Received, TransportError, VirtualTransport, open_transport
+from canopen_transports.loop import Nursery
+from tests.master import loops
+from tests.master.loops import loop
 
 BUS = "virtual:test"
 
 
 def virtual_time(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
-    """Run an async test on a clock that jumps to whatever is waited for; it fails after a day of that."""
+    """Run an async test on a clock that jumps to whatever is waited for, on the loop that loops.py says; it fails after a day."""
 
     @functools.wraps(test)
     def run(*args: Any, **kwargs: Any) -> None:
-        async def limited() -> None:
-            with trio.fail_after(24 * 3600):
-                await test(*args, **kwargs)
-
-        trio.run(limited, clock=trio.testing.MockClock(autojump_threshold=0))
+        loops.run(functools.partial(test, *args, **kwargs))
 
     del run.__wrapped__  # type: ignore[attr-defined]  # else pytest would see a coroutine function
     run.__signature__ = inspect.signature(test)  # type: ignore[attr-defined]  # but it has to see the parameters
@@ -41,7 +37,7 @@ def virtual_time(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
 async def simulated(*node_ids: int, bus: str = BUS, makers: Sequence[Any] = ()) -> AsyncIterator[Host]:
     """Powerball joints (or other devices) on a bus, for as long as the block."""
     error: BaseException | None = None
-    async with trio.open_nursery() as nursery:
+    async with loop.open_nursery() as nursery:
         host: Host = await nursery.start(simulate, await open_transport(bus), [*powerballs(*node_ids), *makers])
         try:
             yield host
@@ -92,7 +88,7 @@ def position_of(host: Host, node: DriveNode) -> int:
 async def assert_all_stand(host: Host) -> None:
     """No drive moves, nor will it by itself."""
     before = [position_of(host, node) for node in drives(host)]
-    await trio.sleep(1)
+    await loop.sleep(1)
     assert [position_of(host, node) for node in drives(host)] == before
     for node in drives(host):
         if VELOCITY_ACTUAL_VALUE in node.values.store:
@@ -120,16 +116,16 @@ class Link:
         self.log: list[tuple[float, bool, Frame]] = []
 
     async def send(self, frame: Frame) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
         for _ in range(self.copies(frame, True)):
-            self.log.append((trio.current_time(), True, frame))
+            self.log.append((loop.current_time(), True, frame))
             await self._inner.send(frame)
 
     async def receive(self) -> Received:
         while not self._again:
             received = await self._inner.receive()
             self._again = [received] * self.copies(received[0], False)
-        self.log.append((trio.current_time(), False, self._again[-1][0]))
+        self.log.append((loop.current_time(), False, self._again[-1][0]))
         return self._again.pop()
 
     async def aclose(self) -> None:
@@ -146,31 +142,31 @@ class Breakable:
         self.is_stuck = False
         self.closed = 0
         self.sent: list[tuple[float, str]] = []
-        self._cut = trio.Event()
+        self._cut = loop.event()
 
     def cut(self) -> None:
         self.is_broken = True
         self._cut.set()
 
     async def send(self, frame: Frame) -> None:
-        await trio.lowlevel.checkpoint()
+        await loop.checkpoint()
         if self.is_stuck:
-            await trio.sleep_forever()
+            await loop.sleep_forever()
         if self.is_broken:
             raise self._error("send")
         await self._inner.send(frame)
-        self.sent.append((trio.current_time(), str(frame)))
+        self.sent.append((loop.current_time(), str(frame)))
 
     async def receive(self) -> Received:
         if self.is_broken:
             raise self._error("receive")
         result: list[Received] = []
 
-        async def take(nursery: trio.Nursery) -> None:
+        async def take(nursery: Nursery) -> None:
             result.append(await self._inner.receive())
             nursery.cancel_scope.cancel()
 
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
             nursery.start_soon(take, nursery)
             await self._cut.wait()
             nursery.cancel_scope.cancel()

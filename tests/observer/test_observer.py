@@ -85,6 +85,16 @@ def test_an_sdo_to_a_stopped_node() -> None:
     assert bus.hear_all("000#0100", "605#4041600000000000", "585#4B41600037020000", after=SECOND) == []
 
 
+def test_a_heartbeat_right_behind_an_sdo_to_a_stopped_node_does_not_acquit_it() -> None:
+    bus = Bus()
+    told = ["stopped 5: an SDO goes to a node that is stopped: it may not answer"]
+    assert bus.hear_all("705#05", "000#0205", "705#04", "605#4041600000000000", after=150 * MILLISECOND) == []
+    assert bus.hears("705#04", after=MILLISECOND) == [], "it may have been sent before the SDO"
+    assert bus.hears("705#04", after=100 * MILLISECOND) == told
+    assert bus.hear_all("705#05", "000#0205", "705#04", "605#4041600000000000", after=150 * MILLISECOND) == []
+    assert bus.hear_all("705#04", "705#7F", "705#04", after=20 * MILLISECOND) == [], "it was not stopped all the time"
+
+
 @pytest.mark.parametrize(
     ("heard", "is_found"),
     [
@@ -168,6 +178,63 @@ def test_what_a_silent_bus_shows() -> None:
     findings, summaries = observer.idle(4 * SECOND)
     assert (findings, [each.node_id for each in summaries]) == ((), [6])
     assert observer.unfinished() == ()
+
+
+def written(node_id: int, ms: int) -> tuple[str, str]:
+    """A write of the producer heartbeat time."""
+    return f"{0x600 + node_id:03X}#2B171000{ms.to_bytes(2, 'little').hex()}0000", f"{0x580 + node_id:03X}#6017100000000000"
+
+
+def test_a_node_that_falls_silent_though_nobody_consumes_its_heartbeat() -> None:
+    bus = Bus()
+    late = ["late heartbeat 5: no heartbeat for more than 250 ms, and it sends one in 100 ms"]
+    assert bus.hear_all(*written(5, 100)) == []
+    assert bus.hears("080#", after=SECOND) == [], "the recording may show no heartbeats at all"
+    assert bus.hear_all("705#05", "705#05", after=100 * MILLISECOND) == []
+    assert bus.hears("705#05", after=200 * MILLISECOND) == [], "one may be lost"
+    assert bus.hears("080#", after=260 * MILLISECOND) == late
+    assert bus.hears("080#", after=SECOND) == [], "it is said once"
+    assert bus.hears("705#05") == []
+    assert bus.hears("080#", after=SECOND) == late, "and again for the next one"
+    assert bus.hear_all("705#05", *written(5, 0)) == []
+    assert bus.hears("080#", after=SECOND) == [], "it was switched off"
+
+
+def test_its_own_rhythm_tells_how_often_it_sends_a_heartbeat() -> None:
+    bus = Bus()
+    late = ["late heartbeat 5: no heartbeat for more than 250 ms, and it sends one in 100 ms"]
+    assert bus.hear_all(*["705#05"] * 4, after=100 * MILLISECOND) == []
+    assert bus.hears("080#", after=SECOND) == [], "no rhythm yet"
+    assert bus.hear_all(*["705#05"] * 5, after=100 * MILLISECOND) == []
+    assert bus.hears("080#", after=SECOND) == late
+    assert bus.hear_all(*["705#05"] * 5, after=100 * MILLISECOND) == []
+    assert bus.hears("000#8105") == []
+    assert bus.hears("080#", after=SECOND) == [], "it was reset, and may have another one"
+    assert bus.hear_all(*["705#05"] * 5, "705#00", after=100 * MILLISECOND) == []
+    assert bus.hears("080#", after=SECOND) == [], "it has booted, and may have another one"
+    assert bus.hear_all(*["705#R1", "705#05"] * 5, after=100 * MILLISECOND)[1:] == []
+    assert bus.hears("080#", after=SECOND) == [], "these are answers"
+
+
+def test_the_end_of_a_consumer_leaves_the_nodes_own_rhythm() -> None:
+    bus = Bus()
+    assert bus.hear_all("607#231610010A000500", "587#6016100100000000") == []
+    assert bus.hear_all(*written(5, 100), "705#05")[1:] == []
+    assert bus.hear_all("607#2316100100000000", "587#6016100100000000", after=MILLISECOND) == []
+    assert [each[:16] for each in bus.hears("080#", after=SECOND)] == ["late heartbeat 5"]
+
+
+def test_a_heartbeat_that_comes_soon_is_no_copy_where_something_else_explains_it() -> None:
+    bus = Bus()
+    assert bus.hear_all("705#05", after=100 * MILLISECOND) == []
+    request, answer = written(5, 100)
+    assert bus.hear_all(request, "705#05", answer, after=MILLISECOND) == [], "the first one of a new time comes at once"
+    assert bus.hear_all("705#05", "705#05", after=100 * MILLISECOND) == []
+    assert bus.hears("705#05", after=197 * MILLISECOND) == [], "it is late,"
+    assert bus.hears("705#05", after=3 * MILLISECOND) == [], "and the next one is in time"
+    copied = "copied 5: heartbeats come at once: they are there twice, or were held back"
+    assert bus.hears("705#05", after=MILLISECOND) == [copied]
+    assert bus.hear_all(*written(7, 2), *["707#05"] * 20, after=2 * MILLISECOND) == [], "it is sent as often"
 
 
 def test_wrong_lengths() -> None:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import _thread
 import asyncio
 import os
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import ModuleType
 
 import can
 import pytest
@@ -21,8 +25,8 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.testing import DidNotHappenError, Lose, boot_up, emcy, heartbeat, nmt, sdo_answer
-from canopen_testing import AsyncioMaster, ProgramWorld, WallClockWaitError, WorldCanBus
-from canopen_testing.present import present_world
+from canopen_testing import AsyncioMaster, ProgramWorld, ThreadStartedError, WallClockWaitError, WorldCanBus
+from canopen_testing.present import present, present_world
 from canopen_transports import open_transport
 
 
@@ -193,11 +197,97 @@ def test_tasks_that_wait_for_all_others_come_before_time_passes() -> None:
     assert world.run(main) == [0.0, 1.5]
 
 
-def test_threads_and_files_are_waited_for_in_earnest() -> None:
-    async def main() -> int:
-        return await trio.to_thread.run_sync(lambda: 5)
+def beating() -> ProgramWorld:
+    """A world in which something happens each millisecond."""
+    world = world_of()
+    world.nodes[5].set_value(0x1017, 0, 1, 0)
+    return world
 
-    assert ProgramWorld().run(main) == 5
+
+def test_time_stands_still_while_a_thread_works_for_the_program() -> None:
+    def works() -> int:
+        time.sleep(0.03)
+        return 5
+
+    async def in_trio() -> list[float]:
+        both = [await trio.to_thread.run_sync(works, limiter=limiter) for limiter in (None, trio.CapacityLimiter(1))]
+        return [*both, trio.current_time()]
+
+    async def in_asyncio() -> list[float]:
+        loop = asyncio.get_running_loop()
+        return [await asyncio.to_thread(works), await loop.run_in_executor(None, works), loop.time()]
+
+    for _ in range(3):
+        world = beating()
+        assert world.run(in_trio) == [5, 5, 0.0]
+        world.run(trio.sleep, 0.0105)
+        assert world.run_asyncio(in_asyncio) == [5, 5, 0.0105]
+        assert world.now == 10_500_000, "the end of the executor's threads takes no time either"
+
+
+def test_a_thread_that_does_not_come_back_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("canopen_testing.program_world.WORKING", 0.05)
+    asked = threading.Event()
+
+    async def in_trio() -> None:
+        await trio.to_thread.run_sync(asked.wait, abandon_on_cancel=True)
+
+    async def in_asyncio() -> None:
+        await asyncio.to_thread(asked.wait)
+
+    threading.Timer(0.5, asked.set).start()  # the threads end, whatever becomes of the programs
+    with pytest.raises(DidNotHappenError, match=r"waits for the thread of wait from .*, which works for 0.05 s of real"):
+        beating().run(in_trio)
+    with pytest.raises(DidNotHappenError, match=r"waits for the thread of Event.wait, which works"):
+        beating().run_asyncio(in_asyncio)
+
+
+def test_a_thread_of_the_programs_own_is_named_and_refused() -> None:
+    def start(name: str) -> None:
+        threading.Thread(target=print, name=name).start()
+
+    async def in_a_program() -> None:
+        start("logger 7")
+
+    world = world_of()
+    text = r"the thread 'logger 7' \(print\) runs in real time"
+    for run in (world.run, world.run_asyncio):
+        with pytest.raises(ThreadStartedError, match=text):
+            run(in_a_program)
+    with present(world):
+        with pytest.raises(ThreadStartedError, match=text):
+            start("logger 7")
+        with WorldCanBus("can0", world=world) as bus, pytest.raises(ThreadStartedError, match="Notifier for bus"):
+            can.Notifier(bus, [can.Printer()])
+        with ThreadPoolExecutor() as pool, pytest.raises(ThreadStartedError, match="ThreadPoolExecutor"):
+            pool.submit(print)
+        with pytest.raises(ThreadStartedError, match=r"a thread \(print\) runs in real time"):
+            _thread.start_new_thread(print, ())
+    start("outside of a world")
+    world.allows_threads = True
+    world.run(in_a_program)
+    world.run_asyncio(in_a_program)
+
+
+def test_a_recording_has_a_thread_that_decides_nothing(tmp_path: Path) -> None:
+    world = ProgramWorld()
+    world.drive(3)
+
+    async def main() -> float:
+        async with open_master("virtual:can0") as master:
+            arm = master.load_chains(text="arm joint1 can0 3", settings=ChainSettings(cycle_time=0.01))["arm"]
+            await arm.initialise()
+            async with arm.record(tmp_path / "arm.csv"):
+                await trio.sleep(0.1)
+            return trio.current_time()
+
+    times = set()
+    for _ in range(2):
+        world = ProgramWorld()
+        world.drive(3)
+        times.add(world.run(main))
+    assert len(times) == 1
+    assert (tmp_path / "arm.csv").read_text().count("\n") > 9
 
 
 # ---- asyncio ----
@@ -316,6 +406,17 @@ def test_a_wait_in_real_time_is_told() -> None:
     with pytest.raises(WallClockWaitError):
         ProgramWorld().run_asyncio(main)
     time.sleep(0.0001)
+
+
+def test_a_sleep_that_was_imported_by_its_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    worlds = ProgramWorld(), ProgramWorld()
+    for number, world in enumerate(worlds):  # the second module comes when a world was there already
+        module = ModuleType(f"users_{number}")
+        exec("from time import sleep as wait\nasync def main(): wait(0.5)", vars(module))
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+        with pytest.raises(WallClockWaitError, match=r"time.sleep\(0.5\) waits in real time"):
+            world.run(module.main)
+        assert module.wait is time.sleep, "it is given back"
 
 
 def test_a_program_that_waits_for_what_never_comes_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

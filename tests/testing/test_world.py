@@ -397,6 +397,32 @@ def test_the_observer_tells_what_was_wrong() -> None:
         doubled.clean(but=["nonsense"])
 
 
+def test_a_new_heartbeat_time_and_a_pause_make_no_copy() -> None:
+    """At every phase of the heartbeat."""
+    for moment in range(0, 104, 4):
+        world = beating()
+        world.advance(moment * MILLISECOND)
+        world.master().write(5, "producer_heartbeat_time", 90)
+        world.advance(SECOND + moment * MILLISECOND)
+        world.add_faults(Pause(5, at=world.now, lasts=120 * MILLISECOND))
+        world.advance(SECOND)
+        world.bus().observer.clean()
+
+
+def test_a_node_that_falls_silent_is_told_as_often_as_it_is_asked() -> None:
+    world = beating()
+    world.add_faults(Pause(5, at=world.now))
+    world.advance(SECOND)
+    late = "late heartbeat: node 5: no heartbeat for more than 250 ms, and it sends one in 100 ms (not certain)"
+    for _ in range(2):
+        assert [late in str(found) for found in world.bus().observer.findings] == [True]
+        with pytest.raises(AssertionError, match="late heartbeat: node 5"):
+            world.bus().observer.clean()
+    world.bus().send("080#")
+    world.advance(SECOND)
+    assert len(world.bus().observer.findings) == 1
+
+
 def test_for_good_is_for_good() -> None:
     world = beating(BusOff(5, at=500 * MILLISECOND, lasts=NEVER))
     world.advance(3600 * SECOND)

@@ -1,4 +1,4 @@
-"""Frames in, frames out: CAN buses for trio. `open_transport("socketcan:can0")`; `locator` lists all buses that it opens."""
+"""Frames in, frames out: CAN buses for trio and asyncio. `open_transport("socketcan:can0")`; `locator` lists them all."""
 
 from typing import TYPE_CHECKING
 

@@ -43,7 +43,8 @@ class NotAFrameError(ValueError):
 
 
 def read_candump(lines: Iterable[str], skip: Skip) -> Iterator[Record]:
-    """Yield the records of lines; empty ones are allowed."""
+    """Yield the records of lines; empty lines are allowed. skip: told of each line that is no frame of classical CAN. Raises
+    LogDamagedError for a line that is not candump's."""
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue

@@ -12,9 +12,9 @@ from contextlib import suppress
 from typing import Final, TypeVarTuple
 
 import can
-import trio
 
 from canopen_transports.leftovers import shut_down
+from canopen_transports.loop import current_loop
 
 DRIVER_TIME: Final = 2.0
 """Seconds that a driver may take to return. Drivers that wait on their own do so for about 1 s (libusb, a serial line's limit).
@@ -28,7 +28,7 @@ async def call(function: Callable[[], None]) -> None:
 
     Raises TimeoutError if it has not returned within DRIVER_TIME.
     """
-    with trio.move_on_after(DRIVER_TIME, shield=True) as scope:
+    with current_loop().move_on_after(DRIVER_TIME, shield=True) as scope:
         await _in_thread(function)
     if scope.cancelled_caught:
         raise TimeoutError(f"the driver has not returned for {DRIVER_TIME:g} s")
@@ -43,8 +43,8 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
     opened: list[can.BusABC] = []
     lock = threading.Lock()
     is_wanted = True
-    finished = trio.Event()
-    token = trio.lowlevel.current_trio_token()
+    loop = current_loop()
+    finished, token = loop.event(), loop.token()
 
     def work() -> None:
         try:
@@ -55,7 +55,7 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
             if not to_keep:
                 shut_down(bus)
         finally:
-            with suppress(trio.RunFinishedError):  # the run ended before the driver returned
+            with suppress(loop.RunFinishedError):  # the run ended before the driver returned
                 token.run_sync_soon(finished.set)
 
     try:
@@ -64,7 +64,7 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
         with lock:
             is_wanted = False
             too_late = list(opened)  # opened while we were cancelled
-        with trio.move_on_after(DRIVER_TIME, shield=True):
+        with loop.move_on_after(DRIVER_TIME, shield=True):
             for bus in too_late:
                 await _in_thread(shut_down, bus)
             await finished.wait()
@@ -73,5 +73,4 @@ async def open_bus(opening: Callable[[], can.BusABC]) -> can.BusABC:
 
 
 async def _in_thread(function: Callable[[*Ts], None], *args: *Ts) -> None:
-    # A limiter for each call: drivers that hang would use up trio's 40 threads, which files and names need, too.
-    await trio.to_thread.run_sync(function, *args, abandon_on_cancel=True, limiter=trio.CapacityLimiter(1))
+    await current_loop().in_thread(function, *args, abandon_on_cancel=True)

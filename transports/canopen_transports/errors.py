@@ -3,8 +3,8 @@
 A transport raises three kinds of exception, and no others:
 
 - `ValueError`: the caller passed a frame that classical CAN cannot carry. Nothing was sent.
-- `trio.ClosedResourceError`: our own side closed the transport, before or during the call. (`trio.BusyResourceError`: two tasks
-  receive at once.)
+- `ClosedResourceError`: our own side closed the transport, before or during the call. (`BusyResourceError`: two tasks receive at
+  once.) In trio they are trio's, in asyncio those of `canopen_transports.loop`.
 - `TransportError`: the bus cannot be opened or used. While the bus is away, `send` raises its subclass `FrameNotSentError`, and
   the transport continues to work. After any other TransportError it has ended.
 

@@ -158,6 +158,9 @@ def _unknown_interface(text: str, interface: str) -> TransportError:
     known = (*OUR_INTERFACES, *sorted(VALID_INTERFACES))
     meant = nearest(interface, known)
     tries = [text.replace(interface, meant, 1)] if meant else []
+    if interface == "gw":
+        seen = "a text gateway carries no frames, so it is no bus"
+        raise bad_locator(text, seen, (f"canopen read 5 1000 -b {text}", "canopen_gateway.ascii.open_remote_gateway"))
     seen = f"there is no interface {interface!r}" if interface else "the locator names no interface"
     seen += f"; known are {', '.join(dict.fromkeys(known))}"
     return bad_locator(text, seen, (*tries, f"a locator such as {', '.join(_EXAMPLES)}"))

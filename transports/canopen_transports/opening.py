@@ -11,12 +11,12 @@ import socket
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import can
-import trio
 
 from canopen_transports import diagnosis, leftovers, listen_only
 from canopen_transports.driver_calls import open_bus
 from canopen_transports.errors import TransportError, bad_locator
 from canopen_transports.locator import Locator, parse_locator
+from canopen_transports.loop import current_loop
 from canopen_transports.python_can import PythonCanTransport
 from canopen_transports.replay import ReplayTransport, open_replay
 from canopen_transports.tcp import TcpTransport, open_tcp
@@ -50,19 +50,18 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 async def open_transport(locator: str) -> OpenTransport | TracingTransport:
     """Open the bus that a locator names, such as "virtual:demo" or "socketcan:can0"; the module `locator` lists them all.
 
-    Must run in trio. The transport is a trio AsyncResource: `async with await open_transport("virtual:demo") as bus: ...` closes
-    it. If cancelled, nothing stays open. Raises TransportError: CO100 for a locator that is not valid, CO101 and CO102 for a bus
-    that cannot be opened.
+    Runs in trio or asyncio. `async with await open_transport("virtual:demo") as bus: ...` closes the bus. If cancelled, nothing
+    stays open. Raises TransportError: CO100 for a locator that is not valid, CO101 and CO102 for a bus that cannot be opened.
     """
     return traced(await _open(parse_locator(locator)))
 
 
 async def _open(parsed: Locator) -> OpenTransport:
     if has_stand_in() and parsed.interface != "file":
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
         return VirtualTransport(parsed.channel)
     if parsed.own:
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
         if parsed.interface == "virtual":
             return await open_virtual(parsed.text, parsed.channel, parsed.bitrate, parsed.options)
         if parsed.interface == "file":
@@ -70,7 +69,7 @@ async def _open(parsed: Locator) -> OpenTransport:
         if parsed.interface == "tcp":
             return await open_tcp(parsed.text, parsed.channel)
         return _open_socketcan(parsed)
-    await trio.lowlevel.checkpoint_if_cancelled()
+    await current_loop().checkpoint_if_cancelled()
     reopen = functools.partial(open_bus, functools.partial(_open_bus, parsed))
     return PythonCanTransport(await reopen(), locator=parsed, reopen=reopen)
 

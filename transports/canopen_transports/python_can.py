@@ -1,6 +1,6 @@
 """Any bus of python-can as a transport.
 
-**Receiving** depends on the backend: trio waits on its file descriptor, or one thread reads it (see `readers`).
+**Receiving** depends on the backend: the loop waits for its file descriptor, or one thread reads it (see `readers`).
 
 **Sending** is direct if the backend does not block, else in a worker thread. If the backend has no room (ENOBUFS: the network
 queue is full because nobody acknowledges, or because the bus is slow) we try again for ROOM_TIME. A lock keeps the senders in
@@ -28,7 +28,6 @@ from contextlib import suppress
 from typing import Final
 
 import can
-import trio
 
 from canopen_proto.frame import Frame
 from canopen_transports import diagnosis, peak
@@ -47,6 +46,7 @@ from canopen_transports.errors import (
 from canopen_transports.leftovers import drop_garbage, has_hung_up, shut_down
 from canopen_transports.listen_only import is_listen_only
 from canopen_transports.locator import Locator
+from canopen_transports.loop import AsyncResource, current_loop
 from canopen_transports.messages import MessageRefusedError, frame_of, message_of, timestamp_of
 from canopen_transports.readers import (
     READ_POLL,
@@ -80,8 +80,8 @@ _GARBLED: Final = "the serial line's speed (tty_baudrate) is wrong, or this is a
 _AWAY: Final = (BusState.DOWN, BusState.BUS_OFF)
 
 
-class PythonCanTransport(trio.abc.AsyncResource):
-    """A python-can bus, opened by `open_transport` or by you. Must be made inside a `trio.run`.
+class PythonCanTransport(AsyncResource):
+    """A python-can bus, opened by `open_transport` or by you. Must be made where trio or asyncio runs.
 
     owned: whether `aclose` shuts the bus down. Nobody else may receive from a bus that you hand over. It must not echo its own
     frames (receive_own_messages): python-can marks them for gs_usb, pcan and virtual, and they are dropped; those of other
@@ -102,6 +102,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         locator: Locator | None = None,
         reopen: Callable[[], Awaitable[can.BusABC]] | None = None,
     ) -> None:
+        self._loop = current_loop()
         self._owned = owned
         self._locator = locator if locator is not None else _locator_of(bus)
         self._reopen = reopen
@@ -117,8 +118,8 @@ class PythonCanTransport(trio.abc.AsyncResource):
         self._quiet_until = 0.0
         self._nonsense = 0  # in a row
         self._closed = False
-        self._reopening = trio.CancelScope()
-        self._send_lock = trio.Lock()
+        self._reopening = self._loop.cancel_scope()
+        self._send_lock = self._loop.lock()
         # udp_multicast also returns our own frames; this mark tells them apart.
         self._mark = secrets.token_hex(8) if comes_from(bus, ("can.interfaces.udp_multicast",)) else None
         self._queue = ReceiveQueue(self.locator, queue_size)
@@ -162,10 +163,10 @@ class PythonCanTransport(trio.abc.AsyncResource):
         check_frame(frame)
         message = message_of(frame, self._mark)
         async with self._send_lock:
-            give_up = trio.current_time() + ROOM_TIME
+            give_up = self._loop.current_time() + ROOM_TIME
             while True:
                 if self._closed:
-                    raise trio.ClosedResourceError(f"{self.locator} was closed")
+                    raise self._loop.ClosedResourceError(f"{self.locator} was closed")
                 if self.state in _AWAY or self._lost is not None or self.listen_only:
                     raise self._not_sent(frame)
                 try:
@@ -173,13 +174,13 @@ class PythonCanTransport(trio.abc.AsyncResource):
                 except diagnosis.DRIVER_ERRORS as error:
                     if self._closed or not diagnosis.queue_is_full(error):
                         raise self._failed_send(frame, error) from error
-                    if trio.current_time() >= give_up:
+                    if self._loop.current_time() >= give_up:
                         raise diagnosis.no_room(
                             self._locator, f"send {frame}", ROOM_TIME, self.received, self.last_error
                         ) from error
                 else:
                     return
-                await trio.sleep(ROOM_POLL)
+                await self._loop.sleep(ROOM_POLL)
 
     async def _send_once(self, message: can.Message) -> None:
         send = functools.partial(self._bus.send, message, **self._send_limit)
@@ -190,7 +191,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
 
     def _failed_send(self, frame: Frame, error: Exception) -> Exception:
         if self._closed:
-            return trio.ClosedResourceError(f"{self.locator} was closed")
+            return self._loop.ClosedResourceError(f"{self.locator} was closed")
         status = self._peak.code(error) if self._peak is not None else 0
         if status and not peak.is_lost(status):
             return self._not_sent(frame, str(error))  # the reader thread looks at the status soon, and reports it
@@ -219,7 +220,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
     # ---- receiving ----
 
     async def receive(self) -> Received | Report:
-        await trio.lowlevel.checkpoint_if_cancelled()
+        await self._loop.checkpoint_if_cancelled()
         while True:
             over = self._reader.is_over and self._queue.is_empty()
             received = await (self._come_back() if over else self._reader.get())
@@ -231,7 +232,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
         return [first] if self._queue.is_empty() else [first, *self._queue.take_many(limit - 1)]
 
     def _take(self, timeout: float) -> bool:
-        """Look at the bus once, in the trio thread or the reader thread, and queue what came. Returns False if nothing more will
+        """Look at the bus once, in the loop's thread or the reader's, and queue what came. Returns False if nothing more will
         come."""
         if self._closed:
             return False
@@ -358,12 +359,12 @@ class PythonCanTransport(trio.abc.AsyncResource):
     async def _come_back(self) -> BusStateChanged | None:
         """Wait REOPEN_PAUSE and try once to open the bus again. Returns the report of it, or None."""
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
         if self._reopen is None:
             raise self._bus_lost("receive")
         was_off = self.state is BusState.BUS_OFF
-        with trio.CancelScope() as self._reopening:  # `aclose` cancels this
-            await trio.sleep(REOPEN_PAUSE)
+        with self._loop.cancel_scope() as self._reopening:  # `aclose` cancels this
+            await self._loop.sleep(REOPEN_PAUSE)
             async with self._send_lock:
                 await self._shut_down()
                 try:
@@ -374,7 +375,7 @@ class PythonCanTransport(trio.abc.AsyncResource):
                 self.state = BusState.ACTIVE
                 self._attach(bus)
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
         if was_off:
             return BusStateChanged(self.locator, BusState.ACTIVE, "the controller was initialised again after bus-off")
         return BusStateChanged(self.locator, BusState.UP, "the bus was opened again")
@@ -387,17 +388,17 @@ class PythonCanTransport(trio.abc.AsyncResource):
                 self._reader.wake()
             self._queue.close()
             self._reopening.cancel()
-            with trio.CancelScope(shield=True):
+            with self._loop.cancel_scope(shield=True):
                 async with self._send_lock:  # a task that sends or reopens notices at its next step
                     await self._shut_down()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
 
     async def _shut_down(self) -> None:
         """Give the bus back: once, and even if cancelled."""
         if not self._is_open:
             return
         self._is_open = False
-        with trio.CancelScope(shield=True):
+        with self._loop.cancel_scope(shield=True):
             await self._reader.stop()
             if self._owned and self._is_socket:
                 shut_down(self._bus)

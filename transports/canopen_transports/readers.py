@@ -1,6 +1,6 @@
 """Two ways to take frames from a python-can bus, and which backend needs which.
 
-- `DescriptorReader`: trio waits on the bus's file descriptor, without a thread (SocketCAN, udp_multicast, slcan on POSIX).
+- `DescriptorReader`: the loop waits for the bus's file descriptor, without a thread (SocketCAN, udp_multicast, slcan on POSIX).
 - `ThreadReader`: for a backend that has only a blocking `recv` (PCAN-Basic, Kvaser, python-can's `virtual`, ...), one thread
   fills a bounded queue. It checks each READ_POLL whether it should end, so that closing is quick and clean.
 
@@ -21,10 +21,10 @@ from contextlib import suppress
 from typing import Final
 
 import can
-import trio
 
 from canopen_transports.driver_calls import DRIVER_TIME
 from canopen_transports.errors import ReceiveOverrun, Report
+from canopen_transports.loop import current_loop
 from canopen_transports.receive_queue import ReceiveQueue
 from canopen_transports.transport import Received
 
@@ -34,7 +34,7 @@ RECEIVE_BUFFER: Final = 2 << 20
 """Bytes asked of the kernel for received frames; it gives at most rmem_max. Its usual 208 KiB hold only some 250 frames."""
 
 # These have a descriptor, but waiting for it is not enough: `serial` and `seeedstudio` block until a frame is whole (0.1 s and
-# more, in which all of trio would stand still), and `robotell` buffers what it reads beyond one frame.
+# more, in which the whole loop would stand still), and `robotell` buffers what it reads beyond one frame.
 _DESCRIPTOR_IS_NOT_ENOUGH: Final = ("can.interfaces.serial", "can.interfaces.seeedstudio", "can.interfaces.robotell")
 
 _SO_MEMINFO: Final = 55  # linux/sock_diag.h: nine counters; the last one counts dropped frames
@@ -52,7 +52,7 @@ class Reader(ABC):
 
     @abstractmethod
     def wake(self) -> None:
-        """Make a task that waits in `get` look again. Only in the trio thread, and before `stop`."""
+        """Make a task that waits in `get` look again. Only in the loop's thread, and before `stop`."""
 
     @abstractmethod
     async def stop(self) -> None:
@@ -60,9 +60,10 @@ class Reader(ABC):
 
 
 class DescriptorReader(Reader):
-    """Waits for the file descriptor in trio."""
+    """Lets the loop wait for the file descriptor."""
 
     def __init__(self, locator: str, fd: int, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
+        self._loop = current_loop()
         self._locator = locator
         self._fd = fd
         self._queue = queue
@@ -73,10 +74,10 @@ class DescriptorReader(Reader):
 
     async def get(self) -> Received | Report | None:
         if self.is_over or self._is_woken or not self._queue.is_empty():
-            await trio.lowlevel.checkpoint()
+            await self._loop.checkpoint()
         else:
-            with suppress(trio.ClosedResourceError):  # somebody has called `wake`
-                await trio.lowlevel.wait_readable(self._fd)
+            with suppress(self._loop.ClosedResourceError):  # somebody has called `wake`
+                await self._loop.wait_readable(self._fd)
         if self._queue.is_empty() and not self.is_over:
             lost = self._newly_dropped()
             if lost:
@@ -86,7 +87,7 @@ class DescriptorReader(Reader):
 
     def wake(self) -> None:
         self._is_woken = True
-        trio.lowlevel.notify_closing(self._fd)
+        self._loop.notify_closing(self._fd)
 
     async def stop(self) -> None:
         if self._socket is not None:
@@ -111,12 +112,13 @@ class ThreadReader(Reader):
     def __init__(self, locator: str, queue: ReceiveQueue, take: Callable[[float], bool]) -> None:
         self._queue = queue
         self._take = take
-        self._token = trio.lowlevel.current_trio_token()
+        self._loop = current_loop()
+        self._token = self._loop.token()
         self._thread = threading.Thread(target=self._run, name=f"receive {locator}", daemon=True)
         self._thread.start()
 
     async def get(self) -> Received | Report | None:
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
         while (received := self._queue.take()) is None and not self.is_over:
             await self._queue.woken()
         return received
@@ -125,10 +127,10 @@ class ThreadReader(Reader):
         """Does nothing: the thread checks by itself."""
 
     async def stop(self) -> None:
-        await trio.to_thread.run_sync(self._thread.join, DRIVER_TIME)
+        await self._loop.in_thread(self._thread.join, DRIVER_TIME)
 
     def _run(self) -> None:
-        with suppress(trio.RunFinishedError):  # the run ended before the transport was closed
+        with suppress(self._loop.RunFinishedError):  # the run ended before the transport was closed
             while self._take(READ_POLL):
                 if not self._queue.is_empty():
                     self._token.run_sync_soon(self._queue.wake, idempotent=True)

@@ -1,6 +1,6 @@
 """A bounded queue of received frames that shows where frames were lost.
 
-The trio thread or one reader thread fills it, a trio task empties it. If it is full, the next frames are lost, but not silently:
+The loop's thread or one reader thread fills it, a task empties it. If it is full, the next frames are lost, but not silently:
 a mark at that place counts them. So a reader gets all frames from before the loss, then one `ReceiveOverrun`, then the frames
 after it. Reports of the bus stand in the same order between the frames.
 """
@@ -11,9 +11,8 @@ import threading
 from collections import deque
 from typing import Final, TypeVar
 
-import trio
-
 from canopen_transports.errors import ReceiveOverrun, Report
+from canopen_transports.loop import ParkingLot, current_loop
 from canopen_transports.transport import Received
 
 RECEIVE_QUEUE_SIZE: Final = 8192
@@ -32,8 +31,9 @@ class _Lost:
 
 
 class ReceiveQueue:
-    """See this module's text. `put` and `report` may be called in any thread; then call `wake` in the trio thread. size: frames,
-    at least 1, else ValueError."""
+    """See this module's text. `put` and `report` may be called in any thread; then call `wake` in the loop's thread.
+
+    size: frames, at least 1, else ValueError."""
 
     def __init__(self, locator: str, size: int) -> None:
         if size < 1:
@@ -42,7 +42,7 @@ class ReceiveQueue:
         self._size = size
         self._items: deque[Received | Report | _Lost] = deque()
         self._lock = threading.Lock()
-        self._waiting = trio.lowlevel.ParkingLot()
+        self._waiting: ParkingLot | None = None  # made for the first that waits
         self._closed = False
 
     def put(self, received: Received) -> None:
@@ -73,15 +73,15 @@ class ReceiveQueue:
         return next((item for item in reversed(self._items) if isinstance(item, kind)), None)
 
     def wake(self) -> None:
-        """Make waiting tasks look again. Only in the trio thread."""
-        if self._waiting:
+        """Make waiting tasks look again. Only in the loop's thread."""
+        if self._waiting:  # somebody waits
             self._waiting.unpark_all()
 
     def close(self) -> None:
-        """Wake waiting tasks with ClosedResourceError. Only in the trio thread."""
+        """Wake waiting tasks with ClosedResourceError. Only in the loop's thread."""
         self._closed = True
         self._items.clear()
-        self._waiting.unpark_all()
+        self.wake()
 
     def is_empty(self) -> bool:
         """Return whether everything was taken."""
@@ -104,26 +104,28 @@ class ReceiveQueue:
     async def _filled(self) -> None:
         """Wait until something is there, or `close` was called. Always a checkpoint."""
         if self._items or self._closed:
-            await trio.lowlevel.checkpoint()
+            await current_loop().checkpoint()
         else:
-            await self._waiting.park()
+            await self.woken()
 
     async def woken(self) -> None:
         """Wait for the next `wake`, or for `close`."""
+        if self._waiting is None:
+            self._waiting = current_loop().parking_lot()
         await self._waiting.park()
 
     def take(self) -> Received | Report | None:
-        """Return the next frame or report, or None. Only in the trio thread."""
+        """Return the next frame or report, or None. Only in the loop's thread."""
         if self._closed:
-            raise trio.ClosedResourceError(f"{self._locator} was closed")
+            raise current_loop().ClosedResourceError(f"{self._locator} was closed")
         with self._lock:
             item = self._items.popleft() if self._items else None
         return self._overrun(item) if isinstance(item, _Lost) else item
 
     def take_many(self, limit: int) -> list[Received | Report]:
-        """Return what is there: at most `limit` frames and reports. Only in the trio thread."""
+        """Return what is there: at most `limit` frames and reports. Only in the loop's thread."""
         if self._closed:
-            raise trio.ClosedResourceError(f"{self._locator} was closed")
+            raise current_loop().ClosedResourceError(f"{self._locator} was closed")
         taken: list[Received | Report] = []
         items = self._items
         with self._lock:

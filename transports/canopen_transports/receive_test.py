@@ -14,13 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
-import trio
-
 from canopen_proto.frame import EXTENDED, Frame
 from canopen_transports.diagnosis import bring_up
 from canopen_transports.errors import BAD_LOCATOR, BusState, BusStateChanged, ReceiveOverrun, TransportError
 from canopen_transports.listen_only import LISTEN_ONLY, can_listen_only
 from canopen_transports.locator import Locator, bitrate_text, parse_locator
+from canopen_transports.loop import current_loop
 from canopen_transports.opening import open_transport
 from canopen_transports.transport import Transport
 
@@ -92,7 +91,7 @@ async def listen_on(
 ) -> Heard:
     """Do as `listen` on an open bus. text: its locator, for the result. listen_only: it does not acknowledge."""
     heard = Heard(text, listen_only)
-    with trio.move_on_after(seconds):
+    with current_loop().move_on_after(seconds):
         while True:
             received = await transport.receive()
             if isinstance(received, BusStateChanged):

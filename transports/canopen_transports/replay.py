@@ -6,8 +6,8 @@
     file:trace.log?speed=step       one frame for each call of `step`: for programs and tests
     file:trace.log?send=refuse      sending raises an error (CO111); by default the frame is swallowed
 
-Waiting uses trio's clock, so a recorded hour takes no time under a virtual clock. Time stamps are those of the file, in ns since
-1970 if it has dates. After the last frame `receive` reports the end once (BusStateChanged, DOWN), and then waits for ever.
+Waiting uses the loop's clock, so a recorded hour takes no time under a virtual clock. Time stamps are those of the file, in ns
+since 1970 if it has dates. After the last frame `receive` reports the end once (BusStateChanged, DOWN), and then waits for ever.
 
 Frames of all buses in the file come, also those that the recorder sent.
 """
@@ -19,12 +19,11 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Final
 
-import trio
-
 from canopen_proto.frame import Frame
 from canopen_transports.errors import BUS_LOST, CANNOT_OPEN, BusState, BusStateChanged, Report, TransportError, bad_locator
 from canopen_transports.locator import Option
 from canopen_transports.log_files import LogFileError, LogReader
+from canopen_transports.loop import AsyncResource, current_loop
 from canopen_transports.record import Record
 from canopen_transports.transport import Received, check_frame
 
@@ -34,14 +33,16 @@ _OPTIONS: Final = ("speed", "send")
 _SENDS: Final = ("swallow", "refuse")
 
 
-class ReplayTransport(trio.abc.AsyncResource):
+class ReplayTransport(AsyncResource):
     """The only member of a recorded bus. speed: how many times as fast; MAX: without waiting; STEP: by `step` only.
 
-    refuses: whether `send` raises. swallowed: how many frames `send` took. Must be made inside a `trio.run`; the replay begins
+    refuses: whether `send` raises. swallowed: how many frames `send` took. Must be made where trio or asyncio runs; the replay
+    begins
     then.
     """
 
     def __init__(self, locator: str, path: Path, speed: float = 1.0, *, refuses: bool = False) -> None:
+        self._loop = current_loop()
         self.locator = locator
         self.swallowed = 0
         self._refuses = refuses
@@ -52,13 +53,13 @@ class ReplayTransport(trio.abc.AsyncResource):
         except LogFileError as error:
             raise self._unreadable(error) from error
         self._records: Generator[Record] = iter(self._reader)
-        self._start = trio.current_time()
+        self._start = self._loop.current_time()
         self._next: Record | None = None
         self._granted = 0
         self._ended = False
         self._failure: TransportError | None = None
-        self._closed = trio.Event()
-        self._stepped = trio.lowlevel.ParkingLot()
+        self._closed = self._loop.event()
+        self._stepped = self._loop.parking_lot()
         self._advance()  # a file that is not a log must not open
 
     @property
@@ -79,7 +80,7 @@ class ReplayTransport(trio.abc.AsyncResource):
     async def send(self, frame: Frame) -> None:
         """Swallow the frame, or raise TransportError (CO111)."""
         check_frame(frame)
-        await trio.lowlevel.checkpoint_if_cancelled()
+        await self._loop.checkpoint_if_cancelled()
         self._check_open()
         if self._refuses:
             raise TransportError(
@@ -90,11 +91,11 @@ class ReplayTransport(trio.abc.AsyncResource):
                 tries=("leave out send=refuse: then frames are swallowed",),
             )
         self.swallowed += 1
-        await trio.lowlevel.cancel_shielded_checkpoint()
+        await self._loop.cancel_shielded_checkpoint()
 
     async def receive(self) -> Received | Report:
         """Return the next frame when it is due; one BusStateChanged at the end. Raises TransportError for a damaged file."""
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
         self._check_open()
         while self._next is None:
             if self._failure is not None:
@@ -112,7 +113,7 @@ class ReplayTransport(trio.abc.AsyncResource):
         elif self._speed != MAX:
             assert self._first is not None
             due = self._start + (record.time - self._first) / 1e9 / self._speed
-            while trio.current_time() < due:
+            while self._loop.current_time() < due:
                 await self._wait(due)
         try:
             self._advance()
@@ -125,16 +126,16 @@ class ReplayTransport(trio.abc.AsyncResource):
         self._closed.set()
         self._records.close()
         self._stepped.unpark_all()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
 
     async def _wait(self, until: float) -> None:
-        with trio.move_on_at(until):
+        with self._loop.move_on_at(until):
             await self._closed.wait()
         self._check_open()
 
     def _check_open(self) -> None:
         if self._closed.is_set():
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
 
     def _advance(self) -> None:
         try:

@@ -4,7 +4,7 @@
         ...                                         every transport that `open_transport` opens in here is recorded
 
 Each frame is recorded once: if one bus has several members in this process (the master and the simulated drives of `-b demo`),
-only the first one records. A record's time is when this process saw or sent the frame, on trio's clock for all buses; the
+only the first one records. A record's time is when this process saw or sent the frame, on the loop's clock for all buses; the
 kernel's time stamps are on another clock. A sent frame is recorded once the bus has taken it, with the time at which it was given
 to the bus. Frames that overtake it are held back, so that the records stay in order.
 
@@ -19,11 +19,10 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Final, Protocol, TypeVar
 
-import trio
-
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_transports.errors import ReceiveOverrun, Report
 from canopen_transports.locator import parse_locator
+from canopen_transports.loop import AsyncResource, current_loop
 from canopen_transports.record import LogWriter, Record
 from canopen_transports.transport import BatchTransport, CyclicTransport, EagerTransport, PromptTransport, Received, Transport
 
@@ -62,8 +61,8 @@ class Trace:
         self._names: dict[str, str] = {}
 
     def now(self) -> int:
-        """Return the time in ns since 1970: the system's at the first call, continued on trio's clock."""
-        now = round(trio.current_time() * 1e9)
+        """Return the time in ns since 1970: the system's at the first call, continued on the loop's clock."""
+        now = round(current_loop().current_time() * 1e9)
         if self._zero is None:
             self._zero = time.time_ns() - now
         return now + self._zero
@@ -132,7 +131,7 @@ def tapped(transport: Named, heard: Callable[[Record], None]) -> TracingTranspor
     return Trace(_Listener(heard)).wrap(transport)
 
 
-class TracingTransport(trio.abc.AsyncResource):
+class TracingTransport(AsyncResource):
     """A transport that records in a trace what passes through it. Its methods are those of the transport below, except filters: a
     trace must see all frames."""
 

@@ -10,7 +10,7 @@ A transport knows nothing of CANopen. It carries `Frame`s between one participan
   DOWN or BUS_OFF and one with UP or ACTIVE. If a frame is not sent, `send` raises.
 - `send` and `receive` are whole or nothing: if cancelled, the frame was not sent, or no frame was taken. Both let other tasks
   run.
-- Closing wakes a waiting `receive` or `send` with `trio.ClosedResourceError`. Each later call raises it, too.
+- Closing wakes a waiting `receive` or `send` with the loop's `ClosedResourceError`. Each later call raises it, too.
 - After closing, or after a failed opening, no thread and no descriptor is left.
 """
 
@@ -28,9 +28,9 @@ MAX_LENGTH = 8
 
 Received: TypeAlias = tuple[Frame, int | None]
 """A frame and its time stamp: ns on the transport's own clock, or None if it has none. The clock does not run back unless
-somebody sets it. virtual: trio's clock; with options, the end of the frame. socketcan: the kernel's clock (CLOCK_REALTIME) when
-it took the frame; in the first moments after opening, when the frame was read. python-can: the backend's, since 1970 or since the
-adapter started. file: that of the file. tcp: None."""
+somebody sets it. virtual: the loop's clock; with options, the end of the frame. socketcan: the kernel's clock (CLOCK_REALTIME)
+when it took the frame; in the first moments after opening, when the frame was read. python-can: the backend's, since 1970 or
+since the adapter started. file: that of the file. tcp: None."""
 
 
 class Transport(Protocol):
@@ -47,7 +47,7 @@ class Transport(Protocol):
         """Wait for the next frame of another participant and return it with its time stamp, or return a Report.
 
         A ReceiveOverrun reports frames that were lost here, a BusStateChanged the state of the bus. One task at a time should
-        receive: of two, each gets some of the frames, or one is refused by trio.BusyResourceError. Raises TransportError if the
+        receive: of two, each gets some of the frames, or one is refused by BusyResourceError. Raises TransportError if the
         bus fails.
         """
 
@@ -102,8 +102,8 @@ class PushingTransport(Protocol):
     """The additional method of a transport that can hand over a frame without waking a task."""
 
     def push_to(self, receiver: Callable[[Frame, int], None] | None) -> None:
-        """Call `receiver` with each frame that comes while no earlier frame waits, and with its time stamp, which must be trio's
-        clock in ns. None: stop calling it.
+        """Call `receiver` with each frame that comes while no earlier frame waits, and with its time stamp, which must be the
+        loop's clock in ns. None: stop calling it.
 
         After many frames in a row, a frame may come by `receive` instead, as reports always do. The receiver may send, but must
         not raise.

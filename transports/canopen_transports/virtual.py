@@ -1,8 +1,8 @@
 """`virtual:NAME`: a CAN bus inside this process, for any number of participants.
 
-It is pure trio, without thread, socket or clock, so tests and demonstrations run in virtual time (trio's MockClock). Every frame
-reaches every member but its sender, in one order for all. Members of one name meet only within one `trio.run`; another run, even
-in another thread of this process, has its own buses. (For two processes, use `udp_multicast`.)
+It has no thread, socket or clock, so tests and demonstrations run in virtual time (trio's MockClock). Every frame reaches every
+member but its sender, in one order for all. Members of one name meet only within one run of trio or asyncio; another run, even in
+another thread of this process, has its own buses. (For two processes, use `udp_multicast`.)
 
 Bit rate, arbitration and acknowledge are left out. A frame that is sent with nobody else on the bus vanishes, where a real
 controller would repeat it for ever. With options (`virtual:NAME?bitrate=500k&loss=0.001&seed=7`) the bus has all of these, and
@@ -12,14 +12,13 @@ faults: see virtual_wire.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final
-
-import trio
+from typing import Final, TypeAlias
 
 from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
 from canopen_transports.errors import Report, bad_locator
 from canopen_transports.locator import Option
+from canopen_transports.loop import AsyncResource, RunVar, current_loop
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
 from canopen_transports.virtual_wire import WireTransport, open_wire
@@ -27,8 +26,10 @@ from canopen_transports.virtual_wire import WireTransport, open_wire
 MAX_PUSHED: Final = 64
 """Frames that are pushed in a row. Later ones wait in the queues, so that other tasks have their turn."""
 
-_buses: trio.lowlevel.RunVar[dict[str, VirtualLine]] = trio.lowlevel.RunVar("canopen_transports virtual buses")
-_stand_in: trio.lowlevel.RunVar[Callable[[str], VirtualLine] | None] = trio.lowlevel.RunVar("stand-in for all buses", None)
+_StandIn: TypeAlias = "Callable[[str], VirtualLine]"
+
+_buses: RunVar[dict[str, VirtualLine]] = RunVar(dict)  # those of this run that have no physics
+_stand_in: RunVar[_StandIn | None] = RunVar(lambda: None)
 
 
 class VirtualLine:
@@ -61,21 +62,22 @@ class VirtualLine:
             under_way.clear()
 
 
-class VirtualTransport(trio.abc.AsyncResource):
-    """A member of the in-process bus of this name until `aclose`. Must be made inside a `trio.run`.
+class VirtualTransport(AsyncResource):
+    """A member of the in-process bus of this name until `aclose`. Must be made where trio or asyncio runs.
 
     queue_size: how many frames can wait for this member; if more come, they are lost, with a ReceiveOverrun. Time stamps are
-    trio's clock in ns, the same for all members.
+    the loop's clock in ns, the same for all members.
     """
 
     def __init__(self, name: str, queue_size: int = RECEIVE_QUEUE_SIZE) -> None:
         self.locator = f"virtual:{name}"
         self._name = name
         self._closed = False
-        self._clock = trio.lowlevel.current_clock()
+        self._loop = current_loop()
+        self._clock = self._loop.clock()
         self._queue = ReceiveQueue(self.locator, queue_size)
         self._receiver: Callable[[Frame, Time], None] | None = None
-        names = _names()
+        names = _buses.get()
         if name not in names:
             names[name] = (_stand_in.get() or _new_line)(name)
         self._line = names[name]
@@ -84,10 +86,10 @@ class VirtualTransport(trio.abc.AsyncResource):
     async def send(self, frame: Frame) -> None:
         """Queue the frame for every other member. Never waits: CAN has no back-pressure."""
         check_frame(frame)
-        await trio.lowlevel.checkpoint_if_cancelled()
+        await self._loop.checkpoint_if_cancelled()
         self._hand_over(frame)
         # The frame is sent, so a cancel must not be reported here: it would tell the caller that it is not.
-        await trio.lowlevel.cancel_shielded_checkpoint()
+        await self._loop.cancel_shielded_checkpoint()
 
     def send_nowait(self, frame: Frame) -> bool:
         """Queue the frame for every other member, without letting other tasks run. Always True: there is always room."""
@@ -97,8 +99,8 @@ class VirtualTransport(trio.abc.AsyncResource):
 
     def _hand_over(self, frame: Frame) -> None:
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
-        self._line.carry(self, frame, round(self._clock.current_time() * 1e9))
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
+        self._line.carry(self, frame, round(self._clock() * 1e9))
 
     def take(self, frame: Frame, now: Time, at_once: bool) -> None:
         """Push a frame to the receiver, or queue it if there is no receiver or earlier frames wait."""
@@ -131,7 +133,7 @@ class VirtualTransport(trio.abc.AsyncResource):
             if not self._line.members:
                 del _buses.get()[self._name]
             self._queue.close()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
 
 
 async def open_virtual(
@@ -141,8 +143,7 @@ async def open_virtual(
 
     Raises TransportError (CO100) for options that are not valid, or that come when the bus is open without any.
     """
-    plain = _names()
-    if name in plain and (options or bitrate is not None):
+    if name in _buses.get() and (options or bitrate is not None):
         seen = f"a bus virtual:{name} without options is open already"
         raise bad_locator(locator, seen, ("the same options for its first member", "another name"))
     member = await open_wire(locator, name, bitrate, options)
@@ -150,8 +151,8 @@ async def open_virtual(
 
 
 def stand_in(line: Callable[[str], VirtualLine]) -> None:
-    """Let every bus that is opened from now on in this `trio.run`, whatever its locator, be one in this process, of such lines;
-    but not a recording (`file:`).
+    """Let every bus that is opened from now on in this run, whatever its locator, be one in this process, of such lines; but not
+    a recording (`file:`).
 
     For simulations of the world around a program: no adapter is touched. line: makes the line of a bus by its name, which is the
     channel of its locator.
@@ -160,18 +161,9 @@ def stand_in(line: Callable[[str], VirtualLine]) -> None:
 
 
 def has_stand_in() -> bool:
-    """Whether `stand_in` was called in this `trio.run`."""
+    """Whether `stand_in` was called in this run."""
     return _stand_in.get() is not None
 
 
 def _new_line(name: str) -> VirtualLine:
     return VirtualLine()
-
-
-def _names() -> dict[str, VirtualLine]:
-    """Return the buses of this run that have no physics."""
-    try:
-        return _buses.get()
-    except LookupError:
-        _buses.set({})
-        return _buses.get()

@@ -1,7 +1,7 @@
-"""`virtual:NAME?bitrate=1M&...`: the bus inside this process with bit times, arbitration and faults, in trio's time.
+"""`virtual:NAME?bitrate=1M&...`: the bus inside this process with bit times, arbitration and faults, in the loop's time.
 
-A `Wire` (canopen_transports.wire) decides who sends when, and what goes wrong; this module gives it trio's clock. In virtual time
-(trio's MockClock) a bus runs as fast as it is computed, in real time at its own pace.
+A `Wire` (canopen_transports.wire) decides who sends when, and what goes wrong; this module gives it a clock. In virtual time a
+bus runs as fast as it is computed, in real time at its own pace.
 
     bitrate=500k        default 1M; also virtual:NAME@500k
     loss=0.001          one of a thousand frames is lost at one receiver; repeat=, corrupt=, delay= likewise
@@ -31,8 +31,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
-import trio
-
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, LocalProtocolError, Time
 from canopen_transports.errors import (
@@ -45,6 +43,7 @@ from canopen_transports.errors import (
     bad_locator,
 )
 from canopen_transports.locator import Option, parse_bitrate
+from canopen_transports.loop import AsyncResource, RunVar, current_loop
 from canopen_transports.receive_queue import RECEIVE_QUEUE_SIZE, ReceiveQueue
 from canopen_transports.transport import Received, check_frame
 from canopen_transports.wire import (
@@ -66,7 +65,7 @@ ROOM_TIME: Final = 1.0
 KEPT_FAULTS: Final = 1_000
 """The number of latest faults that are kept for inspection; `PhysicalBus.counts` counts all."""
 
-_buses: trio.lowlevel.RunVar[dict[str, PhysicalBus]] = trio.lowlevel.RunVar("canopen_transports physical virtual buses")
+_buses: RunVar[dict[str, PhysicalBus]] = RunVar(dict)
 
 
 class PhysicalBus:
@@ -77,15 +76,21 @@ class PhysicalBus:
 
     def __init__(self, name: str, settings: WireSettings) -> None:
         self.name = name
-        self.wire = Wire(settings, _clock())
+        self._loop = current_loop()
+        self._clock = self._loop.clock()
+        self.wire = Wire(settings, self.now())
         self.counts: Counter[FaultKind] = Counter()
         self.faults: deque[FaultHappened] = deque(maxlen=KEPT_FAULTS)
         self._transports: dict[WireMember, WireTransport] = {}
-        self._changed = trio.lowlevel.ParkingLot()
+        self._changed = self._loop.parking_lot()
         self._wake: Time = NEVER  # when `_run` looks at the wire again
         self._is_handing_out = False
-        self._room = trio.lowlevel.ParkingLot()
+        self._room = self._loop.parking_lot()
         self._bit = self.wire.time_of(1)
+
+    def now(self) -> Time:
+        """Return the time in ns, on the loop's clock."""
+        return round(self._clock() * SECOND)
 
     # ---- for tests ----
 
@@ -101,48 +106,48 @@ class PhysicalBus:
 
     def bus_off(self, transport: WireTransport) -> None:
         """Take a member bus-off: its queued frames are lost, and it hears nothing."""
-        self.wire.bus_off(transport.member, _clock())
+        self.wire.bus_off(transport.member, self.now())
         self.hand_out()
 
     def restart(self, transport: WireTransport) -> None:
         """Let a member that is bus-off return."""
-        self.wire.restart(transport.member, _clock())
+        self.wire.restart(transport.member, self.now())
         self.hand_out()
 
     def babble(self, frame: Frame, seconds: float) -> None:
         """Add a node that sends this frame again and again for `seconds`."""
-        now = _clock()
+        now = self.now()
         self.wire.babble(frame, now + round(seconds * SECOND), now)
         self.hand_out()
 
     def cut(self, half: Iterable[WireTransport]) -> None:
         """Cut the cable: these members on one side, all others on the other. Raises LocalProtocolError if it is cut already."""
-        self.wire.cut([transport.member for transport in half], _clock())
+        self.wire.cut([transport.member for transport in half], self.now())
         self.hand_out()
 
     def mend(self) -> None:
         """Mend the cable."""
-        self.wire.mend(_clock())
+        self.wire.mend(self.now())
         self.hand_out()
 
     def load(self) -> float:
         """Return the part of the time since the bus was opened in which it was busy: 0 to 1."""
-        return self.wire.load(_clock())
+        return self.wire.load(self.now())
 
     # ---- members ----
 
     def join(self, transport: WireTransport, order: QueueOrder, queue_size: int) -> WireMember:
         """Add a member. The first one starts the bus."""
-        member = self.wire.join(_clock(), order=order, queue_size=queue_size)
+        member = self.wire.join(self.now(), order=order, queue_size=queue_size)
         if not self._transports:
-            trio.lowlevel.spawn_system_task(self._run, name=f"virtual bus {self.name}")
+            self._loop.spawn_system_task(self._run, name=f"virtual bus {self.name}")
         self._transports[member] = transport
         self.hand_out()
         return member
 
     def leave(self, transport: WireTransport) -> None:
         """Remove a member. The last one ends the bus."""
-        self.wire.leave(transport.member, _clock())
+        self.wire.leave(transport.member, self.now())
         del self._transports[transport.member]
         if not self._transports:
             del _buses.get()[self.name]
@@ -151,14 +156,14 @@ class PhysicalBus:
 
     def send(self, member: WireMember, frame: Frame) -> None:
         """Queue a frame; there must be room."""
-        self.wire.send(member, frame, _clock())
+        self.wire.send(member, frame, self.now())
         self.hand_out()
 
     async def settle(self, member: WireMember) -> None:
         """Wait until the frames that the other members have queued now are sent or lost, but at most ROOM_TIME: frames may
         starve."""
         queued = {each: each.sent + each.queued for each in self.wire.members if each is not member and each.queued}
-        with trio.move_on_after(ROOM_TIME):
+        with self._loop.move_on_after(ROOM_TIME):
             while any(each.queued and each.sent < count for each, count in queued.items()):
                 await self.room()
 
@@ -171,10 +176,10 @@ class PhysicalBus:
         runs first. A receiver still has two bits of the intermission to answer before the next frame begins."""
         while self._transports:
             self._wake = due = self.wire.next_output()
-            with trio.move_on_at((due + self._bit) / SECOND if due < NEVER else math.inf) as scope:
+            with self._loop.move_on_at((due + self._bit) / SECOND if due < NEVER else math.inf) as scope:
                 await self._changed.park()
             if scope.cancelled_caught:
-                self.wire.handle_timeout(max(due, _clock() - self._bit))
+                self.wire.handle_timeout(max(due, self.now() - self._bit))
                 self.hand_out()
 
     def hand_out(self) -> None:
@@ -217,21 +222,23 @@ class PhysicalBus:
         return bool(deliveries or events)
 
 
-class WireTransport(trio.abc.AsyncResource):
+class WireTransport(AsyncResource):
     """A member of a PhysicalBus until `aclose`; made by `open_wire`.
 
     bus: to break it in tests. member: its controller, with state, error counters and transmit queue; read only. is_open: whether
-    it hears all frames; before, only those queued after joined_at. Time stamps: the end of a frame. Times are ns on trio's clock.
+    it hears all frames; before, only those queued after joined_at. Time stamps: the end of a frame. Times are ns on
+    the loop's clock.
     """
 
     def __init__(self, locator: str, bus: PhysicalBus, order: QueueOrder, queue_size: int) -> None:
+        self._loop = current_loop()
         self.locator = locator
         self.bus = bus
         self.queue = ReceiveQueue(locator, RECEIVE_QUEUE_SIZE)
         self.is_open = False
-        self.joined_at = _clock()
+        self.joined_at = bus.now()
         self.member = bus.join(self, order, queue_size)
-        self._sending = trio.StrictFIFOLock()
+        self._sending = self._loop.lock()
         self._receiver: Callable[[Frame, Time], None] | None = None
         self._closed = False
 
@@ -253,13 +260,13 @@ class WireTransport(trio.abc.AsyncResource):
         """Queue the frame as soon as there is room. It is sent later, in its turn."""
         check_frame(frame)
         async with self._sending:
-            with trio.move_on_after(ROOM_TIME):
+            with self._loop.move_on_after(ROOM_TIME):
                 while not self._closed and self.member.state is not BusState.BUS_OFF and not self.member.has_room:
                     await self.bus.room()
             if not self._try_to_send(frame):
                 raise self._no_room(frame)
         # The frame is queued, so a cancel must not be reported here: it would tell the caller that it is not.
-        await trio.lowlevel.cancel_shielded_checkpoint()
+        await self._loop.cancel_shielded_checkpoint()
 
     def send_nowait(self, frame: Frame) -> bool:
         """Queue the frame. Returns False, and queues nothing, if there is no room or another task waits."""
@@ -268,7 +275,7 @@ class WireTransport(trio.abc.AsyncResource):
 
     def _try_to_send(self, frame: Frame) -> bool:
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
         if self.member.state is BusState.BUS_OFF:
             raise FrameNotSentError(NOT_ACKNOWLEDGED, self.locator, f"{frame} was not sent", seen="the controller is bus-off")
         if not self.member.has_room:
@@ -297,7 +304,7 @@ class WireTransport(trio.abc.AsyncResource):
     async def aclose(self) -> None:
         """Leave the bus. The last member to leave ends it."""
         self._leave()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
 
     def _leave(self) -> None:
         if not self._closed:
@@ -323,11 +330,7 @@ async def open_wire(locator: str, name: str, bitrate: int | None, options: Mappi
 
     bitrate: the one after the locator's @. Raises TransportError (CO100) for options that are not valid, or not those of the bus.
     """
-    try:
-        buses = _buses.get()
-    except LookupError:
-        buses = {}
-        _buses.set(buses)
+    buses = _buses.get()
     bus = buses.get(name)
     if bitrate is None and not options and bus is None:
         return None
@@ -408,7 +411,3 @@ def _report(transport: WireTransport, event: StateReported) -> BusStateChanged:
     seen = f"transmit error counter {member.transmit_errors}, receive error counter {member.receive_errors}"
     cause, tries = _CAUSES.get(event.state, ("", ()))
     return BusStateChanged(transport.locator, event.state, seen, cause=cause, tries=tries)
-
-
-def _clock() -> Time:
-    return round(trio.current_time() * SECOND)

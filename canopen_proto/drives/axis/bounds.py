@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import Final
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import DriveError, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, as_drive_errors, require_reference
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import BY_DEFAULT, Limit, SetPointLimits, read_limits
 from canopen_proto.drives.axis.set_points import SET_POINT_OF
@@ -120,7 +120,7 @@ class MotionBounds:
         return self._too_fast(self._axis.scale.way_from_counts(counts - began) * SECOND / (heard_at - began_at))
 
 
-@accounted
+@as_drive_errors
 def bounds_of(axis: Axis, max_speed: float | None = None) -> Procedure[MotionBounds]:
     """Read the units and the limits of a drive, and return the bounds for a motion without commanded positions.
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import accounted, is_loss_of, node_lost
+from canopen_proto.drives.axis.failures import as_drive_errors, is_loss_of, node_lost
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import ModeControl
 from canopen_proto.drives.cia402.states import Command, State
@@ -39,7 +39,7 @@ STAYS: Final = {
 """State -> the command that leaves a drive there. In all of these states the drive follows no set-points."""
 
 
-@accounted
+@as_drive_errors
 def insist(axis: Axis, controlword: int) -> Procedure[None]:
     """Send a controlword that stops the drive, as `command` does; if it is not confirmed send it again, TRIES times in all.
 
@@ -59,7 +59,7 @@ def insist(axis: Axis, controlword: int) -> Procedure[None]:
             yield from sleep(SPREAD)
 
 
-@accounted
+@as_drive_errors
 def command(axis: Axis, controlword: int, *, urgent: bool = False) -> Procedure[None]:
     """Send a controlword to the drive: by the live RPDO that carries it, else by confirmed SDO.
 

@@ -23,7 +23,7 @@ from enum import IntFlag
 from typing import Final, NoReturn
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import DriveError, accounted, name_of
+from canopen_proto.drives.axis.failures import DriveError, as_drive_errors, name_of
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, read_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.drive_bit import DriveBit
@@ -61,7 +61,7 @@ class DigitalInputsChanged(Event):
         self.changed = changed
 
 
-@accounted
+@as_drive_errors
 def read_inputs(axis: Axis, max_age: Time = 0) -> Procedure[Input]:
     """Return the digital inputs: as heard by PDO within `max_age` ns, else read by SDO."""
     heard = axis.node.fresh(objects.DIGITAL_INPUTS, (yield from current_time()), max_age) if max_age else None
@@ -69,7 +69,7 @@ def read_inputs(axis: Axis, max_age: Time = 0) -> Procedure[Input]:
     return Input(value)
 
 
-@accounted
+@as_drive_errors
 def watch_inputs(axis: Axis, interval: Time = POLL_INTERVAL) -> Procedure[NoReturn]:
     """Report each change of the digital inputs as `DigitalInputsChanged`, until cancelled. interval: ns between two looks."""
     node = axis.node
@@ -82,7 +82,7 @@ def watch_inputs(axis: Axis, interval: Time = POLL_INTERVAL) -> Procedure[NoRetu
             before = inputs
 
 
-@accounted
+@as_drive_errors
 def set_outputs(axis: Axis, outputs: Mapping[int, bool], *, cannot_fall: bool = False) -> Procedure[None]:
     """Set digital outputs, by bit number of 0x60FE; the others stay as they are.
 
@@ -136,7 +136,7 @@ def return_brake(axis: Axis) -> Procedure[None]:
     axis.has_opened_brake = False
 
 
-@accounted
+@as_drive_errors
 def read_encoder(axis: Axis, number: int = 1) -> Procedure[int]:
     """Return the position of a further encoder, in its own counts. Raises ProcedureError if the drive has none.
 

@@ -147,7 +147,7 @@ def name_of(axis: Axis) -> str:
     return axis.title
 
 
-def accounted(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[Concatenate[Axis, P], Procedure[T]]:
+def as_drive_errors(procedure: Callable[Concatenate[Axis, P], Procedure[T]]) -> Callable[Concatenate[Axis, P], Procedure[T]]:
     """Let a procedure's SDO failures tell what the drive showed: they become DriveAccessError."""
 
     @wraps(procedure)

@@ -23,7 +23,7 @@ from itertools import islice
 from typing import Final
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import accounted
+from canopen_proto.drives.axis.failures import as_drive_errors
 from canopen_proto.drives.axis.limits import DEFAULT_SPEED, Limit, SetPointLimits
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import MILLISECOND, SECOND
@@ -120,7 +120,7 @@ class FollowingError:
         return missing if missing > FEW and is_on_path else 0
 
 
-@accounted
+@as_drive_errors
 def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
     """Return how far off its set-points a drive may be: by its settings, else by its window 0x6065, else by its speed limit.
 

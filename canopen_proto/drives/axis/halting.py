@@ -16,7 +16,7 @@ from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import STAYS, command, command_held, insist
 from canopen_proto.drives.axis.exclusive_motion import stops
-from canopen_proto.drives.axis.failures import TakenOverError, accounted, name_of
+from canopen_proto.drives.axis.failures import TakenOverError, as_drive_errors, name_of
 from canopen_proto.drives.axis.watching import DriveWait, read_statusword, wait_for_statusword
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -67,7 +67,7 @@ _OF_ITS_RAMP: Final = 0.25
 
 
 @stops(None)
-@accounted
+@as_drive_errors
 def halt(axis: Axis) -> Procedure[None]:
     """Stop the drive by bit 8 (it stays enabled) and wait for standstill, in its statusword and in its position (0x6064).
 

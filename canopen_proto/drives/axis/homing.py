@@ -30,7 +30,7 @@ from typing import Final
 from canopen_proto.drives.axis.axis import OBEYED, Axis, HomingStyle
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import HomingError, accounted
+from canopen_proto.drives.axis.failures import HomingError, as_drive_errors
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.homing_parameters import (
     check_home_position,
@@ -85,7 +85,7 @@ _FREE: Final = "look whether the axis can move freely, and at its homing method 
 
 
 @moves
-@accounted
+@as_drive_errors
 def home(axis: Axis) -> Procedure[None]:
     """Home the drive, from any state without fault, and wait for the end. A drive that moves is halted first.
 
@@ -125,7 +125,7 @@ def home(axis: Axis) -> Procedure[None]:
 
 
 @moves
-@accounted
+@as_drive_errors
 def home_if_needed(axis: Axis) -> Procedure[bool]:
     """Home the drive unless it has its reference; return whether it was homed. Else as `home`.
 

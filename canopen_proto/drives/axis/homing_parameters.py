@@ -16,7 +16,8 @@ has to be in the list.
 **Home position.** Nearly all drives show 0x607C as their position at the home point, so that the zero lies 0x607C before it. The
 standard can be read with the other sign. `home_offset_reversed` is for drives that do so; `check_home_position` finds them.
 
-Source: IEC 61800-7-201 (CiA 402-2), homing mode, 60E3h; from memory, and as the manuals of six makers have it.
+Source: IEC 61800-7-201 (CiA 402-2), 11 (the clause as KEB's manual of the Combivert F6 cites it), homing mode; 60E3h from memory;
+as the manuals of six makers have it.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import DriveError, accounted
+from canopen_proto.drives.axis.failures import DriveError, as_drive_errors
 from canopen_proto.drives.axis.units import DriveUnits, read_units
 from canopen_proto.drives.cia402.objects import VENDOR_ID
 from canopen_proto.multiplexer import split_mux
@@ -26,7 +26,7 @@ from canopen_proto.procedures.objects import ABSENT
 from canopen_proto.procedures.steps import Procedure, SdoTransferError, upload
 
 
-@accounted
+@as_drive_errors
 def identify(axis: Axis) -> Procedure[None]:
     """Fill in the open settings of the axis (None): by the drive's vendor-ID (0x1018:01), and the scale of a named unit.
 
@@ -54,7 +54,7 @@ def _vendor_id(axis: Axis) -> Procedure[int | None]:
     return int.from_bytes(data, "little") if data else None
 
 
-@accounted
+@as_drive_errors
 def learn_units(axis: Axis) -> Procedure[DriveUnits]:
     """Read what the drive's numbers mean (its factor group), keep it in `axis.scale.units`, and return it. Raises
     SdoTransferError."""

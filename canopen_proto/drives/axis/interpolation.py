@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, ModeUnsupportedError, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, ModeUnsupportedError, as_drive_errors, require_reference
 from canopen_proto.drives.axis.halting import halt_after
 from canopen_proto.drives.axis.sub_modes import LINEAR, SubMode
 from canopen_proto.drives.axis.synchronous import align_position, follow, prepare, require_carried, write_record
@@ -56,7 +56,7 @@ class InterpolationBuffer:
 
 
 @moves
-@accounted
+@as_drive_errors
 def start_interpolation(
     axis: Axis,
     cycle_time: Time,

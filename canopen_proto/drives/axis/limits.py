@@ -41,7 +41,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
-from canopen_proto.drives.axis.failures import accounted
+from canopen_proto.drives.axis.failures import as_drive_errors
 from canopen_proto.drives.axis.units import DriveUnits, read_number, read_units
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
@@ -178,7 +178,7 @@ _INTEGER32: Final = 1 << 31
 _OF_DRIVE: Final = "of the drive"
 
 
-@accounted
+@as_drive_errors
 def read_limits(axis: Axis, mode: int = Mode.INTERPOLATED_POSITION) -> Procedure[SetPointLimits]:
     """Return the limits of an axis, by its settings and by its drive. Raises SdoTransferError if the drive does not answer.
 

@@ -7,7 +7,7 @@ from typing import Final
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import ModeUnsupportedError, accounted
+from canopen_proto.drives.axis.failures import ModeUnsupportedError, as_drive_errors
 from canopen_proto.drives.axis.state import set_mode
 from canopen_proto.drives.axis.synchronous import align_position, clear_offsets
 from canopen_proto.drives.cia402 import objects
@@ -20,7 +20,7 @@ _MOTIONLESS: Final = (Mode.INTERPOLATED_POSITION, Mode.HOMING, Mode.PROFILE_POSI
 
 
 @moves
-@accounted
+@as_drive_errors
 def select_motionless_mode(axis: Axis) -> Procedure[None]:
     """Select a mode in which power alone moves nothing: ip, hm or pp, and the present mode if it is one of them.
 

@@ -8,7 +8,7 @@ from typing import Final
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, as_drive_errors, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.limits import EXACT, limits_of
@@ -47,7 +47,7 @@ AT_ONCE: Final = Command.ENABLE_OPERATION | ModeControl.CHANGE_SET_IMMEDIATELY
 
 
 @moves
-@accounted
+@as_drive_errors
 def move_to(
     axis: Axis, position: float, *, timeout: Time, relative: bool = False, direction: RotaryDirection | None = None
 ) -> Procedure[None]:

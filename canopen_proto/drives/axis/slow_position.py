@@ -27,7 +27,7 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command, syncs_passed
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import accounted, require_reference
+from canopen_proto.drives.axis.failures import as_drive_errors, require_reference
 from canopen_proto.drives.axis.following import Following
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.profile_position import AT_ONCE, make_room, set_options
@@ -54,7 +54,7 @@ LONGEST_RAMP: Final = 2 * SECOND
 
 
 @moves
-@accounted
+@as_drive_errors
 def start_slow_position(axis: Axis) -> Procedure[float]:
     """Make the drive take targets in profile position mode; return the position where it starts, which is its first target.
 

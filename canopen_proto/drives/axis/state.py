@@ -9,7 +9,7 @@ from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.controlword import STAYS, bring, command, command_held, insist, put
 from canopen_proto.drives.axis.digital_io import return_brake
 from canopen_proto.drives.axis.exclusive_motion import moves, stops
-from canopen_proto.drives.axis.failures import DriveTimeoutError, ModeUnsupportedError, accounted, fault_of, state_lost
+from canopen_proto.drives.axis.failures import DriveTimeoutError, ModeUnsupportedError, as_drive_errors, fault_of, state_lost
 from canopen_proto.drives.axis.halting import halt, halt_after, may_be_enabled
 from canopen_proto.drives.axis.settings import MODE_CHANGE_STATES
 from canopen_proto.drives.axis.watching import POLL_INTERVAL, DriveWait, read_statusword, wait_for_statusword
@@ -40,7 +40,7 @@ def _leaves(state: State) -> Callable[[int], bool]:
     return lambda statusword: state_of(statusword) not in (state, State.UNKNOWN)
 
 
-@accounted
+@as_drive_errors
 def change_state(axis: Axis, target: State) -> Procedure[int]:
     """Lead the drive to the state `target`, one command after the other; return the statusword.
 
@@ -131,7 +131,7 @@ def _change_state_down(axis: Axis, target: State) -> Procedure[int]:
     return (yield from _lead(axis, target))
 
 
-@accounted
+@as_drive_errors
 def reset_fault(axis: Axis) -> Procedure[None]:
     """Clear a fault by a rising edge of bit 7. A drive without a fault stays as it is, or at worst loses its power.
 
@@ -162,7 +162,7 @@ def reset_fault(axis: Axis) -> Procedure[None]:
 
 
 @moves
-@accounted
+@as_drive_errors
 def enable(axis: Axis) -> Procedure[None]:
     """Lead the drive to Operation enabled. Raises DriveInFaultError, StepTimeoutError, SdoTransferError.
 
@@ -182,7 +182,7 @@ def require_mode(axis: Axis, mode: int) -> Procedure[None]:
 
 
 @moves
-@accounted
+@as_drive_errors
 def set_mode(axis: Axis, mode: int, *, waive_check: bool = False) -> Procedure[None]:
     """Select a mode of operation and wait until the drive shows it. 0x6060 goes by the live RPDO that carries it, else by SDO.
 
@@ -250,7 +250,7 @@ def _state_below(axis: Axis, state: State) -> State | None:
 
 
 @stops(halt_after)
-@accounted
+@as_drive_errors
 def quick_stop(axis: Axis) -> Procedure[None]:
     """Command a quick stop; wait until the drive is in Quick stop active or Switch on disabled (CiA 402: 0x605A decides)."""
     yield from insist(axis, int(Command.QUICK_STOP))
@@ -264,14 +264,14 @@ def quick_stop(axis: Axis) -> Procedure[None]:
 
 
 @stops(halt_after)
-@accounted
+@as_drive_errors
 def engage_brake(axis: Axis) -> Procedure[None]:
     """Lead the drive from any state without fault to Ready to switch on: no torque, brake engaged."""
     yield from change_state(axis, State.READY_TO_SWITCH_ON)
 
 
 @stops(halt_after)
-@accounted
+@as_drive_errors
 def shut_down(axis: Axis) -> Procedure[None]:
     """Lead the drive to Switch on disabled: no power. Then stop sending RPDOs, and let `axis.watchdog` go.
 

@@ -28,7 +28,7 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.axis_node import rpdos_with
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, as_drive_errors, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.set_points import OFFSETS_OF
@@ -50,7 +50,7 @@ _EXPONENTS: Final = (-3, -4, -5, -6, -2, -1, 0)
 
 
 @moves
-@accounted
+@as_drive_errors
 def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow one position per SYNC in cyclic synchronous position mode; return the position where it starts.
 
@@ -67,7 +67,7 @@ def start_cyclic_position(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
 
 
 @moves
-@accounted
+@as_drive_errors
 def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = False) -> Procedure[float]:
     """Make the drive follow one velocity per SYNC (0x60FF) in cyclic synchronous velocity mode; return the first one, 0.
 
@@ -89,7 +89,7 @@ def start_cyclic_velocity(axis: Axis, cycle_time: Time, *, sends_itself: bool = 
 
 
 @moves
-@accounted
+@as_drive_errors
 def start_cyclic_torque(
     axis: Axis, cycle_time: Time, *, torque: float | None = None, sends_itself: bool = False
 ) -> Procedure[float]:

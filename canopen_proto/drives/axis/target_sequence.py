@@ -23,7 +23,7 @@ from typing import Final
 from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.controlword import command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, accounted, require_reference
+from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, as_drive_errors, require_reference
 from canopen_proto.drives.axis.halting import halt, halt_after
 from canopen_proto.drives.axis.identity import learn_units
 from canopen_proto.drives.axis.profile_position import (
@@ -100,7 +100,7 @@ class ProfileTarget:
 
 
 @moves
-@accounted
+@as_drive_errors
 def move_along(axis: Axis, targets: Iterable[ProfileTarget], *, timeout: Time) -> Procedure[None]:
     """Profile position: go to one target after the other, and wait for the end. Does nothing without targets.
 

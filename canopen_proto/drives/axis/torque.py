@@ -11,7 +11,8 @@ a limit, and the master watches position and speed meanwhile (bounds.py). Order:
 A limit that is left, a fault, a lost node, another mode or a cancel end it earlier, in the same way. Bit 8 may only take the
 torque away in this mode. A drive that moves on after it gets a quick stop, and most drives have no power then (halting.py).
 
-Source: IEC 61800-7-201 (CiA 402-2), profile torque mode; from memory.
+Source: IEC 61800-7-201 (CiA 402-2), profile torque mode; objects and bit 8 as in Nanotec's manual (PD2-C), the rest from
+memory.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from canopen_proto.drives.axis.axis import OBEYED, Axis
 from canopen_proto.drives.axis.bounds import bounds_of
 from canopen_proto.drives.axis.controlword import bring, command
 from canopen_proto.drives.axis.exclusive_motion import moves
-from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, accounted
+from canopen_proto.drives.axis.failures import DriveError, LimitReachedError, as_drive_errors
 from canopen_proto.drives.axis.halting import halt, halt_after, halt_and_forget
 from canopen_proto.drives.axis.state import enable, require_mode, set_mode
 from canopen_proto.drives.axis.synchronous import holding_torque
@@ -34,7 +35,7 @@ from canopen_proto.procedures.steps import Cancelled, Procedure, current_time
 
 
 @moves
-@accounted
+@as_drive_errors
 def apply_torque(
     axis: Axis, torque: float, duration: Time, *, slope: float | None = None, max_speed: float | None = None
 ) -> Procedure[float]:

@@ -24,7 +24,7 @@ from enum import IntEnum
 from typing import Final, NamedTuple, NoReturn
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import DriveTimeoutError, accounted
+from canopen_proto.drives.axis.failures import DriveTimeoutError, as_drive_errors
 from canopen_proto.drives.axis.watching import POLL_INTERVAL
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.machine import SECOND, Event, LocalProtocolError, Time
@@ -81,7 +81,7 @@ class _Shown(NamedTuple):
     """None: nothing is latched."""
 
 
-@accounted
+@as_drive_errors
 def arm_probe(
     axis: Axis,
     probe: int = 1,
@@ -104,13 +104,13 @@ def arm_probe(
     yield from _command(axis, probe, word)
 
 
-@accounted
+@as_drive_errors
 def disarm_probe(axis: Axis, probe: int = 1) -> Procedure[None]:
     """Stop latching. Else as `arm_probe`. probe: 1 or 2."""
     yield from _command(axis, probe, 0)
 
 
-@accounted
+@as_drive_errors
 def _command(axis: Axis, probe: int, function: int) -> Procedure[None]:
     """Write a probe's byte of 0x60B8; wait until 0x60B9 shows whether it is enabled."""
     if probe not in (1, 2):
@@ -127,14 +127,14 @@ def _command(axis: Axis, probe: int, function: int) -> Procedure[None]:
         yield from sleep(POLL_INTERVAL)
 
 
-@accounted
+@as_drive_errors
 def read_probe(axis: Axis, probe: int = 1) -> Procedure[ProbeReading]:
     """Return the positions that a probe has latched since it was armed."""
     shown = yield from _look(axis, probe, 0)
     return ProbeReading(*(None if each.counts is None else axis.scale.from_counts(each.counts) for each in shown))
 
 
-@accounted
+@as_drive_errors
 def wait_for_probe(axis: Axis, probe: int = 1, *, timeout: Time) -> Procedure[ProbeReading]:
     """Wait until a probe that is armed has latched an edge, at most `timeout` ns; return what it has latched.
 
@@ -152,7 +152,7 @@ def wait_for_probe(axis: Axis, probe: int = 1, *, timeout: Time) -> Procedure[Pr
         yield from sleep(POLL_INTERVAL)
 
 
-@accounted
+@as_drive_errors
 def watch_probe(axis: Axis, probe: int = 1, *, interval: Time = POLL_INTERVAL) -> Procedure[NoReturn]:
     """Report each edge that an armed probe latches from now on, as `ProbeLatched`, until cancelled.
 

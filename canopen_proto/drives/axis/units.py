@@ -17,7 +17,8 @@ A unit in 0x60A8, 0x60A9 and 0x60AA has four bytes: the power of ten, the unit, 
 303-2's units these are known: 0x01 metre, 0x10 radian, 0x41 degree, 0xB4 turn, 0xB5 increment; 0x03 second, 0x47 minute, 0x57
 square second.
 
-Source: IEC 61800-7-201 (CiA 402-2), factor group; CiA 303-2; from memory, and as the manuals and files of six makers have them.
+Source: IEC 61800-7-201 (CiA 402-2), factor group, from memory, and as the manuals and files of six makers have it. CiA 303-2
+v1.1, 4 and 5; 0xB4, 0x47 and the order of the bytes are also in Nanotec's and Synapticon's manuals (60A9h = 00B44700h).
 """
 
 from __future__ import annotations

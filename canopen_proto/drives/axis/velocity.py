@@ -32,7 +32,7 @@ from canopen_proto.drives.axis.failures import (
     DriveError,
     LimitReachedError,
     ModeUnsupportedError,
-    accounted,
+    as_drive_errors,
     late,
     require_reference,
 )
@@ -72,7 +72,7 @@ class Running(NamedTuple):
 
 
 @moves
-@accounted
+@as_drive_errors
 def run_at(
     axis: Axis,
     velocity: float,
@@ -396,7 +396,7 @@ class _Run:
             self._news(Running(self._mode, axis.scale.way_from_counts(self._number * self._unit), self._is_reached))
 
 
-@accounted
+@as_drive_errors
 def choose_velocity_mode(axis: Axis, wanted: Mode | None = None) -> Procedure[Mode]:
     """Return the mode in which a drive runs at a velocity: the wanted one, else pv, else vl.
 

@@ -18,7 +18,7 @@ from typing import Final, Generic, TypeVar
 
 from canopen_proto.abort import AbortOrigin
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import accounted, fault_of, is_loss_of, late, mode_lost, node_lost, state_lost
+from canopen_proto.drives.axis.failures import as_drive_errors, fault_of, is_loss_of, late, mode_lost, node_lost, state_lost
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Outcome, RequestId, Time
@@ -37,7 +37,7 @@ POLL_INTERVAL: Final = 10 * MILLISECOND
 _MODE: Final = objects.MODES_OF_OPERATION_DISPLAY
 
 
-@accounted
+@as_drive_errors
 def read_statusword(axis: Axis) -> Procedure[int]:
     """Return the present statusword: as heard within the last 100 ms, else read by SDO."""
     now = yield from current_time()
@@ -47,13 +47,13 @@ def read_statusword(axis: Axis) -> Procedure[int]:
     return statusword
 
 
-@accounted
+@as_drive_errors
 def read_position(axis: Axis) -> Procedure[float]:
     """Read the actual position (0x6064) by SDO; return it in the user's unit."""
     return axis.scale.from_counts((yield from read_int(axis.node, objects.POSITION_ACTUAL_VALUE)))
 
 
-@accounted
+@as_drive_errors
 def wait_for_statusword(
     axis: Axis,
     done: Callable[[int], bool],

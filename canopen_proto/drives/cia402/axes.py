@@ -7,7 +7,8 @@ plus k * 0x800. By default its PDOs are 64 * k + 1 and on; only the mapping tell
 NMT, heartbeat, SYNC, EMCY and the SDO channels belong to the node, and so do all objects outside of 0x6000 to 0x9FFF.
 
 Source: CiA 301 v4.2.0, 7.4.1 (object dictionary structure) and 7.5.2.1 (device type; 0x67FF + k * 0x800 is that of axis k), and
-IEC 61800-7-201 (CiA 402-2), both from memory; TG Drives' manual of its two-axis TGZ has the same ranges.
+IEC 61800-7-201 (CiA 402-2), both from memory. The manuals of TG Drives (TGZ, two axes) and Kollmorgen (AKD2G) have the same
+ranges; Turck's of the BL20 has 67FFh and 6FFFh as the types of its first two logical devices.
 """
 
 from __future__ import annotations

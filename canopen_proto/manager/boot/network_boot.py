@@ -28,8 +28,9 @@ stopped for it. Once the bus is back, each node has its full time again.
 Each loss has one reaction: while a node is lost or boots, nobody waits for its heartbeats. The host may `suspend` a node while it
 gets a program.
 
-Source: CiA 302-2, process boot NMT master and error handling; from memory. Lely core's master differs in this: it also resets a
-lost node that is kept alive, and it sends the command to all nodes though one has failed.
+Source: CiA 302-2 v4.1.0, process boot NMT master (from memory) and error handling (figure 12, as Lely core's master, nmt.c, cites
+it: bits 6 and 4 of 0x1F80). That master differs in this: it also resets a lost node that is kept alive, and it sends the command
+to all nodes though one has failed.
 """
 
 from __future__ import annotations
@@ -496,7 +497,7 @@ class NetworkBoot:
 
     def _answers(self, member: BootingNode) -> Procedure[bool]:
         """Return whether a node whose heartbeats have stopped is there all the same: it answers, or is heard meanwhile."""
-        node, standing, period = member.node, member.node.heartbeat.timeout, b""
+        node, before, period = member.node, member.node.heartbeat.timeout, b""
         try:
             period = yield from upload(node.sdo, indices.PRODUCER_HEARTBEAT_TIME, 0)
         except SdoTransferError as failed:
@@ -508,7 +509,7 @@ class NetworkBoot:
             member.beats.clear()
             yield from act(lambda now: node.heartbeat.set_timeout(0, now))
             timeout = yield from act(lambda now: watch_by(node, period, now))
-            if timeout == standing:  # it does not do what its 0x1017 says
+            if timeout == before:  # it does not do what its 0x1017 says
                 timeout = 0
                 yield from act(lambda now: node.heartbeat.set_timeout(0, now))
             yield from act(lambda now: node.out.events.append(NodeSupervised(node.node_id, timeout)))

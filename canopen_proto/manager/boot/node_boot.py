@@ -19,7 +19,8 @@ not watched meanwhile, so that a slow one is not taken for lost.
 **A boot-up in the middle**, which nobody asked for, means that the node has lost its settings: its boot-up begins again, at most
 MAX_RESTARTS times.
 
-Source: CiA 302-2, boot NMT slave; from memory. The order of requests is that of Lely core's master, as recorded.
+Source: CiA 302-2 v4.1.0, boot NMT slave (figures 4 to 6, 8 and 11), as Lely core's master (nmt_boot.c) cites and follows it: the
+steps and letters are the same. The order of requests is that of this master, as recorded.
 """
 
 from __future__ import annotations
@@ -425,7 +426,7 @@ class _NodeBoot:
         timeout: ns for the answer instead of the client's own. A late answer then counts for the next try: a constant is read.
         """
         sdo = self.node.sdo
-        standing = sdo.timeout, sdo.late_guard
+        before = sdo.timeout, sdo.late_guard
         if timeout:
             sdo.timeout, sdo.late_guard = timeout, 0
         try:
@@ -434,22 +435,22 @@ class _NodeBoot:
             self._check_boots()
             raise
         finally:
-            sdo.timeout, sdo.late_guard = standing
+            sdo.timeout, sdo.late_guard = before
         self._check_boots()
         return data
 
     def _write(self, index: int, subindex: int, data: bytes) -> Procedure[None]:
         sdo = self.node.sdo
-        standing = sdo.timeout
+        before = sdo.timeout
         if index in SIGNATURES:
-            sdo.timeout = max(standing, STORE_TIMEOUT)
+            sdo.timeout = max(before, STORE_TIMEOUT)
         try:
             yield from download(sdo, index, subindex, data, block="auto")
         except SdoTransferError as failed:
             self._check_boots()
             raise self._failed(BootLetter.NOT_CONFIGURED, failed, _number(data)) from failed
         finally:
-            sdo.timeout = standing
+            sdo.timeout = before
         self._check_boots()
 
     def _check_boots(self) -> None:

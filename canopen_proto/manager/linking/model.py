@@ -87,14 +87,11 @@ class Timing:
 
     def __str__(self) -> str:
         if self.every:
-            when = "each SYNC" if self.every == 1 else f"every {self.every}th SYNC" if self.every > 3 else _ORDINALS[self.every]
+            when = "each SYNC" if self.every == 1 else f"every {self.every} SYNCs"
         else:
             when = "event-driven"
         times = (("inhibit", self.inhibit_time), ("timer", self.event_timer), ("timeout", self.timeout))
         return ", ".join([when, *(f"{name} {time / MILLISECOND:g} ms" for name, time in times if time)])
-
-
-_ORDINALS: Final = {2: "every 2nd SYNC", 3: "every 3rd SYNC"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -230,7 +230,7 @@ def plan_restore(
     mappings = {index_of(key) for key in different if any(index_of(key) in each for each in _MAPPINGS)}
     different |= {key for key in wanted if index_of(key) in mappings}
     order = download_order(
-        dictionary, {key: value for key, value in wanted.items() if key in different}, node.node_id, standing=standing
+        dictionary, {key: value for key, value in wanted.items() if key in different}, node.node_id, present=standing
     )
     left_out.update(order.left_out)
     held = {each.variable.mux: each.data for each in backup.readings if each.result is ReadResult.READ}

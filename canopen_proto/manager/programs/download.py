@@ -383,7 +383,7 @@ class _Flashing:
     def _write(self) -> Procedure[None]:
         self.so_far.delivered = 0
         client = self.objects.node.sdo
-        standing, client.timeout = client.timeout, max(client.timeout, self.limits.data)
+        before, client.timeout = client.timeout, max(client.timeout, self.limits.data)
         open_request: list[RequestId] = []
 
         def transfer() -> Procedure[None]:
@@ -406,7 +406,7 @@ class _Flashing:
         try:
             yield from all_of(transfer(), tell())
         finally:
-            client.timeout = standing
+            client.timeout = before
 
     def _is_there_after(self, failed: SdoTransferError) -> Procedure[bool]:
         """Return whether the program is there though its transfer failed; False: write it again. Raises if that is no use."""

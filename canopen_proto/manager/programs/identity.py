@@ -78,7 +78,7 @@ class FlashStatus(NamedTuple):
 
     @property
     def value(self) -> int:
-        """The UNSIGNED32."""
+        """The value of 0x1F57 that says this."""
         return 1 if self.is_busy else self.error << 1 | self.detail << 16
 
 

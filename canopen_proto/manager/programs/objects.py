@@ -131,8 +131,8 @@ class ProgramObjects:
         return identity
 
     def settled(self, timeout: Time) -> Procedure[FlashStatus | None]:
-        """Wait until the flash is not busy; return its status, None if it cannot be read. A flash that is busy after the timeout
-        is no error here."""
+        """Wait until the flash is not busy; return its status, None if it cannot be read. After the timeout a busy flash is
+        returned as it is. timeout: ns."""
         value = yield from self._await(
             indices.FLASH_STATUS, lambda value: value is None or not value & 1, timeout, refusal_is_none=True, anything=True
         )

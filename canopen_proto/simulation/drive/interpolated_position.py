@@ -14,8 +14,9 @@ that wait there. Writing 0 to :06 clears it.
 **Underrun**: a SYNC finds no record while the axis moves. The axis stops by the halt option code (605Dh), the mode stops
 following (synchronous_modes.py), and `SetPointUnderrun` is reported. An axis that stands needs no record: it stays there.
 
-Source: IEC 61800-7-201 (CiA 402-2): interpolated position mode, 60C0h to 60C4h; from memory. Makers differ in 60C4h:02: here as
-Nanotec has it.
+Source: IEC 61800-7-201 (CiA 402-2): interpolated position mode, 60C0h to 60C4h. The manuals of Kollmorgen (AKD), Festo (CMMP) and
+Novanta (emcl) have the entries of 60C4h, and :03, as here; the rest is from memory. Makers differ in 60C4h:02: here as Nanotec
+has it.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ revolutions of the motor per minute. 6046h limits it in the user's unit: a veloc
 
 A turn of the motor is 608Fh; without it, 60 counts, so that one revolution per minute is one count per second.
 
-Source: IEC 61800-7-201 (CiA 402-2): profile velocity; velocity, whose functions are from memory. The minimum as a limit is also
-in the manuals of Bonfiglioli and Control Techniques, the dimension factor in Nanotec's.
+Source: IEC 61800-7-201 (CiA 402-2): profile velocity; velocity. Bits 4 to 6 are as in the manuals of Novanta (emcl) and LS
+(iG5A), the minimum as a limit as in those of Bonfiglioli and Control Techniques, the dimension factor as in Nanotec's.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ away, it first stops and then comes back.
 jerk_up holds for changes to a higher speed, with `acceleration`; jerk_down for changes to a lower one, with `deceleration`.
 Brakes (halt, quick stop) have linear ramps: they are the shortest.
 
-Source: IEC 61800-7-201 (CiA 402-2), profile position mode, 60A3h and 60A4h, profile jerk (from memory); seven-segment profiles as
-in textbooks.
+Source: IEC 61800-7-201 (CiA 402-2), profile position mode, 60A3h and 60A4h: one to six jerks, in whose meaning makers differ
+(Nanotec's has four: the begin and the end of both ramps); that of two is from memory. Seven-segment profiles as in textbooks.
 """
 
 from __future__ import annotations

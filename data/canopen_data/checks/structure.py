@@ -5,12 +5,12 @@ Source: CiA 306-1 v1.4.0, the lists of objects and the sections of objects; CiA 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from canopen_data.checks.subject import ERROR, NOTICE, WARNING, Rule, Subject
 from canopen_data.describing import MANDATORY
-from canopen_data.findings import Finding
+from canopen_data.findings import Finding, first_of
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Object, ObjectType, Variable
@@ -18,8 +18,6 @@ from canopen_proto.dictionary.model import Object, ObjectType, Variable
 MAX_NAME: Final = 241
 """Characters of a ParameterName (CiA 306-1)."""
 
-MAX_TOLD: Final = 4
-"""Objects that one finding lists."""
 
 OBJECT_AREA: Final = range(0x1000, 0xC000)
 TYPE_AREA: Final = range(0x0001, 0x1000)
@@ -149,7 +147,7 @@ def check_names(subject: Subject) -> Iterator[Finding]:
             yield from _check_field_names(subject, each)
     for first, *others in by_name.values():
         if others:
-            text = f"{_enumerated([f'0x{index:04X}' for index in others])} too"
+            text = f"{first_of([f'0x{index:04X}' for index in others])} too"
             yield subject.of_object("name-twice", first, f"this is the name of {text}", "ParameterName")
 
 
@@ -163,14 +161,8 @@ def _check_field_names(subject: Subject, each: Object) -> Iterator[Finding]:
             yield subject.of_variable("name-empty", variable, "the sub-object has no name", "ParameterName")
     for first, *others in by_name.values():
         if others:
-            text = f"{_enumerated([f'sub {variable.subindex}' for variable in others])} too"
+            text = f"{first_of([f'sub {variable.subindex}' for variable in others])} too"
             yield subject.of_variable("name-twice", first, f"this is the name of {text}", "ParameterName")
-
-
-def _enumerated(places: Sequence[str]) -> str:
-    """Return the first MAX_TOLD places, and the number of further ones."""
-    hidden = len(places) - MAX_TOLD
-    return ", ".join(places) if hidden <= 0 else f"{', '.join(places[:MAX_TOLD])} and {hidden} more"
 
 
 def field_name(each: Object, name: str) -> str:

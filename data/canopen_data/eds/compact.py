@@ -49,7 +49,7 @@ _COMMUNICATION: Final = (
 
 
 class Compact:
-    """The maker of the variables that a file abbreviates. It stops at MAX_MADE."""
+    """Makes the variables that a file abbreviates, MAX_MADE at most."""
 
     def __init__(self, document: EdsDocument, variables: Variables, findings: Findings) -> None:
         self._document = document

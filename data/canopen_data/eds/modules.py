@@ -14,7 +14,7 @@ entries go behind those of the file. An entry has the name of its section with t
 Whatever cannot be made is an error: an unknown module, a Count that makes no sense, no room. Without [ConnectedModules] there is
 a notice: nobody has said what is connected, so the objects of modules are not in the dictionary.
 
-Source: CiA 306-1 v1.4.0, 8 (modular devices), as other tools implement it; the bits of `Count=0;4`, from memory.
+Source: CiA 306-1 v1.4.0, 8.2 and 8.3 (modular devices), as other tools implement it; EdsDcfNet has the bits of `Count=0;4`, too.
 """
 
 from __future__ import annotations

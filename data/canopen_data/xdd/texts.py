@@ -22,7 +22,8 @@ _TRUTH: Final = {"true": "1", "false": "0"}
 def hexadecimal_of(
     element: Element, attribute: str, findings: XddFindings, *, most: int, least: int = 0, severity: Severity = Severity.WARNING
 ) -> int | None:
-    """Return a hexadecimal attribute, with or without 0x; None, with a finding, if it is not a number or outside least..most."""
+    """Return a hexadecimal attribute, with or without 0x; None, with a finding, if it is missing, no number, or outside
+    least..most. severity: of the finding."""
     text = element.get(attribute)
     match = HEXADECIMAL.fullmatch(text)
     if match is not None and least <= (number := int(match[1], 16)) <= most:

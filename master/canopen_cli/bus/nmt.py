@@ -8,11 +8,13 @@ import click
 import trio
 
 from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import open_session
+from canopen_cli.shared.text_gateway import open_text
 from canopen_master.errors import SdoError
 from canopen_master.node import Node
 from canopen_master.silence import missing_frame
@@ -54,10 +56,11 @@ def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait
         )
     if wait and everyone:
         raise usage("CO001", "--wait waits for one node, not for --all")
+    refuse_over_text(settings, wait=wait)
     command = COMMANDS[word]
     screen = settings.screen()
     confirm(screen, _question(command, word, node_id), yes, needed=everyone or command in RESETS)
-    state = run(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait))
+    state = run(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait), over_text=True)
     target = "all nodes" if node_id is None else node_text(node_id)
     if settings.json:
         screen.json({"command": command.name, "node": node_id or 0, "state": state.name if state is not None else None})
@@ -83,6 +86,10 @@ async def _has_no_heartbeat(node: Node) -> bool:
 
 
 async def _nmt(settings: Settings, screen: Screen, command: NmtCommand, node_id: int | None, wait: bool) -> NmtState | None:
+    if is_text_gateway(settings.named_bus()):
+        async with open_text(settings, screen) as text:
+            await text.gateway.nmt(command, node_id or 0)
+        return None
     async with open_session(settings, screen) as session:
         if node_id is None:
             await session.master.nmt(command)

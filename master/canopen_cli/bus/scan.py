@@ -11,13 +11,19 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from canopen_cli.shared.device_types import device_type_text
 from canopen_cli.shared.options import Duration, NodeIds, Settings, common
+from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import open_session
+from canopen_cli.shared.text_gateway import open_text
+from canopen_gateway.ascii import RemoteGateway
+from canopen_gateway.errors import GatewayRefusedError
+from canopen_proto import indices
+from canopen_proto.datatypes import DataType, text_for_people
 from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.machine import SECOND, Time
-from canopen_proto.manager.scan import LISTEN, NodeFound, Scanner, duration_of
+from canopen_proto.manager.scan import LISTEN, MAX_NAME, PROBE_TIMEOUT, NodeFound, Scanner, duration_of
 from canopen_proto.manager.scan import scan as scan_procedure
 from canopen_proto.network import Network
 
@@ -41,8 +47,9 @@ def scan(settings: Settings, passive: bool, node_ids: tuple[int, ...] | None, li
     it shows the names there, and which of its nodes were not found.
     """
     screen = settings.screen()
+    refuse_over_text(settings, passive=passive)
     asked = () if passive else node_ids or tuple(ALL_NODE_IDS)
-    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, listen))
+    found, remark = run(settings, screen, lambda: find_nodes(settings, screen, asked, listen), over_text=True)
     if asked and node_ids is not None:
         others = [str(node.node_id) for node in found if node.node_id not in asked]
         found = [node for node in found if node.node_id in asked]
@@ -91,7 +98,9 @@ def _remark(network: Network, found: Sequence[NodeFound], passive: bool) -> str:
 
 async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ...], listen: Time) -> tuple[list[NodeFound], str]:
     """Scan the bus of the options, with a bar on a terminal; return the nodes, and what else was heard. node_ids: whom to ask.
-    listen: ns, before the first question."""
+    listen: ns, before the first question; not over a text gateway, which hears nothing of them."""
+    if is_text_gateway(settings.named_bus()):
+        return await _find_over_text(settings, screen, node_ids)
     async with open_session(settings, screen) as session:
         master = session.master
         scanner = Scanner(session.network.out)
@@ -105,6 +114,38 @@ async def find_nodes(settings: Settings, screen: Screen, node_ids: tuple[int, ..
             nursery.cancel_scope.cancel()
         session.network.detach(scanner)
         return rows, _remark(session.network, rows, not node_ids)
+
+
+async def _find_over_text(settings: Settings, screen: Screen, node_ids: Sequence[int]) -> tuple[list[NodeFound], str]:
+    """Ask each node-ID for its device type, one after the other, and those that answer for their identity and name."""
+    found = []
+    async with open_text(settings, screen) as session:
+        gateway = session.gateway
+        for node_id in node_ids:
+            await gateway.set_sdo_timeout(session.sdo_timeout if settings.timeout is not None else PROBE_TIMEOUT / SECOND)
+            try:
+                device_type = int.from_bytes(await gateway.read(node_id, indices.DEVICE_TYPE), "little")
+            except GatewayRefusedError as refused:
+                if not refused.is_silence:
+                    raise
+                continue
+            await gateway.set_sdo_timeout(session.sdo_timeout)
+            identity = [await _number_over_text(gateway, node_id, each) for each in (1, 2, 3, 4)]
+            vendor, product, revision, serial = identity
+            try:
+                name = (await gateway.read(node_id, indices.MANUFACTURER_DEVICE_NAME))[:MAX_NAME].decode("latin-1")
+            except GatewayRefusedError:  # optional
+                name = ""
+            name = text_for_people(name, DataType.VISIBLE_STRING).rstrip("\0 ")
+            found.append(NodeFound(node_id, None, device_type, (vendor, product, revision, serial), name))
+    return found, f" by asking, over {escape(settings.required_bus())}"
+
+
+async def _number_over_text(gateway: RemoteGateway, node_id: int, subindex: int) -> int | None:
+    try:
+        return int.from_bytes(await gateway.read(node_id, indices.IDENTITY_OBJECT, subindex), "little")
+    except GatewayRefusedError:
+        return None
 
 
 async def _show_progress(screen: Screen, expected: Time, reports: Any) -> None:

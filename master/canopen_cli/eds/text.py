@@ -114,7 +114,7 @@ def transmission_text(number: Number | None) -> str:
         return named[value]
     if value in (254, 255):
         return f"event-driven ({value})"
-    return f"at every {value}th SYNC" if value <= 240 else f"reserved ({value})"
+    return f"every {value} SYNCs" if value <= 240 else f"reserved ({value})"
 
 
 def _entry(subject: Subject, entry: Number) -> PdoEntry:

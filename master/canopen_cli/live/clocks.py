@@ -33,7 +33,10 @@ class StampClock:
         self._last: Time | None = None
 
     def time_of(self, stamp: int | None, now: Time) -> Time:
-        """Return when a frame came that is handed over now. Not before the one before it. stamp: None if it has none."""
+        """Return when a frame came that is handed over now: ns, on the clock of `now` plus `zero`, not before the last frame.
+
+        stamp: of the transport, ns; None if it has none.
+        """
         if stamp is None:
             time = now
         else:

@@ -36,7 +36,7 @@ COMMAND_TIME: Final = 10
 
 
 class Rate(click.ParamType):  # type: ignore[type-arg, unused-ignore]
-    """A bit rate of CiA's table: "250k". In kbit/s."""
+    """Takes a bit rate of CiA's table, such as "250k"; gives it in kbit/s."""
 
     name = "rate"
 

@@ -25,7 +25,8 @@ record_option = click.option(
 
 
 def check_record(settings: Settings, screen: Screen, path: Path | None) -> None:
-    """Raise a CommandError or PackageMissingError, before anything moves, if no recording can be written, or is wanted."""
+    """Raise, before anything moves, a CommandError if the recording cannot be written, or the user does not want the older file
+    overwritten; PackageMissingError without pyarrow for Parquet. path: None for no recording."""
     if path is not None:
         check_new_file(settings, screen, path)
         if path.suffix.lower() == PARQUET:

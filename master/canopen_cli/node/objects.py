@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 import click
 
 from canopen_cli.node.object_files import FileTransfer, read_into_file, write_from_file
 from canopen_cli.shared.new_files import check_new_file, new_file
 from canopen_cli.shared.options import NodeId, Settings, common, enabling
+from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
+from canopen_cli.shared.text_gateway import TextSession, open_text
 from canopen_cli.shared.values import (
     BYTES,
     TYPES,
@@ -30,7 +34,7 @@ from canopen_cli.shared.values import (
 )
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Variable
+from canopen_proto.dictionary import ObjectDictionary, Variable
 
 _TYPE = click.option(
     "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
@@ -116,6 +120,7 @@ def read(
     canopen read 3 1008 -o name.bin -b demo
     """
     screen, request = settings.screen(), AccessRequest(node_id, type_name, block)
+    refuse_over_text(settings, output=output, block=block)
     if output is not None:
         if len(keys) > 1:
             raise usage("CO001", f"one file takes one object, not {len(keys)}")
@@ -124,7 +129,7 @@ def read(
             taken = run(settings, screen, lambda: _read_file(settings, screen, request, keys[0], output, file))
         _tell_file(settings, screen, taken, "→")
         return
-    readings = run(settings, screen, lambda: _read(settings, screen, request, keys))
+    readings = run(settings, screen, lambda: _read(settings, screen, request, keys), over_text=True)
     if settings.json:
         documents = [reading.as_json() for reading in readings]
         screen.json(documents if len(documents) > 1 else documents[0])
@@ -133,13 +138,79 @@ def read(
         screen.table(COLUMNS, [reading.row() for reading in readings], right=("value", "hex"))
 
 
+class ObjectWay(Protocol):
+    """A way to the objects of a node. dictionary: of the node."""
+
+    @property
+    def dictionary(self) -> ObjectDictionary: ...
+
+    async def read(self, variable: Variable) -> ObjectReading:
+        """Read an object, also one that the dictionary lacks."""
+
+    async def write(self, variable: Variable, value: Value) -> None:
+        """Write an object, also one that the dictionary lacks."""
+
+
+class _OverBus:
+    """The way over a bus. block: see --block."""
+
+    def __init__(self, node: Node, block: bool | None) -> None:
+        self.dictionary = node.dictionary
+        self._node = node
+        self._block = block
+
+    async def read(self, variable: Variable) -> ObjectReading:
+        return await read_object(self._node, variable, self._block)
+
+    async def write(self, variable: Variable, value: Value) -> None:
+        how = block_of(variable, self._block)
+        if self.dictionary.get(variable.index, variable.subindex) is not None:
+            await self._node.write(variable, value, block=how)
+        else:
+            await self._node.write_bytes(variable.index, variable.subindex, variable.encode(value), block=how)
+
+
+class _OverText:
+    """The way over a text gateway."""
+
+    def __init__(self, session: TextSession, node_id: int) -> None:
+        self.dictionary = session.files.dictionary_of(node_id)
+        self._gateway = session.gateway
+        self._node_id = node_id
+
+    async def read(self, variable: Variable) -> ObjectReading:
+        value = variable.decode(await self._gateway.read(self._node_id, variable.index, variable.subindex))
+        return ObjectReading(self._node_id, variable, value, _constants(self.dictionary, variable, value))
+
+    async def write(self, variable: Variable, value: Value) -> None:
+        await self._gateway.write(self._node_id, variable.index, variable.subindex, variable.encode(value))
+
+
+def _constants(dictionary: ObjectDictionary, variable: Variable, value: Value) -> tuple[str, ...]:
+    return dictionary.names_of(variable, value) if variable in dictionary else ()
+
+
+@asynccontextmanager
+async def _way(settings: Settings, screen: Screen, request: AccessRequest, *, writes: bool) -> AsyncIterator[ObjectWay]:
+    """Open the way to a node's objects, over the bus or text gateway of the options. writes: else it only reads, and waits for
+    its turn."""
+    if is_text_gateway(settings.named_bus()):
+        async with open_text(settings, screen) as text:
+            yield _OverText(text, request.node_id)
+        return
+    async with AsyncExitStack() as stack:
+        session = await stack.enter_async_context(open_session(settings, screen))
+        if not writes:
+            await stack.enter_async_context(session.turn(request.node_id))
+        yield _OverBus(session.node(request.node_id), request.block)
+
+
 async def _read(settings: Settings, screen: Screen, request: AccessRequest, keys: tuple[str, ...]) -> list[ObjectReading]:
-    async with open_session(settings, screen) as session, session.turn(request.node_id):
-        node = session.node(request.node_id)
-        variables = [find_object(node.dictionary, key, request.type_name) for key in keys]
+    async with _way(settings, screen, request, writes=False) as way:
+        variables = [find_object(way.dictionary, key, request.type_name) for key in keys]
         for variable in variables:
             _check_readable(variable)
-        return [await read_object(node, variable, request.block) for variable in variables]
+        return [await way.read(variable) for variable in variables]
 
 
 async def _read_file(
@@ -202,13 +273,14 @@ def write(
     canopen write 5 1F50:01 --file firmware.bin
     """
     screen, request = settings.screen(), AccessRequest(node_id, type_name, block, verify)
+    refuse_over_text(settings, file=path, block=block)
     if path is not None and text is None:
         written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
         return
     if path is not None or text is None:
         raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
-    before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text))
+    before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text), over_text=True)
     if settings.json:
         previous = None if before is None else as_json(before.variable, before.value)
         screen.json({**after.as_json(), "previous": previous, "verified": verify})
@@ -236,24 +308,18 @@ async def _write_file(settings: Settings, screen: Screen, request: AccessRequest
 async def _write(
     settings: Settings, screen: Screen, request: AccessRequest, key: str, text: str
 ) -> tuple[ObjectReading | None, ObjectReading]:
-    async with open_session(settings, screen) as session:
-        node_id, block = request.node_id, request.block
-        node = session.node(node_id)
-        dictionary = node.dictionary
+    async with _way(settings, screen, request, writes=True) as way:
+        node_id, dictionary = request.node_id, way.dictionary
         variable = find_object(dictionary, key, request.type_name)
         value = parse_value(dictionary, variable, text)
         _check_writable(variable)
         variable.check_limits(value)
-        data = variable.encode(value)
-        before = await read_object(node, variable, block) if variable.access.readable else None
-        how = block_of(variable, block)
-        if dictionary.get(variable.index, variable.subindex) is not None:
-            await node.write(variable, value, block=how)
-        else:
-            await node.write_bytes(variable.index, variable.subindex, data, block=how)
-        after = ObjectReading(node_id, variable, value, dictionary.names_of(variable, value) if variable in dictionary else ())
+        variable.encode(value)  # raises before anything is sent
+        before = await way.read(variable) if variable.access.readable else None
+        await way.write(variable, value)
+        after = ObjectReading(node_id, variable, value, _constants(dictionary, variable, value))
         if request.verify and variable.access.readable:
-            shown = await read_object(node, variable, block)
+            shown = await way.read(variable)
             if shown.value != value:
                 raise CommandError(
                     ExitCode.VERIFY_MISMATCH,

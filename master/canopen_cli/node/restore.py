@@ -112,10 +112,10 @@ def restore(
 
 
 def settings_in(path: str, node_id: int, any_node: bool, encoding: str, *, disturbed: bool = True) -> ObjectDictionary:
-    """Return the dictionary of a file. Raises a CommandError if the file is of another node, or sets nothing. any_node: also of
-    another node. encoding: "" for a guess.
+    """Return the dictionary of a file. Raises a CommandError if the file is of another node, sets nothing, or is a backup that
+    another SDO client has disturbed.
 
-    disturbed: also of a backup that another SDO client has disturbed; else that is a CommandError too.
+    any_node: take the file of another node, too. encoding: "" for a guess. disturbed: take a disturbed backup, too.
     """
     from canopen_data.backup_file import disturbance_of
     from canopen_data.named_files import open_description

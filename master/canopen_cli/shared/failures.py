@@ -14,6 +14,7 @@ from typing import Final
 import click
 
 from canopen_cli.shared.problem import NO_ROOM, CommandError, ExitCode, usage
+from canopen_gateway import errors as gateway_errors
 from canopen_master import errors
 from canopen_master.silence import LONGER, SCAN
 from canopen_proto.abort import AbortCode, AbortOrigin
@@ -68,7 +69,7 @@ def _of_expected(error: BaseException) -> CommandError | None:
             return _spoken(error, _of_bus(error.code))
         case errors.BusError():
             return _spoken(error, _of_bus(error.code))
-        case errors.SdoTimeoutError() | errors.NodeSilentError():
+        case errors.SdoTimeoutError() | errors.NodeSilentError() | errors.CallTimeoutError():
             return _spoken(error, ExitCode.NO_ANSWER)
         case errors.SdoError():
             return _spoken(error, ExitCode.SDO_ABORT)
@@ -89,6 +90,8 @@ def _of_expected(error: BaseException) -> CommandError | None:
             return _spoken(error, ExitCode.SDO_ABORT)
         case errors.MasterError():
             return _of_chain(error)
+        case gateway_errors.GatewayError():
+            return _of_gateway(error)
         case Explained():  # of a file: DataError, DictionaryError, LogFileError, ScriptError, StateFileError
             return _spoken(error, ExitCode.BAD_FILE)
         case SdoTransferError():
@@ -191,6 +194,23 @@ def _spoken(error: Explained, exit_code: ExitCode) -> CommandError:
         subindex=getattr(error, "subindex", None),
         abort=getattr(error, "abort_code", None),
     )
+
+
+_OF_GATEWAY = {
+    gateway_errors.DOOR_REFUSED: ExitCode.CANNOT_OPEN,
+    gateway_errors.NO_GATEWAY: ExitCode.CANNOT_OPEN,
+    gateway_errors.NOT_ALLOWED: ExitCode.PERMISSION,
+    gateway_errors.NOT_OVER_TEXT: ExitCode.USAGE,
+}
+
+
+def _of_gateway(error: gateway_errors.GatewayError) -> CommandError:
+    """Return the CommandError for what a gateway refuses, or another maker's has answered."""
+    problem = _spoken(error, _OF_GATEWAY.get(error.code, ExitCode.SDO_ABORT))
+    if isinstance(error, gateway_errors.GatewayRefusedError) and error.is_silence:
+        problem.exit_code = ExitCode.NO_ANSWER
+    problem.node = problem.node or None
+    return problem
 
 
 _OF_CHAIN = {

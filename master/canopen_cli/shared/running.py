@@ -21,6 +21,7 @@ import trio
 from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import DEMO, Settings
+from canopen_cli.shared.over_text import check_has_way
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.screen import Screen, counted, escape
 from canopen_cli.shared.streams import put_lost_terminal_to_rest
@@ -47,14 +48,18 @@ def run(
     story: Story = lambda confirmed: [],
     devices: bool = False,
     reads: Path | None = None,
+    over_text: bool = False,
 ) -> T:
     """Run `command` and return its result.
 
-    story: told on interruption. devices: this command is about its simulated devices. reads: a log file that it reads.
+    story: told on interruption. devices: this command is about its simulated devices. reads: a log file that it reads. over_text:
+    it has a way over a text gateway.
 
     Raises a CommandError with status 130 after a Ctrl-C, a CommandError if --trace would overwrite a file, LogFileError if
     --trace cannot begin, and what the command raises.
     """
+    if not over_text:
+        check_has_way(settings.named_bus())
     if settings.clock is None and settings.named_bus() == DEMO:
         settings.clock = PatientClock()
     if settings.trace is None:
@@ -104,18 +109,21 @@ def first_of(error: BaseException) -> BaseException:
 
 @contextmanager
 def _warnings_on(screen: Screen) -> Iterator[None]:
-    """Shows warnings of the master (a drive that will not stop by itself) on the screen."""
+    """Shows warnings of the master (a drive that will not stop by itself) and of a gateway on the screen."""
 
     class OnScreen(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             screen.say(f"[yellow]{escape(record.getMessage())}[/]")
 
     handler = OnScreen(logging.WARNING)
-    LOGGER.addHandler(handler)
+    loggers = LOGGER, logging.getLogger("canopen_gateway")
+    for logger in loggers:
+        logger.addHandler(handler)
     try:
         yield
     finally:
-        LOGGER.removeHandler(handler)
+        for logger in loggers:
+            logger.removeHandler(handler)
 
 
 def _missing(path: Path, trace: Trace) -> CommandError | None:

@@ -29,14 +29,13 @@ from contextlib import asynccontextmanager, closing
 from pathlib import Path
 from typing import Final
 
-import trio
-
 from canopen_master.claims.further_channels import FurtherChannels
 from canopen_master.errors import CHANNEL_TAKEN, NodeError
 from canopen_master.plain_text import clean
 from canopen_proto.sdo.channels import FURTHER_SERVERS
 from canopen_transports import TransportError
 from canopen_transports.locator import parse_locator
+from canopen_transports.loop import current_loop
 
 LONG: Final = 10.0
 """Seconds that a long transfer waits for another one: as long as a person waits for a command that says nothing."""
@@ -133,11 +132,11 @@ async def channel_claim(
         yield
         return
     with closing(_Claims(name)) as claims:
-        until = trio.current_time() + patience
+        until = current_loop().current_time() + patience
         while (blocked := await _blocked(claims, writes, None if writes else further)) is not None:
-            if trio.current_time() >= until:
+            if current_loop().current_time() >= until:
                 raise _taken(locator, node_id, patience, claims.holder(blocked), further)
-            await trio.sleep(LOOK_AGAIN)
+            await current_loop().sleep(LOOK_AGAIN)
         is_first = claims.has(FIRST)
         if is_first and brief:
             claims.release(FIRST)

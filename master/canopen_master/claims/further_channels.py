@@ -19,8 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.errors import SdoError, SdoRefusedError
 from canopen_master.node import Node
 from canopen_proto import indices
@@ -31,6 +29,7 @@ from canopen_proto.frame import EMCY, KEY_EXTENDED, SDO_CLIENT_TO_SERVER, SDO_SE
 from canopen_proto.multiplexer import mux
 from canopen_proto.sdo.channels import DYNAMIC, FURTHER_SERVERS, OTHER_NODE, TO_CLIENT, TO_SERVER, channel_of
 from canopen_proto.sdo.transfer import Channel
+from canopen_transports.loop import protected
 
 _TELL_THE_NODE_ID: Final = ((indices.SDO_SERVER_PARAMETER, TO_SERVER, SDO_CLIENT_TO_SERVER), (indices.COB_ID_EMERGENCY, 0, EMCY))
 """Objects whose CAN-ID is this plus the node-ID."""
@@ -84,7 +83,7 @@ class FurtherChannels:
         """Have the node's client use the first channel again."""
         self._move(None)
 
-    @enable_ki_protection
+    @protected
     def _move(self, channel: Channel | None) -> None:
         self.node.remote.move_sdo(channel, self.node.now())
 

@@ -17,8 +17,6 @@ from functools import partial
 from importlib.util import find_spec
 from typing import Final, TypeAlias
 
-import trio
-
 from canopen_master.demonstration.recording import JointTrack, Recording
 from canopen_master.demonstration.swing import SwingPath
 from canopen_master.demonstration.task import DemonstrationTask
@@ -28,7 +26,6 @@ from canopen_master.motion.chain import Chain, ChainSettings, ChainState
 from canopen_master.motion.chain_file import same_nodes
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt
-from canopen_master.participant.patient_clock import PatientClock
 from canopen_master.session import open_master
 from canopen_master.simulation.drive_files import joint_maker
 from canopen_master.simulation.host import DeviceMaker, patient_cycles
@@ -38,6 +35,7 @@ from canopen_proto.drives.axis.units import Unit
 from canopen_proto.drives.cia402.modes import Mode, mode_name
 from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_proto.pdo.consumer import PdoReceived
+from canopen_transports.loop import current_loop
 
 HARDWARE_DELAY: Final = 3
 """Seconds before real drives begin to move: time to take one's hands away, or to press Ctrl-C."""
@@ -222,10 +220,16 @@ class Demonstration:
                 self._drives = await stack.enter_async_context(simulated_drives(joints, make=self._maker))
             master = await stack.enter_async_context(self._open_master(locators))
             await self._demonstrate(self._chain(master, locators))
-            clock = trio.lowlevel.current_clock()
-            if isinstance(clock, PatientClock):
-                self.stood_still = clock.lost
-                self.was_busy = clock.lost > MAX_LATE_SHARE * (trio.current_time() + clock.lost)
+            if current_loop().name == "trio":
+                self._note_what_was_lost()
+
+    def _note_what_was_lost(self) -> None:
+        from canopen_master.participant.patient_clock import present_patient_clock  # only here: it needs trio
+
+        clock = present_patient_clock()
+        if clock is not None:
+            self.stood_still = clock.lost
+            self.was_busy = clock.lost > MAX_LATE_SHARE * (clock.current_time() + clock.lost)
 
     def _maker(self, number: int, node_id: int) -> DeviceMaker:
         return joint_maker(number, node_id, self.task.file_of(self.description.joints[number]))
@@ -284,7 +288,7 @@ class Demonstration:
 
     async def _boot(self, arm: Chain) -> None:
         self._tell(BootBegun(arm.devices))
-        start = trio.current_time()
+        start = current_loop().current_time()
         await arm.initialise()
         for device in arm.devices:
             if device.axis.settings.counts_per_unit is None:
@@ -292,18 +296,18 @@ class Demonstration:
                 if self.task.machine is not None:
                     tries = (f'unit = "degree" in [joints.{device.name}]',)
                 raise DemonstrationRefusedError(f"{device.where}: the scale of the drive is not known", seen=seen, tries=tries)
-        self._tell(JointsEnabled(len(arm.devices), trio.current_time() - start, _modes(arm)))
+        self._tell(JointsEnabled(len(arm.devices), current_loop().current_time() - start, _modes(arm)))
 
     async def _home(self, arm: Chain) -> None:
         if self.task.bus is not None:
             self._tell(MovesSoon(HARDWARE_DELAY))
-            await trio.sleep(HARDWARE_DELAY)
+            await current_loop().sleep(HARDWARE_DELAY)
         self._stage, self._has_begun = "the joints were homing", True
         self._tell(HomingBegun())
-        start = trio.current_time()
+        start = current_loop().current_time()
         without = [] if self.task.bus is not None else [each for each in arm.devices if each.axis.settings.keeps_reference]
         await arm.home(if_needed=bool(without))
-        self._tell(HomingDone(len(arm.devices) - len(without), len(without), trio.current_time() - start))
+        self._tell(HomingDone(len(arm.devices) - len(without), len(without), current_loop().current_time() - start))
 
     async def _swing(self, arm: Chain) -> None:
         """Send the path: one set-point for each joint in each cycle."""
@@ -339,15 +343,15 @@ class Demonstration:
         if self.task.bus is not None or self.task.seconds < PLANNED_FROM or slow or find_spec("ruckig") is None:
             return
         self._tell(PlannedMoveBegun())
-        began = trio.current_time()
+        began = current_loop().current_time()
         self._stage = "the arm was moving by a plan"
         self.recording.planned_from = self.recording.times[-1]
         start, way = arm.desired_positions, math.radians(self.task.swing) * PLANNED_SHARE
         out = [at + way / _radians(device, 1.0) for at, device in zip(start, arm.devices, strict=True)]
-        with trio.move_on_after(PLANNED_TIME) as scope:
+        with current_loop().move_on_after(PLANNED_TIME) as scope:
             await self._move_to(arm, out)
             await self._move_to(arm, start)
-        self._tell(PlannedMoveDone(trio.current_time() - began, scope.cancelled_caught))
+        self._tell(PlannedMoveDone(current_loop().current_time() - began, scope.cancelled_caught))
 
     async def _move_to(self, arm: Chain, targets: Sequence[float]) -> None:
         """Move to a target by a plan, and record that behind what was recorded so far."""
@@ -357,7 +361,7 @@ class Demonstration:
             async for progress in arm.progress():
                 self._record(begin + progress.time)
 
-        async with trio.open_nursery() as nursery:
+        async with current_loop().open_nursery() as nursery:
             nursery.start_soon(record)
             try:
                 await arm.move(targets)

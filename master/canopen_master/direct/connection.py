@@ -16,7 +16,7 @@ import trio
 
 from canopen_data import DataError, load_dictionary
 from canopen_data.findings import DictionaryError
-from canopen_master.direct.background import Background
+from canopen_master.blocking.background import Background
 from canopen_master.errors import MASTER_CLOSED, MasterClosedError, MasterError
 from canopen_master.machine_file import MachineFile
 from canopen_master.master import Master

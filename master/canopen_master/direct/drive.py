@@ -24,8 +24,6 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from typing import Final, TypeVar
 
-import trio
-
 from canopen_master.direct.hand_sync import HandSync
 from canopen_master.errors import NOT_HEARD, NodeSilentError
 from canopen_master.master import Master
@@ -55,9 +53,10 @@ from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import CYCLIC_TYPES
-from canopen_proto.procedures.objects import ABSENT, read_int, write
+from canopen_proto.procedures.objects import ABSENT, write
 from canopen_proto.procedures.steps import Procedure, ProcedureError, SdoTransferError
 from canopen_proto.sync import SyncReceived, SyncSent
+from canopen_transports.loop import CancelScope, current_loop
 
 T = TypeVar("T")
 
@@ -82,17 +81,18 @@ class DirectDrive:
         self, master: Master, device: Device, rpdo: str, tpdo: str, in_counts: bool = True, hand_sync: HandSync | None = None
     ) -> None:
         """rpdo, tpdo: the PDOs of the dictionary that the drive comes with; an unknown name means none. in_counts: positions are
-        integers as on the wire; False: in the unit of the machine file. hand_sync: sends what is left by `give`.
+        integers as on the wire; False: in the unit of the machine file. hand_sync: sends what is left by `give`; None: one of its
+        own, for this drive alone.
         """
         self.master = master
         self._device = self.device = device
-        self._hand_sync = hand_sync
+        self._hand_sync = HandSync(master) if hand_sync is None else hand_sync
         self.axis = device.axis
         self.node = device.node
         self.interval = 10
         self.in_counts = in_counts
         self._producer: PdoProducer | None = None
-        self._running: set[trio.CancelScope] = set()  # its sequences
+        self._running: set[CancelScope] = set()  # its sequences
         self._is_following = False
         self._is_new = False  # the rPDO is to be sent before the next SYNC
         self.comes_back = False  # its last step, which the next SYNC ends, leads back to its path
@@ -178,8 +178,7 @@ class DirectDrive:
         self._stand_at(self.axis.set_points.position)
         self._given.clear()
         self._is_following, self._lost = True, None
-        if self._hand_sync is not None:
-            self._hand_sync.begin(self)
+        self._hand_sync.begin(self)
         self._reading.begin(read_unsent([following]))
 
     async def halt(self) -> None:
@@ -243,7 +242,7 @@ class DirectDrive:
 
     async def until_halted(self, function: Callable[[], Awaitable[T]]) -> T:
         """Call a function, and return its result. Raises ProcedureError if `halt` ended it before."""
-        with trio.CancelScope() as scope:
+        with current_loop().cancel_scope() as scope:
             self._running.add(scope)
             try:
                 return await function()
@@ -278,8 +277,7 @@ class DirectDrive:
 
         May be called in any thread. Raises as `send_position` does for a set-point that the drive cannot take.
         """
-        hand_sync = self._hand_sync
-        if hand_sync is None or not (hand_sync.is_ours and self._is_following) or self._lost or self.master.sync_period:
+        if not (self._hand_sync.is_ours and self._is_following) or self._lost or self.master.sync_period:
             return False
         self._given.append(self._checked(position))
         return True
@@ -330,12 +328,16 @@ class DirectDrive:
         self._device.following.lose(cause)
         self.master.pump.pump()
 
-    async def stand_at_actual(self) -> float:
-        """Return where the drive is, in the unit of its axis; its next set-point is checked as from there."""
-        position = await self.master.run(read_int(self.axis.node, objects.POSITION_ACTUAL_VALUE))
-        self.axis.set_points.set_position_counts(position)
+    async def go_to(self, position: float) -> None:
+        """Send a set-point, then SYNC. Raises as `send_position` and `HandSync.send` do. position: as of `give`."""
+        if not self.give(position):
+            await self.send_position(position)
+        await self._hand_sync.send(0)
+
+    def stay(self) -> float:
+        """Go on from the set-point that was sent last, and return it: the drive does not come back to the path before it."""
         self._stand_at(self.axis.set_points.position)
-        return self.axis.scale.from_counts(position)
+        return self._wanted
 
     def _stand_at(self, position: float) -> None:
         self._wanted = position
@@ -366,8 +368,7 @@ class DirectDrive:
     def _end_following(self) -> None:
         self._is_following = self._is_new = False
         self._given.clear()
-        if self._hand_sync is not None:
-            self._hand_sync.end(self)
+        self._hand_sync.end(self)
         self._device.release()
         self._device.following.end()
         self._reading.take_back()

@@ -19,14 +19,13 @@ from __future__ import annotations
 
 from typing import Final, Protocol
 
-import trio
-
 from canopen_master.master import Master
 from canopen_master.motion.device import Device
 from canopen_master.motion.late_sync import GapGuard
 from canopen_master.participant.participant import ON_TIME
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.sync import SyncReceived, SyncSent
+from canopen_transports.loop import current_loop
 
 NEVER_SENT: Final = -1
 
@@ -89,7 +88,7 @@ class HandSync:
         if self._drives and self._sent_at != NEVER_SENT:
             whole = (drive.interval * MILLISECOND for drive in self._drives if drive.comes_back)
             earliest = self._sent_at + max(self._interval - self._interval // ON_TIME, *whole, 0)
-            await trio.sleep(max(0, earliest - master.now()) / SECOND)
+            await current_loop().sleep(max(0, earliest - master.now()) / SECOND)
         for drive in self._drives:
             drive.take_given()
         late = self._late()

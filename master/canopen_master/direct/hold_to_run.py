@@ -1,4 +1,6 @@
-"""Motion of one drive while its user holds something, for the direct half, which sends SYNC by hand."""
+"""Motion of one drive while its user holds something, for the direct half, which sends SYNC by hand. HandSync sends it, and looks
+at the drive before a late one.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +8,14 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 
-import trio
-
 from canopen_master.direct.drive import DirectDrive
 from canopen_master.errors import MasterError
-from canopen_master.motion.late_sync import MOST_LOOKS
 from canopen_master.motion.target_motion import DEAD_MAN
 from canopen_master.trajectories.target_stream import TargetStream
 from canopen_proto.drives.trajectory import PathPoint
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.procedures.steps import ProcedureError
+from canopen_transports.loop import current_loop
 
 
 async def move_while_held(drive: DirectDrive, speed: float, held: Callable[[], bool]) -> None:
@@ -33,14 +33,17 @@ async def move_while_held(drive: DirectDrive, speed: float, held: Callable[[], b
     try:
         await drive.until_halted(_Motion(drive, speed, held).to_its_end)
     except BaseException:
-        with trio.CancelScope(shield=True), suppress(ProcedureError, MasterError):  # the first error is the one to tell
+        with (
+            current_loop().cancel_scope(shield=True),
+            suppress(ProcedureError, MasterError),
+        ):  # the first error is the one to tell
             await drive.halt()
         raise
     await drive.halt()
 
 
 async def _asked(held: Callable[[], bool]) -> bool:
-    return await trio.to_thread.run_sync(held, abandon_on_cancel=True)
+    return await current_loop().in_thread(held, abandon_on_cancel=True)
 
 
 class _Motion:
@@ -56,12 +59,12 @@ class _Motion:
 
     async def to_its_end(self) -> None:
         """Move until it ends, and the drive has the set-point at which it stands. Raises what ended it."""
-        async with trio.open_nursery() as nursery:
+        async with current_loop().open_nursery() as nursery:
             nursery.start_soon(self.listen)
             try:
                 await self.run()
-            except trio.Cancelled:
-                with trio.CancelScope(shield=True):
+            except current_loop().Cancelled:
+                with current_loop().cancel_scope(shield=True):
                     self._stream.stop()
                     await self.run()
                 raise
@@ -83,35 +86,19 @@ class _Motion:
 
     async def run(self) -> None:
         """Send a set-point and SYNC in each interval until the stream has ended and is at rest."""
-        due = trio.current_time()
+        due = current_loop().current_time()
         try:
             while not (self._stream.is_stopping and self._stream.is_at_rest):
                 (position,) = self._stream.step().positions
-                await self._drive.send_position(round(position) if self._drive.in_counts else position)
-                await self._drive.master.send_sync()
+                await self._drive.go_to(round(position) if self._drive.in_counts else position)
+                if not self._drive.is_on_path:  # behind a late SYNC: there is no path to come back to, it goes on from there
+                    self._stream.stand_at(0, [self._drive.stay()])
                 due += self._period
-                await trio.sleep_until(due)
-                late = trio.current_time() - due
+                await current_loop().sleep_until(due)
+                late = current_loop().current_time() - due
                 if late > 0:  # the path waits; the dead man's switch does not
                     lost = int(late / self._period)
                     self._stream.after_gap(lost, from_rest=False)
                     due += lost * self._period
-                    await self._look(late)
         except Exception as error:  # noqa: BLE001 - a nursery would wrap it in a group
             self.failure = error
-
-    async def _look(self, late: float) -> None:
-        """Go on from where the drive is, if it may have gone too far without SYNC to come back in one interval: late_sync.py."""
-        drive, (speed,) = self._drive, self._stream.point.velocities
-        highest = drive.limits.speed
-        if highest is None or abs(speed) * (late / self._period - 1) <= highest:
-            return
-        seen = math.inf
-        for _ in range(MOST_LOOKS):  # a drive that brakes has gone on since it was asked
-            asked = trio.current_time()
-            position = await drive.stand_at_actual()
-            if trio.current_time() - asked <= self._period or abs(position - seen) <= highest * self._period:
-                self._stream.stand_at(0, [position])
-                return
-            seen = position
-        raise ProcedureError(f"SYNC was {late:.3g} s late, and the drive still moved")

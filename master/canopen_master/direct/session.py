@@ -27,8 +27,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, TypeVar
 
-import trio
-
 from canopen_master.assembly import described
 from canopen_master.direct.chain import ChainCalls
 from canopen_master.direct.connection import Connection
@@ -51,6 +49,7 @@ from canopen_proto.drives.cia402.states import State, state_of
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import PdoReceived
+from canopen_transports.loop import current_loop
 from canopen_transports.realtime import Realtime
 
 R = TypeVar("R")
@@ -170,7 +169,7 @@ class Session:
 
         async def start(master: Master) -> None:
             await master.nmt(NmtCommand.START)
-            await trio.sleep(NMT_TIME)
+            await current_loop().sleep(NMT_TIME)
 
         self._call(start)
 
@@ -365,7 +364,7 @@ class Session:
             try:
                 await drive.shut_down()
             finally:
-                with trio.CancelScope(shield=True):
+                with current_loop().cancel_scope(shield=True):
                     await drive.node.nmt(NmtCommand.STOP)
 
         return self._connection.attempt(shut_down)
@@ -392,7 +391,8 @@ class Session:
         return self._attempt(node, lambda drive: drive.wait_for(constant, round(timeout * SECOND)))
 
     def set_motor_state(self, node: int | str, state: str) -> bool:
-        """Lead the drive to a state, up or down, by the shortest way: a constant of statusword, such as "switched_on"."""
+        """Lead the drive to a state, up or down, by the shortest way. state: a constant of statusword, such as "switched_on".
+        Returns False if the drive did not get there."""
 
         async def lead(master: Master) -> None:
             drive = self._drive(master, node)

@@ -37,8 +37,6 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.errors import CHAIN_NOT_READY, ChainError
 from canopen_master.motion.bus_room import make_room
 from canopen_master.motion.chain_errors import other_cycle, raise_first
@@ -56,6 +54,7 @@ from canopen_proto.drives.axis import home, home_if_needed
 from canopen_proto.drives.cia402.modes import Mode, short_name
 from canopen_proto.drives.cia402.states import POWERED
 from canopen_proto.machine import Time
+from canopen_transports.loop import protected
 
 
 class Chain(Moving):
@@ -282,7 +281,7 @@ class Chain(Moving):
         self._member.require_following("give cycles")
         return Cycles(self._set_points, self._member.why_stopped)
 
-    @enable_ki_protection
+    @protected
     def set_positions(self, positions: Sequence[float], *, cycles: int = 1) -> None:
         """Give the next set-points, one per joint, in the user's unit; they are sent behind the next SYNC.
 
@@ -294,7 +293,7 @@ class Chain(Moving):
         self._member.require_free("follow set-points")
         self._set_points.give(positions, cycles)
 
-    @enable_ki_protection
+    @protected
     def hold(self) -> None:
         """Stay at the set-points that were sent last. Set-points not sent yet are dropped, also the rest of a path.
 

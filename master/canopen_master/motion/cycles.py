@@ -18,8 +18,6 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from typing import NamedTuple, Protocol
 
-import trio
-
 from canopen_master.errors import SetPointRefusedError, wrong_values
 from canopen_master.motion.device import Device
 from canopen_master.motion.feed_forward import FeedForward
@@ -27,6 +25,7 @@ from canopen_master.motion.late_sync import WithinReach
 from canopen_master.motion.set_point_check import check_set_point, refused
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
+from canopen_transports.loop import current_loop
 
 
 class Cycle(NamedTuple):
@@ -93,7 +92,7 @@ class SetPoints:
         self.missed_in_row = 0
         self.is_followed = False
         self.sent: list[float] = []
-        self.tick = trio.lowlevel.ParkingLot()
+        self.tick = current_loop().parking_lot()
         self.number = 0
         self.taken = 0
         self.given_in = -1
@@ -318,7 +317,7 @@ class Cycles:
     async def __anext__(self) -> Cycle:
         set_points = self._set_points
         if set_points.number not in (self._last, set_points.given_in):  # else it parks below
-            await trio.lowlevel.checkpoint()
+            await current_loop().checkpoint()
         while True:
             if not set_points.is_followed and (error := await self._stopped()) is not None:
                 raise error

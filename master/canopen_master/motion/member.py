@@ -13,8 +13,6 @@ import enum
 from collections.abc import Callable, Sequence
 from typing import Final, TypeVar, cast
 
-import trio
-
 from canopen_master.errors import CHAIN_NOT_READY, ChainError, SetPointRefusedError
 from canopen_master.motion.chain_errors import (
     chain_halted,
@@ -36,6 +34,7 @@ from canopen_master.participant.participant import Participant, ProcedureSlot
 from canopen_proto.drives.axis.reasons import Reason
 from canopen_proto.procedures.steps import Procedure, all_of
 from canopen_proto.sync import SyncSent
+from canopen_transports.loop import current_loop
 
 T = TypeVar("T")
 
@@ -119,8 +118,8 @@ class Member:
         self.name = name
         self.devices = tuple(devices)
         self.settings = settings
-        self.changed = trio.lowlevel.ParkingLot()
-        self.begun = trio.lowlevel.ParkingLot()
+        self.changed = current_loop().parking_lot()
+        self.begun = current_loop().parking_lot()
         self.interruptions = 0
         self.followed = False
         self.set_points = SetPoints(self.devices, settings.cycle_time, settings.max_step)
@@ -384,7 +383,7 @@ class Member:
 
     async def joints_stopped(self) -> list[JointError | None]:
         """Wait until the joints that were told to stop stand. Returns the failures of those that did not confirm it."""
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
         if self.state is ChainState.STOPPING and self.motion is not None:
             await self.motion.braked()
         await self._halt.ended()

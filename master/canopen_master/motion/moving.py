@@ -21,9 +21,6 @@ from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.errors import (
     CHAIN_FAILED,
     ChainError,
@@ -42,6 +39,7 @@ from canopen_proto.drives.trajectory import JointLimits, Path, PathClock, PathEr
 from canopen_proto.drives.trajectory.margin import Margin, margin_in_steps
 from canopen_proto.drives.trajectory.path_clock import check_override
 from canopen_proto.machine import LocalProtocolError
+from canopen_transports.loop import current_loop, protected
 
 if TYPE_CHECKING:
     from canopen_master.trajectories.target_stream import TargetStream
@@ -178,7 +176,7 @@ class Moving:
                 yield stream, lambda: self._check_goes_on(motion, what)
         finally:
             motion.brake()
-            with trio.CancelScope(shield=True):
+            with current_loop().cancel_scope(shield=True):
                 await motion.braked()
         if not motion.was_replaced:
             await self._check_end(motion)
@@ -361,13 +359,13 @@ class Moving:
         except PathError as error:
             raise self._cannot_be_followed(error) from error
 
-    @enable_ki_protection
+    @protected
     async def _run(self, generator: TrajectoryGenerator, start: PathPoint, torques: Torques | None) -> None:
         motion = self._begin(generator, start, torques)
         await motion.wait()
         await self._check_end(motion)
 
-    @enable_ki_protection
+    @protected
     def _begin(self, generator: TrajectoryGenerator, start: PathPoint, torques: Torques | None) -> Motion:
         without = [device for member in self._members for device in member.set_points.without_torque]
         if torques is not None and without:
@@ -421,7 +419,7 @@ class Progresses:
         return self
 
     async def __anext__(self) -> Progress:
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
         while True:
             motion = self._moving.present_motion
             if motion is None and self._has_begun:

@@ -10,12 +10,11 @@ import math
 from collections.abc import Generator, Sequence
 from typing import Final, TypeVar
 
-import trio
-
 from canopen_master.errors import PathRefusedError
 from canopen_master.motion.device import Device
 from canopen_proto.drives.trajectory import JointLimits, LimitViolation, Path, PathPoint, first_violation
 from canopen_proto.drives.trajectory.limit_check import first_violation_in_steps
+from canopen_transports.loop import current_loop
 
 START_COUNTS: Final = 2
 """Counts that a joint may be off the start of a path, at least: conversions of units round."""
@@ -33,7 +32,7 @@ async def in_steps(steps: Generator[None, None, T]) -> T:
         except StopIteration as end:
             result: T = end.value
             return result
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
 
 
 async def check_path(

@@ -20,15 +20,13 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.errors import PathRefusedError
 from canopen_master.motion.cycles import SetPointSource, SourcePoint
 from canopen_master.motion.device import Device
 from canopen_master.motion.target_motion import StreamGenerator
 from canopen_proto.drives.axis.following_error import LAG
 from canopen_proto.drives.trajectory import PathPoint
+from canopen_transports.loop import current_loop, protected
 
 LONGEST_STOP: Final = 5.0
 """Seconds that joints may take to brake along their path. A path that needs longer is refused."""
@@ -163,7 +161,7 @@ class Motion:
         self.error: Exception | None = None
         self._at_rest = 0  # cycles since the generator is at its end, or at rest
         self._braked = 0  # cycles
-        self.news = trio.lowlevel.ParkingLot()
+        self.news = current_loop().parking_lot()
 
     @property
     def time(self) -> float:
@@ -251,29 +249,29 @@ class Motion:
         self.point = self.generator.stand_at(first, positions)
         return True
 
-    @enable_ki_protection
+    @protected
     async def wait(self) -> None:
         """Wait until it is over. If the task is cancelled, or a Ctrl-C comes, brake along the path first."""
         try:
             await self.over()
         except BaseException:
             self.brake()
-            with trio.CancelScope(shield=True):
+            with current_loop().cancel_scope(shield=True):
                 await self.braked()
             raise
 
     async def braked(self) -> None:
         """Wait until it is over, after `brake`. It ends in any case, with the chains halted if the joints may still move."""
-        with trio.move_on_after(LONGEST_STOP + self._period):
+        with current_loop().move_on_after(LONGEST_STOP + self._period):
             await self.over()
         self.end(TOO_LONG)
 
     async def over(self) -> None:
         """Wait until it is over. It ends if no SYNC comes: a motion counts its time in SYNCs."""
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
         patience = max(WITHOUT_SYNC, SYNCS_LOST * self._period)
         while not self.is_over:
-            with trio.move_on_after(patience) as scope:
+            with current_loop().move_on_after(patience) as scope:
                 await self.news.park()
             if scope.cancelled_caught and (self.is_braking or not all(lane.follower.has_sync for lane in self.lanes)):
                 self.end(NO_SYNC)

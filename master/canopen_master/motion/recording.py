@@ -19,8 +19,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-import trio
-
 from canopen_master.motion.cycles import SetPoints
 from canopen_master.motion.device import Device
 from canopen_master.motion.path_motion import Motion
@@ -32,6 +30,7 @@ from canopen_proto.drives.axis.settings import MILLIDEGREES_PER_RADIAN, AxisSett
 from canopen_proto.drives.trajectory import PathClock
 from canopen_proto.machine import SECOND, Time
 from canopen_proto.sync import SyncSent
+from canopen_transports.loop import current_loop
 
 MAX_WAITING: Final = 1_000_000
 """Values that wait to be written: some 30 MB, or half a minute of six joints at 1 ms while a disk does nothing."""
@@ -200,4 +199,4 @@ async def recording(make: Callable[[], Recorder]) -> AsyncIterator[Recorder]:
         yield recorder
     finally:
         recorder.close()  # after an error or a cancellation the drives come first: the thread finishes the file by itself
-    await trio.to_thread.run_sync(recorder.wait)
+    await current_loop().in_thread(recorder.wait)

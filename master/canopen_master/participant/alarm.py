@@ -1,9 +1,9 @@
 """Alarms, by which the timekeeper sleeps until a deadline.
 
-trio hands its deadlines to epoll, which counts in milliseconds and rounds up: a wake is 0.6 ms late in the median. That is too
-much for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd). They are exact to a microsecond, and trio can wait for
-one as for any other file. So a real clock on Linux gets `FineAlarm`. Other systems, tests in virtual time, and a `PatientClock`,
-which has to know all deadlines, get `CoarseAlarm`.
+trio and asyncio hand their deadlines to epoll, which counts in milliseconds and rounds up: a wake is 0.6 ms late in the median.
+That is too much for a SYNC of 1 to 4 ms. Linux has timers that are files (timerfd). They are exact to a microsecond, and a loop
+can wait for one as for any other file. So a real clock on Linux gets `FineAlarm`. Other systems, tests in virtual time, and a
+`PatientClock`, which has to know all deadlines, get `CoarseAlarm`.
 """
 
 from __future__ import annotations
@@ -15,23 +15,22 @@ import sys
 from contextlib import suppress
 from typing import Final, TypeAlias
 
-import trio
-
-from canopen_master.participant.patient_clock import PatientClock
+from canopen_transports.loop import CancelScope, current_loop
 
 _CLOCK_MONOTONIC: Final = 1
 _NANOSECONDS: Final = 1_000_000_000
 
 
 class CoarseAlarm:
-    """Wakes at trio's own deadlines."""
+    """Wakes at the loop's own deadlines."""
 
     def __init__(self) -> None:
+        self._loop = current_loop()
         self._deadline = math.inf
-        self._scope: trio.CancelScope | None = None
+        self._scope: CancelScope | None = None
 
     def set(self, deadline: float) -> None:
-        """Wake at this time (seconds of trio's clock), or earlier if an earlier one is set: an early wake does no harm."""
+        """Wake at this time (seconds of the loop's clock), or earlier if an earlier one is set: an early wake does no harm."""
         if deadline < self._deadline:
             self._deadline = deadline
             if self._scope is not None:
@@ -39,8 +38,8 @@ class CoarseAlarm:
 
     async def wait(self) -> None:
         """Sleep until the time that `set` gave, before this call or during it. Afterwards no time is set."""
-        with trio.CancelScope(deadline=self._deadline) as self._scope:
-            await trio.sleep_forever()
+        with self._loop.cancel_scope(deadline=self._deadline) as self._scope:
+            await self._loop.sleep_forever()
         self._scope = None
         self._deadline = math.inf
 
@@ -56,6 +55,7 @@ class FineAlarm:
     """Wakes by a timerfd; used as `CoarseAlarm` is. Raises OSError or AttributeError if the system has none."""
 
     def __init__(self) -> None:
+        self._loop = current_loop()
         self._deadline = math.inf
         libc = ctypes.CDLL(None, use_errno=True)
         self._set_time = libc.timerfd_settime
@@ -70,13 +70,13 @@ class FineAlarm:
         if deadline >= self._deadline:
             return
         self._deadline = deadline
-        left = max(1, round((deadline - trio.current_time()) * _NANOSECONDS))  # 0 would mean never
+        left = max(1, round((deadline - self._loop.current_time()) * _NANOSECONDS))  # 0 would mean never
         self._interval.first[:] = divmod(left, _NANOSECONDS)
         self._set_time(self._fd, 0, self._reference, None)
 
     async def wait(self) -> None:
         """Sleep until the time that `set` gave; see `CoarseAlarm`."""
-        await trio.lowlevel.wait_readable(self._fd)
+        await self._loop.wait_readable(self._fd)
         with suppress(BlockingIOError):  # it was set again just now
             os.read(self._fd, 8)
         self._deadline = math.inf
@@ -90,14 +90,8 @@ Alarm: TypeAlias = CoarseAlarm | FineAlarm
 
 
 def best_alarm() -> Alarm:
-    """Return the best alarm that this platform has for the clock of the present trio run."""
-    if sys.platform == "linux" and _is_real_time():
+    """Return the best alarm that this platform has for the clock of the present loop."""
+    if sys.platform == "linux" and current_loop().is_real_time():
         with suppress(OSError, AttributeError):
             return FineAlarm()
     return CoarseAlarm()
-
-
-def _is_real_time() -> bool:
-    """Return whether trio's clock runs in real time, whatever this process does."""
-    clock = trio.lowlevel.current_clock()
-    return not isinstance(clock, PatientClock) and abs(clock.deadline_to_sleep_time(clock.current_time() + 1.0) - 1.0) < 0.1

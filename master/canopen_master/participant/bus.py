@@ -25,8 +25,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-import trio
-
 from canopen_proto.frame import Frame, frame_for_key
 from canopen_proto.frame_bits import least_bits, worst_bits
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
@@ -49,6 +47,7 @@ from canopen_transports import (
     Transport,
     TransportError,
 )
+from canopen_transports.loop import current_loop
 
 MAX_BATCH: Final = 64
 """The most frames that are received in one turn: 4 ms of a 1 Mbit/s bus that is full of 8-byte frames."""
@@ -155,8 +154,9 @@ class Bus:
         self._cyclic = transport if isinstance(transport, CyclicTransport) and transport.sends_sync else None
         self._period: Time = 0  # of the transport's SYNC
         self._last_sync: Time | None = None
-        self._work = trio.lowlevel.ParkingLot()  # the sender waits for frames
-        self._sent = trio.lowlevel.ParkingLot()  # others wait for the sender
+        self._loop = current_loop()
+        self._work = self._loop.parking_lot()  # the sender waits for frames
+        self._sent = self._loop.parking_lot()  # others wait for the sender
 
     @property
     def pending(self) -> int:
@@ -367,7 +367,7 @@ class Bus:
                 if until_sync > SDO_GUARD:
                     frame = self._sdo.popleft()
                     break
-                with trio.move_on_after(max(until_sync, SDO_GUARD) / SECOND):
+                with self._loop.move_on_after(max(until_sync, SDO_GUARD) / SECOND):
                     await self._work.park()
             else:
                 await self._work.park()

@@ -9,11 +9,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
-import trio
-
 from canopen_master.participant.bus import Bus
 from canopen_proto.machine import Event, Outcome, RequestId, Time
 from canopen_proto.sdo.events import SdoProgress
+from canopen_transports.loop import CancelScope, ParkingLot, current_loop
 
 
 class ProcedureTakenBackError(Exception):
@@ -35,9 +34,9 @@ class Waiter:
     def __init__(self, canceller: Canceller) -> None:
         self.canceller = canceller
         self.is_done = False
-        self.ends: trio.CancelScope | None = None
+        self.ends: CancelScope | None = None
         self._news: deque[SdoProgress] = deque()  # a stream tells little before it is answered
-        self._parked: trio.lowlevel.ParkingLot | None = None  # made for the first that waits: an answer may be there before
+        self._parked: ParkingLot | None = None  # made for the first that waits: an answer may be there before
         self._outcome: Outcome | None = None
         self._error: Exception | None = None
 
@@ -67,20 +66,20 @@ class Waiter:
     async def wait(self) -> None:
         """Wait until the request is done. Always a checkpoint."""
         if self.is_done:
-            await trio.lowlevel.checkpoint()
+            await current_loop().checkpoint()
         while not self.is_done:
             await self._park()
 
     async def next_news(self) -> SdoProgress | None:
         """Wait for the next report of a stream; None once all were returned and the stream has ended."""
-        await trio.lowlevel.checkpoint_if_cancelled()
+        await current_loop().checkpoint_if_cancelled()
         while not self._news and not self.is_done:
             await self._park()
         return self._news.popleft() if self._news else None
 
     async def _park(self) -> None:
         if self._parked is None:
-            self._parked = trio.lowlevel.ParkingLot()
+            self._parked = current_loop().parking_lot()
         await self._parked.park()
 
     def result(self) -> Outcome:

@@ -18,9 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, Protocol, TypeVar
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.errors import UNKNOWN_CHAIN, BusError, MasterClosedError, UnknownChainError
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackError, Waiter, Watcher
@@ -35,6 +32,7 @@ from canopen_proto.procedures.steps import Procedure, all_of, current_time
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sync import SyncConsumer, SyncProducer
 from canopen_transports import Transport, TransportError
+from canopen_transports.loop import CancelScope, current_loop, protected
 
 T = TypeVar("T")
 E = TypeVar("E", bound=Event)
@@ -65,11 +63,12 @@ class SyncGuard(Protocol):
 class Participant:
     """See this module's text. buses: the Bus objects by their names. failure: why it went down, or None.
 
-    is_closed: it takes no new commands. Times are in seconds here, as everywhere in trio.
+    is_closed: it takes no new commands. Times are in seconds here.
     """
 
     def __init__(self, transports: Mapping[str, Transport], aliases: Mapping[str, str] | None = None) -> None:
         """transports: open ones, by name. aliases: more names for them."""
+        self._loop = current_loop()
         self._dispatcher = Dispatcher()
         self.buses: dict[str, Bus] = {}
         self._nmt: dict[Bus, NmtMaster] = {}
@@ -83,14 +82,14 @@ class Participant:
         for alias, name in (aliases or {}).items():
             self.buses[alias] = self.buses[name]
         self._procedures: set[RequestId] = set()
-        self._procedure_ended = trio.lowlevel.ParkingLot()
+        self._procedure_ended = self._loop.parking_lot()
         self._guards: list[SyncGuard] = []
         self._looking: tuple[RequestId, Time] | None = None  # and when the SYNC was due that waits for it
         self._without_sync: Time | None = None  # since when SYNC is stopped
         self._subscriptions: dict[Subscription[Any], Watcher] = {}
         self.failure: Exception | None = None
         self.is_closed = False
-        self._body = trio.CancelScope()
+        self._body = self._loop.cancel_scope()
         self.watch((ProcedureFinished, ProcedureFailed, ProcedureCancelled), self._on_procedure_ended, self._own_buses[0])
 
     def _add_bus(self, name: str, transport: Transport) -> None:
@@ -105,7 +104,7 @@ class Participant:
     # ---- time, buses, state ----
 
     def now(self) -> Time:
-        """Return the time of all machines: trio's clock, in ns."""
+        """Return the time of all machines: the loop's clock, in ns."""
         return self._pump.now()
 
     def bus(self, name: str | None = None) -> Bus:
@@ -128,7 +127,7 @@ class Participant:
 
     # ---- network management and SYNC ----
 
-    @enable_ki_protection
+    @protected
     async def nmt(self, command: NmtCommand, node_id: int = 0, *, bus: str | None = None) -> None:
         """Send an NMT command to one node, or to all (0; on all buses, unless one is named); return when it is on its way.
 
@@ -176,7 +175,7 @@ class Participant:
         """ns between two SYNCs, 0 while none are sent."""
         return self._own_buses[0].sync_period
 
-    @enable_ki_protection
+    @protected
     def sync_start(self, period: float) -> None:
         """Send SYNC on all buses, now and then once per period (seconds). A SYNC that runs starts again. Events: SyncSent"""
         self.check_open()
@@ -187,7 +186,7 @@ class Participant:
         self._without_sync = None
         self._pump.pump()
 
-    @enable_ki_protection
+    @protected
     def sync_stop(self) -> None:
         """Stop sending SYNC periodically."""
         if self.sync_period:
@@ -196,7 +195,7 @@ class Participant:
             bus.stop_sync()
         self._pump.pump()
 
-    @enable_ki_protection
+    @protected
     async def send_sync(self) -> None:
         """Send one SYNC on all buses; return when it is on its way. A running period keeps its phase."""
         self.check_open()
@@ -247,7 +246,7 @@ class Participant:
 
     async def _sent(self, buses: Iterable[Bus]) -> None:
         self._pump.pump()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
         for bus in buses:
             await bus.flush()
         if self.failure is not None:
@@ -255,14 +254,14 @@ class Participant:
 
     # ---- requests and procedures ----
 
-    @enable_ki_protection
+    @protected
     def begin(self, bus: Bus, remote: RemoteNode, submit: Callable[[Time], RequestId]) -> OpenRequest:
         """Give a command with an outcome. The caller waits for the outcome, or takes the request back. submit: gives the command
         at a time, and returns its RequestId."""
         self.check_open()
         return OpenRequest(self._pump, self._dispatcher, bus, remote, submit)
 
-    @enable_ki_protection
+    @protected
     async def run(self, procedure: Procedure[T]) -> T:
         """Run a procedure of `canopen_proto.procedures`, or your own, to its end, and return its result.
 
@@ -285,7 +284,7 @@ class Participant:
         self._procedures.add(request_id)
         return request_id, self._dispatcher.expect(self._root, request_id, self.runner)
 
-    @enable_ki_protection
+    @protected
     def take_back(self, request_id: RequestId) -> None:
         """Cancel a procedure; does nothing if it has ended. request_id: the one that the procedure got."""
         self.runner.cancel(request_id, self.now())
@@ -293,7 +292,7 @@ class Participant:
 
     # ---- events ----
 
-    @enable_ki_protection
+    @protected
     def subscribe(self, kinds: tuple[type[E], ...], bus: Bus | None = None, node_id: int = 0) -> Subscription[E]:
         """Return a Subscription to all events of these kinds from now on, of one bus and node, or of all (None, 0)."""
         self.check_open()
@@ -353,7 +352,7 @@ class Participant:
         return self._pump
 
     @property
-    def body(self) -> trio.CancelScope:
+    def body(self) -> CancelScope:
         """Around the user's block; cancelled when a bus fails."""
         return self._body
 
@@ -364,17 +363,17 @@ class Participant:
         for request_id in tuple(self._procedures):
             self.take_back(request_id)
 
-    async def finish(self, scope: trio.CancelScope, longest: float, in_a_hurry: Callable[[], bool]) -> None:
+    async def finish(self, scope: CancelScope, longest: float, in_a_hurry: Callable[[], bool]) -> None:
         """Wait for the end of all procedures, then until everything queued is sent.
 
-        scope: around this. While procedures ask for time, its deadline is put off, to `longest` (trio's clock) at most; not when
-        somebody is in a hurry.
+        scope: around this. While procedures ask for time, its deadline is put off, to `longest` (the loop's clock) at most; not
+        when somebody is in a hurry.
         """
         usual = scope.deadline
         while self._procedures:
-            with trio.move_on_after(_LOOK):
+            with self._loop.move_on_after(_LOOK):
                 await self._procedure_ended.park()
-            asked = trio.current_time() + (self.runner.needs_until - self.now()) / SECOND
+            asked = self._loop.current_time() + (self.runner.needs_until - self.now()) / SECOND
             scope.deadline = usual if in_a_hurry() else min(max(scope.deadline, asked), longest)
         await self._pump.flush()
 
@@ -397,7 +396,7 @@ class ProcedureSlot:
         """Whether a procedure was begun here and has not ended."""
         return self._begun is not None and not self._begun[1].is_done
 
-    @enable_ki_protection
+    @protected
     def begin(self, procedure: Procedure[Any]) -> None:
         """Start a procedure. One that was begun here before runs on by itself. May be called while events are delivered."""
         self._begun = self._participant.start(procedure)
@@ -410,11 +409,11 @@ class ProcedureSlot:
 
     async def ended(self) -> None:
         """Wait until no procedure runs here, also none that was begun meanwhile. Always a checkpoint."""
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
         while self._begun is not None and not self._begun[1].is_done:
             await self._begun[1].wait()
 
-    @enable_ki_protection
+    @protected
     async def outcome(self) -> Any:
         """Wait for the end, and return the result. If this task is cancelled, cancel the procedure, and wait for its clean-up.
 
@@ -426,7 +425,7 @@ class ProcedureSlot:
             await waiter.wait()
         except BaseException:
             self._participant.take_back(request_id)
-            with trio.CancelScope(shield=True):
+            with current_loop().cancel_scope(shield=True):
                 await waiter.wait()
             raise
         return self.result()

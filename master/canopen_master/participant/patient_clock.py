@@ -38,6 +38,9 @@ class PatientClock(trio.abc.Clock):
     real: the real time, in seconds.
     """
 
+    has_to_know_deadlines = True
+    """No alarm may wake the loop but trio's own: see `TrioLoop.is_real_time`."""
+
     def __init__(self, real: Callable[[], float] = perf_counter) -> None:
         self.lost = 0.0
         self._real = real
@@ -71,3 +74,9 @@ class PatientClock(trio.abc.Clock):
         time, before = self._seen
         self._sleeps_until = deadline
         return deadline - time - (self._real() - before) - self._to_make_up
+
+
+def present_patient_clock() -> PatientClock | None:
+    """Return the clock of the present `trio.run`, if it is a patient one."""
+    clock = trio.lowlevel.current_clock()
+    return clock if isinstance(clock, PatientClock) else None

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.errors import SdoError, sdo_error
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.dispatch import Watcher
@@ -18,6 +16,7 @@ from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoAborted
+from canopen_transports.loop import protected
 
 E = TypeVar("E", bound=Event)
 
@@ -71,7 +70,7 @@ class Peer:
         """Give its machines a command that has an outcome. submit: gives the command at a time, and returns its RequestId."""
         return self._participant.begin(self._bus, self.remote, submit)
 
-    @enable_ki_protection
+    @protected
     async def request(self, submit: Callable[[Time], RequestId]) -> Outcome:
         """Give its machines a command and wait for the outcome. If the task is cancelled, the request is taken back. submit:
         gives the command at a time, and returns its RequestId."""

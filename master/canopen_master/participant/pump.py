@@ -1,5 +1,4 @@
-"""The pump: it drives the Networks of one participant, on one or several buses, with trio. A master has one, a simulated device
-has one.
+"""The pump: it drives the Networks of one participant, on one or several buses. A master has one, a simulated device has one.
 
 The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending and of what a bus reports: bus.py)
 
@@ -11,19 +10,19 @@ The core's driver loop is: mutate, drain, send, deliver, wait. Here (of sending 
   between: it drains all networks until none has anything more to say. A task that is cancelled can so never leave the core ahead
   of the wire, nor the wire ahead of the core;
 - what delivery itself mutates (a chain that stops because a joint failed) is drained in the same turn;
-- a machine may be commanded by anybody, without `pump` behind it (`node.remote.start_guarding(...)`): before trio's loop sleeps,
-  `_LastLook` sees what was left, and has it taken up.
+- a machine may be commanded by anybody, without `pump` behind it (`node.remote.start_guarding(...)`): before the loop sleeps,
+  the pump sees what was left, and takes it up.
 
 The tasks are shielded and survive the cancelling of the user's code: `Pump.run` ends by `Pump.stop` only. Without that a cancel
 would put nothing on the wire, and drives would run on. All of it is protected from a KeyboardInterrupt in the middle of a turn.
 
-**Time.** One clock, trio's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once where
-the transport can tell what has come, else by giving the receivers a few rounds of trio's scheduler: a process
-that was stalled (a laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost.
-If it was stalled during that look, it looks again. Participants of one process (a master and its simulated devices) are stalled
-together: if any of them is late, all are, and a device waits for the overdue heartbeat of its master.
-An alarm for what has been settled meanwhile, as the timeout of a request that was answered, is not due, and costs nothing.
-The timekeeper sleeps by the finest timer that the platform has (alarm.py); however late it is, SYNC keeps its phase.
+**Time.** One clock, the loop's, in ns. Before a due timeout is handled, the frames that are already there are taken in, at once
+where the transport can tell what has come, else by giving the receivers a few rounds of the loop: a process that was stalled (a
+laptop's lid, a debugger) then finds the heartbeats that came meanwhile, and reports no false HeartbeatLost. If it was stalled
+during that look, it looks again. Participants of one process (a master and its simulated devices) are stalled together: if any of
+them is late, all are, and a device waits for the overdue heartbeat of its master. An alarm for what has been settled meanwhile,
+as the timeout of a request that was answered, is not due, and costs nothing. The timekeeper sleeps by the finest timer that the
+platform has (alarm.py); however late it is, SYNC keeps its phase.
 
 **When a bus fails**, its tasks end, what is queued for it is dropped, and `on_failure` is told once; the other buses run on until
 they are stopped. A bug in the core is told in the same way, and the pump runs on, so that drives can still be halted.
@@ -36,15 +35,13 @@ from contextlib import closing
 from functools import partial
 from typing import Final, TypeAlias
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.participant.alarm import Alarm, best_alarm
 from canopen_master.participant.bus import FRAME_BITS, MAX_BATCH, Bus
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_transports import FrameNotSentError, Received, Report, TransportError
 from canopen_transports.errors import BUS_LOST, NOT_ACKNOWLEDGED
+from canopen_transports.loop import TASK_STATUS_IGNORED, RunVar, TaskStatus, current_loop, protected
 
 MAX_CATCH_UP: Final = 4096
 """Frames that are taken in before a due timeout is handled. A bus that brings more, without end, must not hold up the time."""
@@ -55,13 +52,10 @@ _STALL: Final = 5 * MILLISECOND
 MAX_LOOKS: Final = 4
 """How often, before a due timeout is handled, it is seen to that the process was not stalled while it looked at what had come."""
 
-_TICKS: Final = 2
-"""A frame that is there reaches us within two rounds of trio's scheduler; through a thread, the second one is needed."""
-
 QUIET_TICKS: Final = 3
 """A sender that sends a frame in each round is heard at least once in three: a receiver that waits is woken in the next round."""
 
-_pumps: trio.lowlevel.RunVar[set[Pump]] = trio.lowlevel.RunVar("canopen_master pumps")
+_pumps: RunVar[set[Pump]] = RunVar(set)  # those of this run of the loop that run
 
 
 OnEvent: TypeAlias = Callable[[Bus, Event], None]
@@ -71,26 +65,11 @@ OnFailure: TypeAlias = Callable[[Bus | None, Exception], None]
 """A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
 
 
-class _LastLook(trio.abc.Instrument):
-    """Looks at the machines before trio's loop sleeps; costs some 0.3 us each time."""
-
-    def __init__(self, pump: Pump) -> None:
-        self._pump = pump
-        self._outboxes = [bus.network.out for bus in pump.buses]
-        self._token = trio.lowlevel.current_trio_token()
-
-    def before_io_wait(self, timeout: float) -> None:
-        for out in self._outboxes:
-            if out.frames or out.events or out.armed or out.rerouted:
-                self._token.run_sync_soon(self._pump.pump, idempotent=True)  # which ends this sleep at once
-                return
-
-
 class Pump:
     """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
 
     on_event, on_failure: called with what the networks report, and with what goes wrong.
-    quiet_ticks: after a stall, so many rounds of trio's scheduler without a frame show that all frames were taken in.
+    quiet_ticks: after a stall, so many rounds of the loop without a frame show that all frames were taken in.
     before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
     """
 
@@ -107,22 +86,24 @@ class Pump:
         self._on_failure = on_failure
         self._quiet_ticks = quiet_ticks
         self._before_timeouts = before_timeouts
-        self._scope = trio.CancelScope(shield=True)
+        self._loop = current_loop()
+        self._token = self._loop.token()
+        self._scope = self._loop.cancel_scope(shield=True)
         self._alarm: Alarm | None = None
         self._wake: Time = NEVER  # what the alarm is set for
         self._is_pumping = False
         self._received = 0
         self._outs = tuple((bus, bus.network.out) for bus in self.buses)
-        self._clock = trio.lowlevel.current_clock()
-        self._running = _running_pumps()
+        self._clock = self._loop.clock()
+        self._running = _pumps.get()
         self._filtered = tuple(bus for bus in self.buses if bus.is_filtered)
         self._renew_filters()
 
     def now(self) -> Time:
-        """trio's clock in ns: the one time of all machines."""
-        return round(self._clock.current_time() * SECOND)
+        """Return the loop's clock in ns: the one time of all machines."""
+        return round(self._clock() * SECOND)
 
-    @enable_ki_protection
+    @protected
     def pump(self, now: Time | None = None) -> None:
         """Take up everything that the machines have to say, until nothing is left. Call it after each mutation (at `now`)."""
         if self._is_pumping:
@@ -173,15 +154,14 @@ class Pump:
         for bus in self.buses:
             await bus.flush()
 
-    @enable_ki_protection
-    async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
+    @protected
+    async def run(self, task_status: TaskStatus[None] = TASK_STATUS_IGNORED) -> None:
         """The tasks. Started in a nursery; returns after `stop` only, whatever is cancelled around it."""
-        last_look = _LastLook(self)
-        trio.lowlevel.add_instrument(last_look)
+        end_looks = self._loop.before_sleep(self._look)
         self._running.add(self)
         try:
-            with self._scope:
-                async with trio.open_nursery() as nursery:
+            with self._loop.holding_interrupts(), self._scope:
+                async with self._loop.open_nursery() as nursery:
                     for bus in self.buses:
                         bus.push_to(partial(self._pushed, bus))
                         nursery.start_soon(self._receive, bus)
@@ -192,9 +172,16 @@ class Pump:
             self._running.discard(self)
             for bus in self.buses:
                 bus.push_to(None)
-            trio.lowlevel.remove_instrument(last_look)
+            end_looks()
 
-    @enable_ki_protection
+    def _look(self, timeout: float | None) -> None:
+        """Look at the machines before the loop sleeps; costs some 0.3 us each time."""
+        for _, out in self._outs:
+            if out.frames or out.events or out.armed or out.rerouted:
+                self._token.run_sync_soon(self.pump, idempotent=True)  # which ends this sleep at once
+                return
+
+    @protected
     async def _receive(self, bus: Bus) -> None:
         while not bus.failed:
             try:
@@ -205,7 +192,7 @@ class Pump:
                 self._received += len(received)
                 self._take_in(bus, received, self.now())
 
-    @enable_ki_protection
+    @protected
     def _pushed(self, bus: Bus, frame: Frame, now: Time) -> None:
         if bus.failed:
             return
@@ -231,7 +218,7 @@ class Pump:
         except Exception as error:  # noqa: BLE001 - as in `_turn`
             self._on_failure(None, error)
 
-    @enable_ki_protection
+    @protected
     async def _send(self, bus: Bus) -> None:
         while not bus.failed:
             frame = await bus.next_frame(self.now)
@@ -246,7 +233,7 @@ class Pump:
                 if bus.is_dropping:
                     self._turn(bus.settle_not_sent)
 
-    @enable_ki_protection
+    @protected
     async def _keep_time(self) -> None:
         with closing(best_alarm()) as self._alarm:
             while True:
@@ -267,7 +254,7 @@ class Pump:
         """
         for _ in range(MAX_LOOKS):
             if not all(self._take_what_has_come(bus) for bus in self.buses) or late > _STALL:
-                await self._catch_up(self._quiet_ticks if late > _STALL else _TICKS)
+                await self._catch_up(self._quiet_ticks if late > _STALL else self._loop.rounds_to_hear)
             now = self.now()
             late, looked = now - looked, now
             if late <= _STALL:
@@ -294,7 +281,7 @@ class Pump:
         while self._received < enough:
             received = self._received
             for _ in range(ticks):
-                await trio.lowlevel.checkpoint()
+                await self._loop.checkpoint()
             if received == self._received:
                 return
 
@@ -333,18 +320,9 @@ class Pump:
             return
         bus.fail()
         if not isinstance(error, TransportError):
-            closed = isinstance(error, trio.ClosedResourceError)
+            closed = isinstance(error, self._loop.ClosedResourceError)
             seen = "somebody has closed the transport" if closed else f"{type(error).__name__}: {error}"
             name = getattr(bus.transport, "locator", bus.name)
             cause, error = error, TransportError(BUS_LOST, name, f"cannot {doing} on {name}", seen=seen)
             error.__cause__ = cause
         self._on_failure(bus, error)
-
-
-def _running_pumps() -> set[Pump]:
-    """Return the pumps of this trio run that run."""
-    try:
-        return _pumps.get()
-    except LookupError:
-        _pumps.set(set())
-        return _pumps.get()

@@ -6,13 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import trio
-from trio.lowlevel import enable_ki_protection
-
 from canopen_master.participant.dispatch import Dispatcher
 from canopen_proto.machine import Outcome, RequestId, Time
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoProgress
+from canopen_transports.loop import CancelScope, current_loop, protected
 
 if TYPE_CHECKING:
     from canopen_master.participant.bus import Bus
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
 class OpenRequest:
     """A request to a node, sent when this object is made. `outcome` waits for its end, `take_back` gives it up."""
 
-    @enable_ki_protection
+    @protected
     def __init__(
         self, pump: Pump, dispatcher: Dispatcher, bus: Bus, remote: RemoteNode, submit: Callable[[Time], RequestId]
     ) -> None:
@@ -35,7 +33,7 @@ class OpenRequest:
         self._waiter = dispatcher.expect(self._root, self.request_id, remote)
         pump.pump(now)
 
-    @enable_ki_protection
+    @protected
     async def outcome(self) -> Outcome:
         """Wait for the outcome. A cancelled wait takes the request back. Raises BusError or MasterClosedError if there is
         none."""
@@ -51,9 +49,9 @@ class OpenRequest:
         return await self._waiter.next_news()
 
     @contextmanager
-    def while_open(self) -> Iterator[trio.CancelScope]:
+    def while_open(self) -> Iterator[CancelScope]:
         """Return a scope that is cancelled when the outcome comes."""
-        with trio.CancelScope() as scope:
+        with current_loop().cancel_scope() as scope:
             self._waiter.ends = scope
             if self._waiter.is_done:
                 scope.cancel()
@@ -62,14 +60,14 @@ class OpenRequest:
             finally:
                 self._waiter.ends = None
 
-    @enable_ki_protection
+    @protected
     def take_back(self) -> None:
         """Give the request up: a transfer under way is aborted on the wire. Does nothing if the outcome has come."""
         if self._dispatcher.forget(self._root, self.request_id):
             self._remote.cancel(self.request_id, self._pump.now())
             self._pump.pump()
 
-    @enable_ki_protection
+    @protected
     def pump(self) -> None:
         """Send what was just fed or asked for."""
         self._pump.pump()

@@ -10,9 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final, Generic, TypeVar
 
-import trio
-
 from canopen_proto.machine import Event
+from canopen_transports.loop import current_loop
 
 E = TypeVar("E", bound=Event)
 
@@ -36,7 +35,8 @@ class Subscription(Generic[E]):
         self._close = close
         self._size = size
         self._events: deque[E] = deque()
-        self._waiting = trio.lowlevel.ParkingLot()
+        self._loop = current_loop()
+        self._waiting = self._loop.parking_lot()
         self._in_a_row = 0  # the events to take before the next checkpoint; never more than there are
         self._end: BaseException | None = None
 
@@ -61,9 +61,9 @@ class Subscription(Generic[E]):
         After HANDED_OVER events without a wait, other tasks run first. Raises BusError or MasterClosedError at the end.
         """
         if self._in_a_row:
-            await trio.lowlevel.checkpoint_if_cancelled()
+            await self._loop.checkpoint_if_cancelled()
         elif self._events or self._end is not None:
-            await trio.lowlevel.checkpoint()
+            await self._loop.checkpoint()
         while not self._events:
             if self._end is not None:
                 raise self._end

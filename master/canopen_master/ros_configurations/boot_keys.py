@@ -22,12 +22,12 @@ DEFAULT_MULTIPLIER: Final = 3
 _IN_BOOT: Final = " in boot of the node"
 _NMT_INHIBIT_UNIT: Final = 100 * MICROSECOND
 _FLAGS: Final = (("mandatory", "mandatory", False), ("boot", "start", False), ("reset_communication", "keep_alive", True))
-"""JointKeys of a node that are flags: ours, and whether it means the opposite."""
+"""Keys of a node that are flags: ours, and whether it means the opposite."""
 _NUMBERS: Final = {
     "revision_number": ("revision", 0xFFFF_FFFF), "serial_number": ("serial", 0xFFFF_FFFF),
     "software_version": ("software", 0xFFFF_FFFF), "restore_configuration": ("restore", 127),
 }  # fmt: skip
-"""JointKeys of a node that are numbers: ours, and the highest value."""
+"""Keys of a node that are numbers: ours, and the highest value."""
 
 
 class HeartbeatWatch(NamedTuple):

@@ -1,6 +1,6 @@
 """ros2_canopen's bus.yml: `options`, `master`, `defaults` and `nodes`; in older files the nodes stand at the top.
 
-Source: ros2_canopen's documentation and drivers, and Lely's dcfgen, whose keys most of these are (PDOs: from memory).
+Source: ros2_canopen's documentation and drivers, and Lely's dcfgen (dcfgen/cli.py of lely-core), whose keys most of these are.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ _IDENTITY: Final = "the device's file tells it; `canopen info NODE` compares"
 _ROS: Final = "of ROS, not of the machine"
 _PDO_BASES: Final = {"tpdo": (0x180, indices.TPDO_COMMUNICATION, indices.TPDO_MAPPINGS),
                      "rpdo": (0x200, indices.RPDO_COMMUNICATION, indices.RPDO_MAPPINGS)}  # fmt: skip
-_PDO_KEYS: Final = {"transmission": 2, "inhibit_time": 3, "event_timer": 5, "event_deadline": 5, "sync_start": 6}
-"""JointKeys of a PDO by their subindex in its communication record."""
+_PDO_KEYS: Final = {"tpdo": {"transmission": 2, "inhibit_time": 3, "event_timer": 5, "sync_start": 6},
+                    "rpdo": {"transmission": 2, "event_deadline": 5}}  # fmt: skip
+"""The keys that dcfgen writes to a PDO of this direction, and their subindices in its communication record."""
 
 
 def is_ros2_canopen(top: Mapping[str, Value]) -> bool:
@@ -228,15 +229,17 @@ def _pdos(node: YamlSection, report: ImportReport, node_id: int) -> Iterator[Set
             if cob_id is None or cob_id.text == "auto":
                 can_id = base + 0x100 * (number - 1) + node_id if number <= 4 else None
             else:
-                can_id = cob_id.integer(1, 0x1FFFFFFF)
+                can_id = cob_id.integer(1, 0xFFFFFFFF)
             if can_id is None:
                 report.left_out(pdo, "only the first four PDOs have a COB-ID by themselves: cob_id names one")
                 continue
             is_enabled = enabled is None or enabled.truth()
             yield Setting(mux(record, 1), hex(can_id | (0 if is_enabled else 1 << 31)), pdo, pdo)
-            for each, subindex in _PDO_KEYS.items():
+            for each, subindex in _PDO_KEYS[key].items():
                 if (value := own.take(each)) is not None:
                     yield Setting(mux(record, subindex), value.string(), value, pdo)
+            others = [each for other in _PDO_KEYS.values() for each in other if each not in _PDO_KEYS[key]]
+            own.left_out(dict.fromkeys(others, f"dcfgen writes it to no {key.upper()}"))
             mapped = own.take("mapping")
             own.close()
             if mapped is not None:

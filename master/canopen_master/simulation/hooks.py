@@ -15,7 +15,7 @@
     def step(device, t):                        # every PERIOD seconds (0.01), t seconds after power-on
         device["position actual value"] = round(1000 * math.sin(t))
 
-    async def run(device):                      # or as a trio task, from power-on
+    async def run(device):                      # or as a task, from power-on
         await trio.sleep(2)
         device.raise_error(0x4210)
 
@@ -40,8 +40,6 @@ from collections.abc import Awaitable, Callable, Coroutine
 from pathlib import Path
 from typing import Any, Final, NoReturn, Protocol
 
-import trio
-
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import Key, NotInDictionaryError, ObjectDictionary
@@ -53,6 +51,7 @@ from canopen_proto.nmt import NmtCommand, NmtResetRequested, NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.multiplexed import MpdoReceived
 from canopen_proto.sdo.server import ObjectAccessPending
+from canopen_transports.loop import TASK_STATUS_IGNORED, Nursery, TaskStatus, current_loop
 
 PERIOD: Final = 0.01
 """Seconds between two calls of `step`, unless the script says otherwise."""
@@ -209,7 +208,7 @@ class Hooks:
         self._names = script.load()
         self._device = ScriptDevice(node, owner, self._tell)
         self._served = self._find_served()
-        self._nursery: trio.Nursery | None = None
+        self._nursery: Nursery | None = None
         if "on_read" in self._names or "on_write" in self._names:
             node.deferred |= self._served
 
@@ -232,16 +231,16 @@ class Hooks:
         """Call `setup`, after power-on or a reset: the values are the defaults."""
         self._guard("setup", self._device)
 
-    async def run(self, task_status: trio.TaskStatus[None] = trio.TASK_STATUS_IGNORED) -> None:
+    async def run(self, task_status: TaskStatus[None] = TASK_STATUS_IGNORED) -> None:
         """Run `run` and `step`, from power-on until cancelled."""
-        async with trio.open_nursery() as self._nursery:
+        async with current_loop().open_nursery() as self._nursery:
             try:
                 if "run" in self._names:
                     self._nursery.start_soon(self._run)
                 if "step" in self._names:
                     self._nursery.start_soon(self._step)
                 task_status.started()
-                await trio.sleep_forever()
+                await current_loop().sleep_forever()
             finally:
                 self._nursery = None
 
@@ -256,12 +255,12 @@ class Hooks:
     async def _step(self) -> None:
         start, failures = self._owner.now(), 0
         period = self._period()
-        wake = trio.current_time()
+        wake = current_loop().current_time()
         while failures < MAX_FAILURES:
             done, _ = self._guard("step", self._device, (self._owner.now() - start) / SECOND)
             failures = 0 if done else failures + 1
-            wake = max(wake + period, trio.current_time())
-            await trio.sleep_until(wake)
+            wake = max(wake + period, current_loop().current_time())
+            await current_loop().sleep_until(wake)
         self._tell(f"{self._script.path}: step failed {MAX_FAILURES} times in a row and is no longer called")
 
     def _period(self) -> float:

@@ -17,8 +17,6 @@ from functools import partial
 from itertools import count
 from typing import Final, TypeAlias
 
-import trio
-
 from canopen_master.errors import BusError
 from canopen_master.participant.bus import Bus, BusChanged
 from canopen_master.participant.pump import Pump
@@ -37,9 +35,10 @@ from canopen_proto.sdo.server import ObjectAccessPending
 from canopen_proto.simulation.drive.node import DriveNode, powerball
 from canopen_proto.simulation.drive.settings import SYNC_TOLERANCE, DriveSettings
 from canopen_transports import BusState, Transport, TransportError
+from canopen_transports.loop import TASK_STATUS_IGNORED, Nursery, TaskStatus, current_loop
 
 PATIENCE: Final = 16
-"""Rounds of trio's scheduler. A master in this process is stalled together with its devices, and takes some rounds to send its
+"""Rounds of the loop. A master in this process is stalled together with its devices, and takes some rounds to send its
 SYNC; the devices wait for it before they handle their own timeouts."""
 
 IN_PROCESS: Final = 60 * SECOND
@@ -93,7 +92,7 @@ async def simulate(
     devices: Iterable[DeviceMaker],
     *,
     on_event: Callable[[Event], object] | None = None,
-    task_status: trio.TaskStatus[Host] = trio.TASK_STATUS_IGNORED,
+    task_status: TaskStatus[Host] = TASK_STATUS_IGNORED,
 ) -> None:
     """Serve devices on a transport until cancelled; then close it. They boot at once, in the order given.
 
@@ -103,7 +102,7 @@ async def simulate(
     try:
         await Host(transport, devices, on_event).serve(task_status)
     finally:
-        with trio.CancelScope(shield=True):
+        with current_loop().cancel_scope(shield=True):
             await transport.aclose()
 
 
@@ -132,7 +131,7 @@ class Host:
         self._say = say
         self._failure: Exception | None = None
         self._is_bus_off = False
-        self._ended = trio.Event()
+        self._ended = current_loop().event()
         made = [(make, make(network.out)) for make in devices]
         self.nodes = tuple(node for _, node in made)
         self._hooks = {
@@ -161,12 +160,12 @@ class Host:
         """Send the frames and report the events of the devices."""
         self._pump.pump()
 
-    async def serve(self, task_status: trio.TaskStatus[Host] = trio.TASK_STATUS_IGNORED) -> None:
+    async def serve(self, task_status: TaskStatus[Host] = TASK_STATUS_IGNORED) -> None:
         """Boot the devices and serve them until cancelled. Raises BusError when the bus fails."""
-        async with trio.open_nursery() as nursery:
+        async with current_loop().open_nursery() as nursery:
             nursery.start_soon(self._pump.run)
             try:
-                async with trio.open_nursery() as scripts:
+                async with current_loop().open_nursery() as scripts:
                     await self._boot(scripts)
                     await self._pump.flush()  # a master that opens now must not take these boot-ups for resets
                     task_status.started(self)
@@ -177,7 +176,7 @@ class Host:
         if self._failure is not None:
             raise self._failure
 
-    async def _boot(self, scripts: trio.Nursery) -> None:
+    async def _boot(self, scripts: Nursery) -> None:
         for hooks in self._hooks.values():
             hooks.set_up()
             await scripts.start(hooks.run)

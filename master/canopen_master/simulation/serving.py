@@ -12,8 +12,6 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import Final
 
-import trio
-
 from canopen_data.configured import configure
 from canopen_data.drive_from_file import drive_dictionary_of
 from canopen_master.simulation.host import IN_PROCESS, DeviceMaker, Host
@@ -29,6 +27,7 @@ from canopen_proto.simulation.drive.dictionary import drive_dictionary
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.simulation.drive.settings import DriveSettings, Shape, Track
 from canopen_transports import Transport, open_transport
+from canopen_transports.loop import CancelScope, TaskStatus, current_loop
 from canopen_transports.tracing import for_devices
 
 DEMO_LOCATOR: Final = "virtual:demo"
@@ -177,12 +176,12 @@ async def simulated_devices(
         return Host(transport, each, on_event, keeper=keeper, say=say)
 
     failure: Exception | None = None
-    async with trio.open_nursery() as nursery:
-        serving = trio.CancelScope()
+    async with current_loop().open_nursery() as nursery:
+        serving = current_loop().cancel_scope()
         hosts: list[Host] = await nursery.start(_serve, makers, host_on, serving)
         serving.shield = True  # only from now on: a start that is cancelled waits for its tasks, which must end then
         try:
-            await trio.sleep(BOOT_TIME)
+            await current_loop().sleep(BOOT_TIME)
             yield SimulatedDevices(hosts)
         except Exception as error:  # noqa: BLE001 - raised again below: the nursery would wrap it in a group
             failure = error
@@ -195,12 +194,12 @@ async def simulated_devices(
 async def _serve(
     makers: Mapping[str, Sequence[DeviceMaker]],
     host_on: Callable[[Transport, Sequence[DeviceMaker]], Host],
-    scope: trio.CancelScope,
-    task_status: trio.TaskStatus[list[Host]],
+    scope: CancelScope,
+    task_status: TaskStatus[list[Host]],
 ) -> None:
     hosts: list[Host] = []
     with scope:
-        async with trio.open_nursery() as nursery:
+        async with current_loop().open_nursery() as nursery:
             for locator, each in makers.items():
                 with for_devices():
                     transport = await open_transport(locator)
@@ -212,10 +211,10 @@ async def _serve_on(
     transport: Transport,
     makers: Sequence[DeviceMaker],
     host_on: Callable[[Transport, Sequence[DeviceMaker]], Host],
-    task_status: trio.TaskStatus[Host],
+    task_status: TaskStatus[Host],
 ) -> None:
     try:
         await host_on(transport, makers).serve(task_status)
     finally:
-        with trio.CancelScope(shield=True):
+        with current_loop().cancel_scope(shield=True):
             await transport.aclose()

@@ -30,7 +30,8 @@ MIN_PERIOD: Final = 1_000
 
 
 def check_cyclic(frames: Sequence[Frame], period: int) -> None:
-    """Raise ValueError unless the kernel can send these frames in turn, one each `period`: 1 to 256 frames, 1000 ns or more."""
+    """Raise ValueError unless the kernel can send these frames in turn, one each `period`: 1 to 256 frames, 1,000 ns or
+    more, of which the kernel leaves out the part below 1 us."""
     if not 1 <= len(frames) <= MAX_CYCLIC_FRAMES:
         raise ValueError(f"the kernel sends 1 to {MAX_CYCLIC_FRAMES} frames in turn, not {len(frames)}")
     if period < MIN_PERIOD:
@@ -43,7 +44,7 @@ class Broadcast:
     """Lets the kernel send frames on one interface until it is closed: the first frame now, then one each `period`."""
 
     def __init__(self, interface: str, frames: Sequence[Frame], period: int) -> None:
-        """frames, period: as for `check_cyclic`. Raises OSError as the kernel does."""
+        """interface: its name, such as "can0". frames, period: as for `check_cyclic`. Raises OSError as the kernel does."""
         name = frames[0].can_id | frames[0].flags << 30  # names the job to the kernel; each frame has its own identifier
         seconds, microseconds = divmod(period // 1000, 1_000_000)
         flags = socket.CAN_BCM_SETTIMER | socket.CAN_BCM_STARTTIMER

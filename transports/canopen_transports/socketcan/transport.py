@@ -1,4 +1,4 @@
-"""A raw CAN socket on trio: no thread, nothing between the kernel and the frame.
+"""A raw CAN socket: no thread, nothing between the kernel and the frame.
 
 **Receiving.** One system call takes all waiting frames, up to a batch (batch.py), each with the kernel's time stamp. They are
 kept until `receive` asks for them, so that a cancelled `receive` has taken none. Other tasks run between two batches. The kernel
@@ -34,8 +34,6 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Final
 
-import trio
-
 from canopen_proto.frame import EXTENDED, REMOTE, Frame, RoutingKey
 from canopen_transports import diagnosis
 from canopen_transports.diagnosis import QUIET_TIME, ROOM_POLL, ROOM_TIME
@@ -49,6 +47,7 @@ from canopen_transports.errors import (
     Report,
 )
 from canopen_transports.locator import Locator, Option
+from canopen_transports.loop import AsyncResource, current_loop
 from canopen_transports.socketcan import kernel
 from canopen_transports.socketcan.batch import BATCH, Batch
 from canopen_transports.socketcan.bit_rate import bitrate_of
@@ -72,7 +71,7 @@ _DOWN_OR_OFF: Final = (BusState.DOWN, BusState.BUS_OFF)
 _COUNTER: Final = 0xFFFFFFFF  # the kernel counts dropped frames in 32 bits
 
 
-class SocketCanTransport(trio.abc.AsyncResource):
+class SocketCanTransport(AsyncResource):
     """A raw CAN socket; made by `open_socketcan`.
 
     filtered: whether `set_filters` shall take effect; a Network on such a transport does not hear all frames (`hears_all`).
@@ -82,6 +81,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     def __init__(self, locator: Locator, *, filtered: bool = False, sends_sync: bool = False) -> None:
         """Raises OSError."""
+        self._loop = current_loop()
         self.locator = locator.text
         self.filtered = filtered
         self.sends_sync = sends_sync
@@ -96,7 +96,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         self._items: deque[Received | Report] = deque()
         self._batch = Batch(ctypes.CDLL(None, use_errno=True))
         self._is_burst = False
-        self._send_lock = trio.Lock()
+        self._send_lock = self._loop.lock()
         self._broadcast: Broadcast | None = None
         self._carrier_was_lost = False
         self._open()
@@ -132,7 +132,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     @property
     def bitrate(self) -> int | None:
-        """The interface's, as the kernel tells it now."""
+        """The bit rate of the interface in bit/s, as the kernel tells it now; None if it does not."""
         return bitrate_of(self._locator.channel)
 
     async def send(self, frame: Frame) -> None:
@@ -142,12 +142,12 @@ class SocketCanTransport(trio.abc.AsyncResource):
         Raises FrameNotSentError while the interface is down or the controller bus-off.
         """
         check_frame(frame)
-        await trio.lowlevel.checkpoint_if_cancelled()
+        await self._loop.checkpoint_if_cancelled()
         data = kernel.pack(frame)
         if self._send_lock.locked() or self._try_to_send(frame, data):
             async with self._send_lock:
                 await self._wait_and_send(frame, data)
-        await trio.lowlevel.cancel_shielded_checkpoint()
+        await self._loop.cancel_shielded_checkpoint()
 
     def send_nowait(self, frame: Frame) -> bool:
         """Hand the frame to the kernel at once. Returns False, and sends nothing, if there is no room or another task waits."""
@@ -157,7 +157,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
     def _try_to_send(self, frame: Frame, data: bytes) -> int:
         """Send the frame and return 0; if there is no room, return EAGAIN or ENOBUFS."""
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
         if self.state in _DOWN_OR_OFF and not self._is_back():
             raise self._not_sent(frame)
         try:
@@ -172,16 +172,16 @@ class SocketCanTransport(trio.abc.AsyncResource):
         return 0
 
     async def _wait_and_send(self, frame: Frame, data: bytes) -> None:
-        give_up = trio.current_time() + ROOM_TIME
+        give_up = self._loop.current_time() + ROOM_TIME
         while number := self._try_to_send(frame, data):
-            if trio.current_time() >= give_up:
+            if self._loop.current_time() >= give_up:
                 raise diagnosis.no_room(self._locator, f"send {frame}", ROOM_TIME, self.received, self.last_error)
             if number == errno.ENOBUFS:
-                await trio.sleep(ROOM_POLL)
+                await self._loop.sleep(ROOM_POLL)
             else:
                 # ClosedResourceError: the transport was closed, or the bus is away. The next try shows which.
-                with suppress(trio.ClosedResourceError), trio.move_on_at(give_up):
-                    await trio.lowlevel.wait_writable(self._socket)
+                with suppress(self._loop.ClosedResourceError), self._loop.move_on_at(give_up):
+                    await self._loop.wait_writable(self._socket)
 
     def _not_sent(self, frame: Frame) -> FrameNotSentError:
         if self.state is BusState.BUS_OFF:
@@ -201,7 +201,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
         """Wait until the kernel has received something; return at most one batch. One task at a time. limit: how many at most."""
-        await trio.lowlevel.checkpoint_if_cancelled()
+        await self._loop.checkpoint_if_cancelled()
         items = self._items
         while not items:
             await self._wait()
@@ -211,7 +211,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         """Return what the kernel has received; None while frames come in bursts, and while the interface is down. limit: how many
         at most."""
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
         if not self._items:
             if self._is_burst or self.state is BusState.DOWN:
                 return None
@@ -221,16 +221,16 @@ class SocketCanTransport(trio.abc.AsyncResource):
     async def _wait(self) -> None:
         """Wait until the socket is readable, then read one batch of frames."""
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
         if self.state is BusState.DOWN:
             if not self._is_back():
-                await trio.sleep(UP_POLL)
+                await self._loop.sleep(UP_POLL)
             return
         if self._is_burst:
-            await trio.lowlevel.checkpoint()  # more frames probably wait, but other tasks shall run, too
+            await self._loop.checkpoint()  # more frames probably wait, but other tasks shall run, too
         else:
-            with suppress(trio.ClosedResourceError):  # closed, or the bus is away: the next turn shows which
-                await trio.lowlevel.wait_readable(self._socket)
+            with suppress(self._loop.ClosedResourceError):  # closed, or the bus is away: the next turn shows which
+                await self._loop.wait_readable(self._socket)
         if not self._closed and not self._items:  # a sender may have seen the bus go away meanwhile
             self._read()
 
@@ -302,7 +302,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
             self._items.append(ReceiveOverrun(self.locator, 1, report.text))
         state = report.state
         if state in (BusState.FAULT, BusState.NO_ACKNOWLEDGE):  # not a state of the controller; may come with each frame
-            now = trio.current_time()
+            now = self._loop.current_time()
             if now >= self._quiet_until[state]:
                 self._quiet_until[state] = now + QUIET_TIME
                 self._report(state, report.text)
@@ -319,7 +319,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
             likely = diagnosis.not_acknowledged(self._locator, "go on", seen, self.received)
             cause, tries = likely.cause, likely.tries
         self._items.append(BusStateChanged(self.locator, state, seen, cause=cause, tries=tries))
-        trio.lowlevel.notify_closing(self._socket)  # wake a waiting receiver
+        self._loop.notify_closing(self._socket)  # wake a waiting receiver
 
     def _why_away(self) -> tuple[str, str, tuple[str, ...]]:
         """Return what is seen of an interface that is not up, the cause, and what to do."""
@@ -368,7 +368,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
                 self._open()
             except OSError:  # it went away again meanwhile
                 return False
-            trio.lowlevel.notify_closing(old)
+            self._loop.notify_closing(old)
             old.close()
             seen = f"there is a new {name}, and it is UP"
         self.state = BusState.ACTIVE
@@ -398,7 +398,7 @@ class SocketCanTransport(trio.abc.AsyncResource):
         TransportError if the kernel refuses.
         """
         if self._closed:
-            raise trio.ClosedResourceError(f"{self.locator} was closed")
+            raise self._loop.ClosedResourceError(f"{self.locator} was closed")
         check_cyclic(frames, period)
         self.stop_cyclic()
         try:
@@ -418,9 +418,9 @@ class SocketCanTransport(trio.abc.AsyncResource):
             self._closed = True
             self._items.clear()
             self.stop_cyclic()
-            trio.lowlevel.notify_closing(self._socket)
+            self._loop.notify_closing(self._socket)
             self._socket.close()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
 
 
 _OPTIONS: Final[dict[str, tuple[Option, ...]]] = {"filter": ("ids",), "sync": ("bcm",)}

@@ -11,10 +11,9 @@ import socket
 from collections import deque
 from typing import Final
 
-import trio
-
 from canopen_proto.frame import Frame
 from canopen_transports.errors import NOT_ACKNOWLEDGED, ReceiveOverrun, Report, TransportError
+from canopen_transports.loop import AsyncResource, StreamSocket, current_loop
 from canopen_transports.tcp.address import cannot_connect, connection_lost, no_bus_server, parse_address
 from canopen_transports.tcp.framing import HELLO, Bye, FramingError, LineSplitter, Lost, decode, encode, shown
 from canopen_transports.transport import Received, check_frame
@@ -32,17 +31,18 @@ KEEP_ALIVE: Final = (("TCP_KEEPIDLE", 10), ("TCP_KEEPINTVL", 5), ("TCP_KEEPCNT",
 _SERVER_GONE: Final = "the bus server was ended, or it cut us off because we took frames too slowly"
 
 
-class TcpTransport(trio.abc.AsyncResource):
+class TcpTransport(AsyncResource):
     """A member of a bus server's bus. Made by `open_tcp`."""
 
-    def __init__(self, locator: str, sock: trio.socket.SocketType, lines: LineSplitter, waiting: list[bytes]) -> None:
+    def __init__(self, locator: str, sock: StreamSocket, lines: LineSplitter, waiting: list[bytes]) -> None:
+        self._loop = current_loop()
         self.locator = locator
         self._socket = sock
         self._lines = lines
         self._waiting = deque(waiting)  # lines; bounded, as nothing is read while lines wait
         self._failure: TransportError | None = None
         self._closed = False
-        self._send_lock = trio.Lock()
+        self._send_lock = self._loop.lock()
 
     async def send(self, frame: Frame) -> None:
         """Hand the frame to the server. Waits up to ROOM_TIME until the server takes it, then raises TransportError (CO110)."""
@@ -51,13 +51,13 @@ class TcpTransport(trio.abc.AsyncResource):
         async with self._send_lock:
             self._check_open()
             try:
-                with trio.move_on_after(ROOM_TIME) as limit:
+                with self._loop.move_on_after(ROOM_TIME) as limit:
                     sent = await self._socket.send(line)  # if cancelled, it has sent nothing
                 if limit.cancelled_caught:
                     raise self._stuck(frame)
                 if sent < len(line):
                     await self._finish(frame, line[sent:])
-            except trio.ClosedResourceError:
+            except self._loop.ClosedResourceError:
                 raise self._end() from None
             except OSError as error:
                 raise self._lose("send", str(error), _SERVER_GONE) from error
@@ -81,12 +81,12 @@ class TcpTransport(trio.abc.AsyncResource):
 
     async def _read(self) -> None:
         """Wait until a line is there."""
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
         while not self._waiting:
             self._check_open()
             try:
                 chunk = await self._socket.recv(READ_SIZE)
-            except trio.ClosedResourceError:
+            except self._loop.ClosedResourceError:
                 raise self._end() from None
             except OSError as error:
                 raise self._lose("receive", str(error), _SERVER_GONE) from error
@@ -99,7 +99,7 @@ class TcpTransport(trio.abc.AsyncResource):
         if not self._closed:
             self._closed = True
             self._socket.close()
-        await trio.lowlevel.checkpoint()
+        await self._loop.checkpoint()
 
     def _next(self) -> Received | Report:
         try:
@@ -116,7 +116,7 @@ class TcpTransport(trio.abc.AsyncResource):
 
     async def _finish(self, frame: Frame, rest: bytes) -> None:
         """Send the rest of a line. A line that was begun must be ended, or the server cannot read the next one."""
-        with trio.CancelScope(shield=True, deadline=trio.current_time() + ROOM_TIME) as limit:
+        with self._loop.cancel_scope(shield=True, deadline=self._loop.current_time() + ROOM_TIME) as limit:
             while rest:
                 rest = rest[await self._socket.send(rest) :]
         if limit.cancelled_caught:
@@ -139,7 +139,7 @@ class TcpTransport(trio.abc.AsyncResource):
     def _end(self) -> Exception:
         """Return why the transport has ended: we closed it, or the connection was lost."""
         if self._closed or self._failure is None:
-            return trio.ClosedResourceError(f"{self.locator} was closed")
+            return self._loop.ClosedResourceError(f"{self.locator} was closed")
         return self._failure
 
     def _lose(self, doing: str, seen: str, cause: str) -> Exception:
@@ -155,13 +155,12 @@ async def open_tcp(locator: str, channel: str) -> TcpTransport:
     port, as "localhost:20301"."""
     host, port = parse_address(locator, channel)
     try:
-        with trio.fail_after(CONNECT_TIME):
-            stream = await trio.open_tcp_stream(host, port)
-    except trio.TooSlowError:
-        raise cannot_connect(locator, host, port, TimeoutError()) from None
+        with current_loop().move_on_after(CONNECT_TIME) as limit:
+            sock = await current_loop().connect_tcp(host, port)
     except (OSError, UnicodeError) as error:
         raise cannot_connect(locator, host, port, error) from error
-    sock = stream.socket
+    if limit.cancelled_caught:
+        raise cannot_connect(locator, host, port, TimeoutError())
     try:
         keep_alive(sock)
         lines = LineSplitter()
@@ -175,10 +174,10 @@ async def open_tcp(locator: str, channel: str) -> TcpTransport:
     return TcpTransport(locator, sock, lines, rest)
 
 
-async def _greet(sock: trio.socket.SocketType, lines: LineSplitter) -> list[bytes]:
+async def _greet(sock: StreamSocket, lines: LineSplitter) -> list[bytes]:
     """Say hello; return the first lines of the answer, or none."""
     received: list[bytes] = []
-    with trio.move_on_after(HELLO_TIME):
+    with current_loop().move_on_after(HELLO_TIME):
         try:
             await sock.send(HELLO + b"\n")
             while not received:
@@ -205,7 +204,7 @@ def _greeting_seen(first: bytes) -> str:
     )
 
 
-def keep_alive(sock: trio.socket.SocketType) -> None:
+def keep_alive(sock: StreamSocket) -> None:
     """Make the system notice that the other computer is gone."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in KEEP_ALIVE:

@@ -6,12 +6,11 @@ import signal
 import threading
 import time
 from collections.abc import AsyncIterator, Iterator
-from concurrent.futures import Future
 
 import pytest
 import trio
 
-from canopen_master.direct.background import Background
+from canopen_master.blocking.background import Background, _Call
 from canopen_master.errors import MasterClosedError
 from canopen_proto.machine import LocalProtocolError
 
@@ -214,7 +213,7 @@ def test_a_context_that_ends_by_itself_ends_the_calls_with_its_reason(background
 @pytest.mark.parametrize("turn", range(30))
 def test_a_call_that_meets_the_very_end_of_the_context_is_told_so(background: Background[Place], place: Place, turn: int) -> None:
     """trio mixes up the order of what is due: this end and that call come in either order, in some of the turns."""
-    late: list[Future[int]] = []
+    late: list[_Call] = []
 
     async def end(place: Place) -> None:
         place.failure = OSError("cable")
@@ -222,13 +221,13 @@ def test_a_call_that_meets_the_very_end_of_the_context_is_told_so(background: Ba
         try:
             await trio.sleep_forever()
         finally:
-            late.append(Future())
-            background._soon(lambda: background._begin(Place.answer, trio.CancelScope(), late[0]))
+            late.append(_Call(background, place.answer, (), {}, None))
+            background._soon(late[0].begin)
 
     with pytest.raises(OSError, match="cable"):
         background.call(end)
-    with pytest.raises(OSError, match="cable"):
-        late[0].result(LIMIT)
+    until(lambda: late[0].is_done)
+    assert str(late[0]._error) == "cable"
     until(lambda: "left" in place.log)
 
 
@@ -250,18 +249,21 @@ def test_an_interrupt_takes_the_call_back_and_waits_for_its_clean_up(background:
 
 
 def test_an_interrupt_while_the_thread_begins_leaves_none(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    background = Background(lambda: context(place))
-    begin = background._thread.start
+    begin = threading.Thread.start
+    begun: list[threading.Thread] = []
 
-    def interrupted() -> None:
-        begin()
+    def interrupted(thread: threading.Thread) -> None:
+        begin(thread)
+        begun.append(thread)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(background._thread, "start", interrupted)
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    background = Background(lambda: context(place))
     with pytest.raises(KeyboardInterrupt):
         background.start()
     assert place.log == ["left"]
-    assert not background._thread.is_alive()
+    begun[0].join(LIMIT)
+    assert not begun[0].is_alive()
 
 
 def test_an_interrupt_of_start_leaves_no_thread(place: Place) -> None:

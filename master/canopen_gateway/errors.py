@@ -1,0 +1,124 @@
+"""The errors of a gateway: what it refuses, and what its client meets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from canopen_proto.abort import AbortCode
+from canopen_proto.explained import Explained
+from canopen_proto.gateway import GatewayCode
+
+NOT_ALLOWED: Final = "CO150"
+"""The gateway was not started with the permission for this."""
+GATEWAY_FULL: Final = "CO151"
+"""The gateway has as many clients, requests or subscriptions as it takes."""
+LEASE_TAKEN: Final = "CO152"
+"""Somebody else moves the machine, or the lease is over."""
+NO_GATEWAY: Final = "CO153"
+"""The other end is no text gateway, or the connection to it has ended."""
+GATEWAY_REFUSED: Final = "CO154"
+"""A text gateway has answered with an error of its own."""
+DOOR_REFUSED: Final = "CO155"
+"""A door cannot be opened, or not like this."""
+NOT_OVER_TEXT: Final = "CO156"
+"""A command needs a bus, and this is a text gateway."""
+
+
+class GatewayError(Explained, Exception):
+    """A gateway cannot do what it was asked for. For the fields see Explained."""
+
+
+class NotAllowedError(GatewayError, PermissionError):
+    """The gateway was not started with the permission for this; nothing was sent. permission: its name."""
+
+    def __init__(self, permission: str, what: str) -> None:
+        super().__init__(
+            NOT_ALLOWED,
+            f"{what} is not allowed here",
+            seen=f"this gateway was started without --allow {permission}",
+            tries=(f"start it with --allow {permission}, if that is meant",),
+        )
+        self.permission = permission
+
+
+class GatewayFullError(GatewayError):
+    """The gateway takes no more of this. For the fields see Explained."""
+
+    def __init__(self, what: str, most: int) -> None:
+        super().__init__(GATEWAY_FULL, f"this gateway takes no more {what}", seen=f"it has {most}", tries=("end some, or wait",))
+
+
+class PdoTakenError(GatewayError):
+    """Another client of the gateway has set up a PDO with this number. For the fields see Explained."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(GATEWAY_FULL, f"PDO {number} is another client's", tries=("another number",))
+
+
+class LeaseError(GatewayError):
+    """The machine is not moved: somebody else has the lease, it is over, or the request is an old one. For the fields see
+    Explained."""
+
+    def __init__(self, failed: str, *, seen: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(LEASE_TAKEN, failed, seen=seen, tries=tries)
+
+
+class NoGatewayError(GatewayError, ConnectionError):
+    """There is no text gateway at this address, or the connection to it has ended. For the fields see Explained."""
+
+    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(NO_GATEWAY, failed, seen=seen, cause=cause, tries=tries)
+
+
+class GatewayRefusedError(GatewayError):
+    """A text gateway has answered with an error.
+
+    gateway_code: its own (`canopen_proto.gateway.GatewayCode`), 0 if a node refused. abort_code: the node's, or None. node_id: of
+    the node, 0 if it is about none. index, subindex: of the object; None if it is about none. For the other fields see Explained.
+    """
+
+    def __init__(
+        self,
+        failed: str,
+        *,
+        gateway_code: int = 0,
+        abort_code: int | None = None,
+        node_id: int = 0,
+        index: int | None = None,
+        subindex: int | None = None,
+        seen: str = "",
+        cause: str = "",
+        tries: Iterable[str] = (),
+    ) -> None:
+        super().__init__(GATEWAY_REFUSED, failed, seen=seen, cause=cause, tries=tries)
+        self.gateway_code = gateway_code
+        self.abort_code = abort_code
+        self.node_id = node_id
+        self.index = index
+        self.subindex = subindex
+
+    @property
+    def is_silence(self) -> bool:
+        """Whether the node did not answer the gateway."""
+        return self.abort_code == AbortCode.TIMED_OUT or self.gateway_code == GatewayCode.TIME_OUT
+
+
+class NotOverTextError(GatewayError):
+    """A command needs frames, and this is a text gateway. For the fields see Explained."""
+
+    def __init__(self, locator: str, works: str) -> None:
+        super().__init__(
+            NOT_OVER_TEXT,
+            f"{locator} is a text gateway, which carries no frames",
+            cause="this command needs a bus: it listens, or sends frames of its own",
+            tries=(f"what works over it: {works}", "the bus itself, on the computer that has it"),
+        )
+
+
+class DoorError(GatewayError):
+    """A door cannot be opened: its address is in use, or reachable from other computers without a word about it. For the fields
+    see Explained."""
+
+    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(DOOR_REFUSED, failed, seen=seen, cause=cause, tries=tries)

@@ -1,0 +1,400 @@
+"""`GatewayService`: what all doors of a gateway share, and `GatewaySession`, one client of it. Neither knows of text or pages.
+
+    async with open_master("socketcan:can0") as master, open_gateway(master, allow=parse_permissions("write")) as service:
+        with service.open_session("a script") as session:
+            data = await session.read(service.nets[0], 5, 0x1018, 1)
+
+A service stands inside the master's block, and uses it like any other program: what it does ends with that block, which halts the
+drives. It adds three things: what clients may not do (guard.py), how much they may do at a time (limits.py), and who moves the
+machine (lease.py).
+
+**One request at a time for each node.** Clients that ask the same node wait for each other; those that ask others do not. A
+client's own time-out counts while its request is under way. It never counts for a node that a running chain moves: its requests
+there keep the master's time-out, or an impatient client could stop the chain.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import AsyncIterator, Collection, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager
+from functools import partial
+from typing import Final, NamedTuple
+
+import trio
+
+from canopen_gateway.errors import GatewayFullError, PdoTakenError
+from canopen_gateway.guard import Guard, Permission, permission_to_write
+from canopen_gateway.layer_settings import LayerSettings
+from canopen_gateway.lease import Lease
+from canopen_gateway.limits import Limits
+from canopen_gateway.values import ValueStream, WatchedObject
+from canopen_master import ChainState, Master, Node
+from canopen_proto import LocalProtocolError, NmtCommand, NodeGuardingLost, OwnHeartbeat
+from canopen_proto.gateway import NodeEar, NodeReport, PdoPort, PdoReport
+from canopen_proto.machine import MILLISECOND, SECOND, Machine, Time
+from canopen_proto.procedures.steps import act
+from canopen_proto.sdo.client import Block
+
+LOG_LENGTH: Final = 100
+"""Events that a service remembers, for those who look later."""
+EVENTS_WAITING: Final = 256
+"""Events that wait for one client; further ones are dropped, and counted."""
+
+
+class HeardOnNet(NamedTuple):
+    """An event of a net, for a client. net: the name of its bus. event: a NodeReport, PdoReport or NodeGuardingLost."""
+
+    net: str
+    event: NodeReport | PdoReport | NodeGuardingLost
+
+
+class GatewayService:
+    """See this module's text; made by `open_gateway`. nets: the names of the buses, in the order in which they were opened; net n
+    of a text protocol is the n-th, from 1. guard, limits: as given. lease: who moves the machine. log: the last events, oldest
+    first."""
+
+    def __init__(self, master: Master, *, allow: Collection[Permission] = (), limits: Limits | None = None) -> None:
+        """master: an open one. allow: what clients may change; by default nothing."""
+        self.master = master
+        self.guard = Guard(allow)
+        self.limits = Limits() if limits is None else limits
+        self.nets = tuple(dict.fromkeys(bus.name for bus in master.buses.values()))
+        self.lease = Lease(master, self.guard)
+        self.log: deque[HeardOnNet] = deque(maxlen=LOG_LENGTH)
+        self._sessions: list[GatewaySession] = []
+        self._last_number = 0
+        self._under_way = 0
+        self._turns: dict[tuple[str, int], trio.Lock] = defaultdict(trio.Lock)
+        self._settings: dict[str, LayerSettings] = {}
+        self._own_ids: dict[str, int] = {}
+        self._heartbeats: dict[str, OwnHeartbeat] = {}
+
+    @property
+    def sessions(self) -> Sequence[GatewaySession]:
+        """The clients that are connected."""
+        return tuple(self._sessions)
+
+    @contextmanager
+    def open_session(self, name: str) -> Iterator[GatewaySession]:
+        """Be a client while the block runs. name: for people. Raises GatewayFullError."""
+        if len(self._sessions) >= self.limits.sessions:
+            raise GatewayFullError("clients", self.limits.sessions)
+        session = GatewaySession(self, name)
+        self._sessions.append(session)
+        try:
+            yield session
+        finally:
+            session.close()
+            self._sessions.remove(session)
+
+    def node(self, net: str, node_id: int) -> Node:
+        """Return a node as the master has it. Raises LocalProtocolError for a node-ID outside 1..127, UnknownChainError."""
+        return self.master.node(node_id, bus=net)
+
+    def layer_settings(self, net: str) -> LayerSettings:
+        """Return the tool for layer setting services on a net."""
+        if net not in self._settings:
+            self._settings[net] = LayerSettings(self.master, self.guard, net)
+        return self._settings[net]
+
+    def set_own_id(self, net: str, node_id: int | None) -> None:
+        """Give this gateway a node-ID on a net, for its heartbeat; None takes it away. A heartbeat under another one ends. Raises
+        NotAllowedError; LocalProtocolError if the master's drives watch a heartbeat with this node-ID already: nobody else may
+        change that."""
+        self.guard.require(Permission.NMT, "a node-ID of this gateway")
+        settings = self.master.watchdogs.settings
+        if settings is not None and settings.node_id == node_id:
+            raise LocalProtocolError(f"node-ID {node_id} is that of the master's own heartbeat, which its drives watch")
+        if node_id == self._own_ids.get(net):
+            return
+        present = self._heartbeats.pop(net, None)
+        if present is not None:
+            present.stop(self.master.now())
+            self.detach(net, present)
+        self._own_ids.pop(net, None)
+        if node_id is not None:
+            self._own_ids[net] = node_id
+
+    def set_own_heartbeat(self, net: str, period: Time) -> None:
+        """Send a heartbeat of this gateway on a net. period: ns; 0 ends it. Raises NotAllowedError; LocalProtocolError if the
+        gateway has no node-ID there."""
+        self.guard.require(Permission.NMT, "a heartbeat of this gateway")
+        if net not in self._own_ids:
+            raise LocalProtocolError("this gateway has no node-ID there yet")
+        if net not in self._heartbeats:
+            self._heartbeats[net] = OwnHeartbeat(self.master.bus(net).network.out, self._own_ids[net])
+            self.attach(net, self._heartbeats[net])
+        heartbeat, now = self._heartbeats[net], self.master.now()
+        if period:
+            heartbeat.start(period, now)
+        else:
+            heartbeat.stop(now)
+        self.pump()
+
+    async def halt(self, net: str | None = None, node_id: int = 0) -> list[str]:
+        """Stop what moves: everything, or one net, or one node; see `Lease.halt`. Everybody may, always."""
+        return await self.lease.halt(net, node_id)
+
+    def attach(self, net: str, machine: Machine) -> None:
+        """Let a machine hear, and speak, on a net."""
+        bus = self.master.bus(net)
+        bus.network.attach(machine)
+        bus.renew_filters()
+
+    def detach(self, net: str, machine: Machine) -> None:
+        """End `attach`."""
+        bus = self.master.bus(net)
+        bus.network.detach(machine)
+        bus.renew_filters()
+
+    def pump(self) -> None:
+        """Send what a machine has just been told to send, and let it be woken in time."""
+        self.master.pump.pump()
+
+    @contextmanager
+    def under_way(self) -> Iterator[None]:
+        """Count a request while the block runs. Raises GatewayFullError."""
+        if self._under_way >= self.limits.requests:
+            raise GatewayFullError("requests at a time", self.limits.requests)
+        self._under_way += 1
+        try:
+            yield
+        finally:
+            self._under_way -= 1
+
+    @asynccontextmanager
+    async def turn(self, net: str, node_id: int, timeout: float | None) -> AsyncIterator[Node]:
+        """Have a node while the block runs, with this time-out (seconds) for each of its answers; None: the master's."""
+        with self.under_way():
+            async with self._turns[net, node_id]:
+                node = self.node(net, node_id)
+                client = node.remote.sdo
+                before = client.timeout, client.max_upload
+                if timeout is not None and not self._is_moved(node):
+                    client.timeout = max(MILLISECOND, round(timeout * SECOND))
+                client.max_upload = self.limits.value_bytes
+                try:
+                    yield node
+                finally:
+                    client.timeout, client.max_upload = before
+
+    def number_ear(self) -> int:
+        """Return a number that no ear has yet."""
+        self._last_number += 1
+        return self._last_number
+
+    def _is_moved(self, node: Node) -> bool:
+        """Return whether a chain uses this node at present."""
+        return any(
+            chain.state is not ChainState.OFF and any(device.node is node for device in chain.devices)
+            for chain in self.master.chains.values()
+        )
+
+
+class GatewaySession:
+    """A client of a gateway. name: for people. dropped: events that came faster than they were taken."""
+
+    def __init__(self, service: GatewayService, name: str) -> None:
+        self.service = service
+        self.name = name
+        self.dropped = 0
+        self._ears: dict[str, NodeEar] = {}
+        self._ports: dict[tuple[str, bool, int], PdoPort] = {}
+        self._guarded: set[tuple[str, int]] = set()
+        self._put, self._events = trio.open_memory_channel[HeardOnNet](EVENTS_WAITING)
+        self._watchers = [
+            service.master.watch((NodeReport, PdoReport, NodeGuardingLost), partial(self._hear, net), service.master.bus(net))
+            for net in service.nets
+        ]
+        self._watching = 0
+
+    def close(self) -> None:
+        """End all that this client has set up, and its hold on the machine."""
+        self.service.lease.leave(self)
+        for watcher in self._watchers:
+            self.service.master.unwatch(watcher)
+        for net, ear in self._ears.items():
+            self.service.detach(net, ear)
+        for (net, _, _), port in self._ports.items():
+            self.service.detach(net, port)
+        self._ears.clear()
+        self._ports.clear()
+        self._put.close()
+
+    # ---- objects ----
+
+    async def read(
+        self, net: str, node_id: int, index: int, subindex: int, *, timeout: float | None = None, block: Block = False
+    ) -> bytes:
+        """Read an object's bytes. timeout: seconds for each answer of the node. Raises SdoError and what else `Node.read_bytes`
+        raises; GatewayFullError."""
+        async with self.service.turn(net, node_id, timeout) as node:
+            return await node.read_bytes(index, subindex, block=block)
+
+    async def write(
+        self,
+        net: str,
+        node_id: int,
+        index: int,
+        subindex: int,
+        data: bytes,
+        *,
+        timeout: float | None = None,
+        block: Block = False,
+    ) -> None:
+        """Write an object's bytes. timeout: seconds for each answer of the node. Raises NotAllowedError, LeaseError if it moves
+        something while somebody else moves the machine; else as `read`."""
+        self.service.guard.require_write(index, subindex)
+        moves = permission_to_write(index, subindex) is Permission.MOTION
+        async with self.service.turn(net, node_id, timeout) as node:
+            if moves:  # asked when its turn has come: the lease may have been taken meanwhile
+                self.service.lease.require_free(self, f"writing 0x{index:04X}:{subindex:02X}")
+                self.service.lease.note_command(node)
+            await node.write_bytes(index, subindex, data, block=block)
+
+    def watch_values(self, objects: Sequence[WatchedObject], period: float) -> ValueStream:
+        """Return the values of objects, again and again: `async with session.watch_values(...) as values: async for ...`. period:
+        seconds; see values.py. Raises GatewayFullError for more than the limits allow."""
+        limits = self.service.limits
+        if self._watching + len(objects) > limits.subscriptions:
+            raise GatewayFullError("watched objects of one client", limits.subscriptions)
+
+        async def read(place: WatchedObject) -> bytes:
+            return await self.read(place.net, place.node_id, place.index, place.subindex)
+
+        return ValueStream(tuple(objects), max(period, limits.least_period), self.service.node, read, self._count_watched)
+
+    def _count_watched(self, change: int) -> None:
+        self._watching += change
+
+    # ---- network management ----
+
+    async def nmt(self, net: str, command: NmtCommand, node_id: int = 0) -> None:
+        """Send an NMT command to a node, or to all of a net (0). Raises NotAllowedError, LocalProtocolError, BusError."""
+        self.service.guard.require(Permission.NMT, f"NMT {command.name.lower().replace('_', ' ')}")
+        with self.service.under_way():
+            await self.service.master.nmt(command, node_id, bus=net)
+
+    def guard_node(self, net: str, node_id: int, guard_time: float, life_time_factor: int) -> None:
+        """Ask a node once per guard time (seconds) whether it lives: node guarding. NodeGuardingLost follows. 0 for either ends
+        it. Raises NotAllowedError, LocalProtocolError."""
+        self.service.guard.require(Permission.NMT, "node guarding")
+        node = self.service.node(net, node_id)
+        if guard_time and life_time_factor:
+            node.start_guarding(guard_time, life_time_factor)
+            self._guarded.add((net, node_id))
+        else:
+            node.stop_guarding()
+            self._guarded.discard((net, node_id))
+
+    # ---- events ----
+
+    def hear_boot_ups(self, net: str, wanted: bool) -> None:
+        """Be told of boot-ups and emergencies of all nodes of a net, or not any longer."""
+        if wanted or net in self._ears:
+            self._ear(net).hears_boot_ups = wanted
+
+    def watch_heartbeat(self, net: str, node_id: int, timeout: Time) -> None:
+        """Be told of the states of a node, its emergencies, and when its heartbeat is lost; see NodeEar. timeout: ns; 0 ends it.
+        Raises LocalProtocolError."""
+        if timeout:
+            self._ear(net).watch(node_id, timeout)
+            self.service.pump()
+        elif net in self._ears:
+            self._ears[net].forget(node_id)
+
+    async def next_event(self) -> HeardOnNet:
+        """Wait for the next event that this client has asked for. Raises trio.EndOfChannel once it is closed."""
+        return await self._events.receive()
+
+    def _ear(self, net: str) -> NodeEar:
+        if net not in self._ears:
+            ear = NodeEar(self.service.master.bus(net).network.out, self.service.number_ear())
+            self.service.attach(net, ear)
+            self._ears[net] = ear
+        return self._ears[net]
+
+    def _hear(self, net: str, event: NodeReport | PdoReport | NodeGuardingLost) -> None:
+        """Take an event of a net, in the pump's turn; it is ours if our ear heard it, or we asked for the guarding."""
+        if isinstance(event, NodeReport):
+            is_ours = net in self._ears and self._ears[net].number == event.ear
+        elif isinstance(event, PdoReport):
+            is_ours = any(port.ear == event.ear for (where, _, _), port in self._ports.items() if where == net)
+        else:
+            is_ours = (net, event.node_id) in self._guarded
+        if not is_ours:
+            return
+        heard = HeardOnNet(net, event)
+        self.service.log.append(heard)
+        try:
+            self._put.send_nowait(heard)
+        except trio.WouldBlock:
+            self.dropped += 1
+
+    # ---- PDOs of the gateway ----
+
+    def set_pdo(self, net: str, number: int, cob_id: int, widths: Sequence[int], *, listens: bool) -> None:
+        """Set up a PDO of the gateway: one that it receives (PdoReport follows), or one that it sends. number: 1..512. widths:
+        bits of its objects; none: it is taken away. Raises NotAllowedError for one that it sends, PdoTakenError if another client
+        has one with this number, LocalProtocolError, GatewayFullError."""
+        if not listens:
+            self.service.guard.require(Permission.MOTION, "a PDO that is sent")
+        place = net, listens, number
+        if any(place in session._ports for session in self.service.sessions if session is not self):
+            raise PdoTakenError(number)
+        present = self._ports.get(place)
+        if widths:
+            if present is None and len(self._ports) >= self.service.limits.ports:
+                raise GatewayFullError("PDOs of one client", self.service.limits.ports)
+            out = self.service.master.bus(net).network.out
+            port = PdoPort(out, self.service.number_ear(), number, cob_id, widths, listens=listens)
+            self.service.attach(net, port)
+            self._ports[place] = port
+        else:
+            self._ports.pop(place, None)
+        if present is not None:
+            self.service.detach(net, present)
+
+    def last_pdo(self, net: str, number: int) -> tuple[int, ...] | None:
+        """Return the values of a PDO that came last; None if none has come. Raises LocalProtocolError if it was not set up."""
+        return self._port(net, True, number).values
+
+    async def send_pdo(self, net: str, number: int, values: Sequence[int]) -> None:
+        """Send a PDO. Raises NotAllowedError, LeaseError if somebody else moves the machine, LocalProtocolError if it was not set
+        up, or has other values."""
+        self.service.guard.require(Permission.MOTION, "sending a PDO")
+        self.service.lease.require_free(self, "sending a PDO")
+        port = self._port(net, False, number)
+        with self.service.under_way():
+            await self.service.master.run(act(lambda now: port.send(values, now)))
+
+    def _port(self, net: str, listens: bool, number: int) -> PdoPort:
+        port = self._ports.get((net, listens, number))
+        if port is None:
+            raise LocalProtocolError(f"this client has set up no PDO {number} of that direction")
+        return port
+
+
+@asynccontextmanager
+async def open_gateway(
+    master: Master, *, allow: Collection[Permission] = (), limits: Limits | None = None
+) -> AsyncIterator[GatewayService]:
+    """Serve a master while the block runs, which has to end before the master's own. At its end what a client moves is halted.
+
+    allow: what clients may change; by default nothing. limits: how much they may do at a time.
+    """
+    service = GatewayService(master, allow=allow, limits=limits)
+    failure: Exception | None = None
+    async with trio.open_nursery() as nursery:
+        service.lease.begin(nursery)
+        try:
+            yield service
+        except Exception as error:  # noqa: BLE001 - raised again below: the nursery would wrap it in a group
+            failure = error
+        finally:
+            with trio.CancelScope(shield=True):
+                await service.lease.end()
+            nursery.cancel_scope.cancel()
+    if failure is not None:
+        raise failure

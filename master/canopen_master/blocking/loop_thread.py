@@ -1,0 +1,322 @@
+"""`LoopThread`: a trio loop in a thread of its own, for as long as something is held in it. `hand_over` gives it work.
+
+All blocking masters of a process share one (`shared_loop`), so that those on one `virtual:` bus meet, and simulated devices too.
+
+**The end of a script.** However the main thread ends (its last line, an exception, sys.exit, Ctrl-C), Python then waits for all
+threads that are no daemons. Ours is not a daemon, and what is held in it looks every WATCH_INTERVAL whether the main thread is
+still alive; if not, it ends, so that drives are halted while the interpreter still works. (A daemon thread with an atexit
+function would be too late: from there on Python 3.12 starts no new threads, which transports may need.)
+
+**Fork.** A child process has the memory of this thread, but not the thread: nothing is handed over there. It may begin a loop of
+its own.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Final, Protocol
+
+import trio
+
+from canopen_proto.machine import LocalProtocolError
+
+WATCH_INTERVAL: Final = 0.05
+"""The most seconds until the end of a thread is noticed."""
+LOOK_UP: Final = 0.5
+"""The longest single wait of a thread, in seconds: on Windows, and outside the main thread, an interrupt takes effect only when
+the wait is over."""
+
+SPARE_TASKS: Final = 8
+"""The most tasks that wait for work: so many threads may call at once without one being made."""
+
+
+class Hold(Protocol):
+    """Something that is held in a loop. goes_last: at the end of the process it waits for what is not."""
+
+    goes_last: bool
+
+    async def hold(self) -> None:
+        """Hold it until its end. It must not raise."""
+
+
+class Work(Protocol):
+    """Something that takes a task of the loop."""
+
+    async def serve(self, scope: trio.CancelScope) -> None:
+        """Do it. It must not raise. scope: around the task, which ends if it is cancelled."""
+
+
+class LoopThread:
+    """See this module's text. It begins with what is held first, and ends with what is held last.
+
+    thread, ident: the one of the loop. held: what is held in it; for the loop's thread.
+
+    Always one task leads: it waits for what other threads hand over. If that is work, it lets another task lead, and does the
+    work itself, which costs one turn of the loop less than if it woke another task for it.
+    """
+
+    def __init__(self, first: Hold, name: str, clock: trio.abc.Clock | None = None) -> None:
+        """first: is begun at once. clock: trio's; None: the real time."""
+        self._clock = clock
+        self._pid = os.getpid()
+        self.ident = 0
+        self.held: list[Hold] = [first]
+        self._nursery: trio.Nursery | None = None
+        self._spare: list[_Server] = []  # the tasks that wait
+        self._jobs: deque[Callable[[], Work | None]] = deque()
+        self._waker: Waker | None = None  # None before and after. Whoever uses it holds the lock
+        self._is_woken = False  # since it last slept
+        self._lock = threading.RLock()  # which a signal handler may enter that comes in the middle
+        self._has_begun = threading.Event()
+        self.thread = threading.Thread(target=self._run, name=name, daemon=False)
+
+    @property
+    def is_here(self) -> bool:
+        """Whether the calling thread is this one."""
+        return threading.get_ident() == self.ident
+
+    @property
+    def is_of_this_process(self) -> bool:
+        """Whether the thread was not left behind by a fork."""
+        return os.getpid() == self._pid
+
+    def start(self) -> None:
+        """Begin the thread. Returns once work can be handed over."""
+        self.thread.start()
+        while not self._has_begun.wait(LOOK_UP) and self.thread.is_alive():
+            pass
+
+    def hold(self, hold: Hold) -> bool:
+        """Begin one more; return False if the loop is ending, so that it takes none."""
+        answer = WaitingPlace()
+
+        def begin() -> None:
+            if self._nursery is not None:
+                self.held.append(hold)
+                self._nursery.start_soon(self._hold, hold)
+                answer.value = True
+            answer.set()
+
+        return self.hand_over(begin) and answer.wait(self.thread) and answer.value is True
+
+    def hand_over(self, job: Callable[[], Work | None]) -> bool:
+        """Call a function soon, in the loop; what it returns is served by a task. Returns False if the loop has ended.
+
+        job: must not raise. Raises LocalProtocolError in a child process.
+        """
+        if os.getpid() != self._pid:
+            raise forked()
+        with self._lock:
+            if self._waker is None:
+                return False
+            self._jobs.append(job)
+            if not self._is_woken:
+                self._is_woken = True
+                self._waker.wake()
+        return True
+
+    def _run(self) -> None:
+        try:
+            trio.run(self._main, clock=self._clock)
+        finally:
+            self._has_begun.set()
+
+    async def _main(self) -> None:
+        self.ident = threading.get_ident()
+        waker = Waker()
+        try:
+            async with trio.open_nursery() as nursery:
+                self._nursery, self._waker = nursery, waker
+                nursery.start_soon(self._hold, self.held[0])
+                nursery.start_soon(self._serve, None)
+                self._has_begun.set()
+        finally:
+            with self._lock:
+                self._waker = None
+                waker.close()
+            self._do_jobs()  # those of contexts that have ended: each is told so
+
+    async def _hold(self, hold: Hold) -> None:
+        try:
+            await hold.hold()
+        finally:
+            self.held.remove(hold)
+            if not self.held and self._nursery is not None:
+                self._nursery.cancel_scope.cancel()
+                self._nursery = None  # it takes no more
+
+    # ---- its tasks ----
+
+    async def _serve(self, work: Work | None) -> None:
+        """Serve work, or lead (None), again and again, until that was cancelled or there are tasks enough that wait."""
+        server = _Server()
+        with server.scope:
+            while True:
+                if work is None:
+                    work = await self._lead()
+                await work.serve(server.scope)
+                if server.scope.cancel_called or len(self._spare) >= SPARE_TASKS:
+                    return
+                self._spare.append(server)
+                work = await server.next_work()
+
+    async def _lead(self) -> Work:
+        """Wait for what other threads hand over, and do it; return the first work that takes a task."""
+        waker = self._waker
+        assert waker is not None
+        while True:
+            await waker.wait()  # perhaps for nothing
+            self._is_woken = False  # before the jobs: one that comes now wakes it again
+            if work := self._do_jobs():
+                self._give(None)
+                for each in work[1:]:
+                    self._give(each)
+                return work[0]
+
+    def _do_jobs(self) -> list[Work]:
+        jobs = self._jobs
+        return [work for _ in range(len(jobs)) if (work := jobs.popleft()()) is not None]
+
+    def _give(self, work: Work | None) -> None:
+        """Let another task serve this work, or lead."""
+        if self._spare:
+            self._spare.pop().take(work)
+        elif self._nursery is not None:
+            self._nursery.start_soon(self._serve, work)
+
+    def join(self) -> None:
+        """Wait for the end of the thread, if nothing is held in it any more."""
+        while not self.held and self.thread.is_alive():
+            self.thread.join(LOOK_UP)
+
+
+class _Server:
+    """A task that serves. scope: around it."""
+
+    __slots__ = ("_task", "_work", "scope")
+
+    def __init__(self) -> None:
+        self.scope = trio.CancelScope()
+        self._task: trio.lowlevel.Task | None = None
+        self._work: Work | None = None
+
+    def take(self, work: Work | None) -> None:
+        """Give it work, while it waits for some; None: it is to lead."""
+        task, self._work = self._task, work
+        assert task is not None
+        trio.lowlevel.reschedule(task)
+
+    async def next_work(self) -> Work | None:
+        """Wait for `take`."""
+        self._task = trio.lowlevel.current_task()
+        await trio.lowlevel.wait_task_rescheduled(_abort)  # it is only interrupted when the loop ends
+        return self._work
+
+
+def _abort(_: object) -> trio.lowlevel.Abort:
+    return trio.lowlevel.Abort.SUCCEEDED
+
+
+class Waker:
+    """Wakes a task of the loop from any thread: at half the cost of what trio has for all."""
+
+    def __init__(self) -> None:
+        self._sockets: tuple[socket.socket, socket.socket] | None = None
+        if hasattr(os, "eventfd"):  # Linux
+            self._fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        else:
+            self._sockets = socket.socketpair()
+            for each in self._sockets:
+                each.setblocking(False)
+
+    def wake(self) -> None:
+        """Wake the task. From any thread."""
+        if self._sockets is None:
+            os.eventfd_write(self._fd, 1)
+        else:
+            self._sockets[1].send(b"\0")
+
+    async def wait(self) -> None:
+        """Wait until `wake` was called since the last time."""
+        if self._sockets is None:
+            await trio.lowlevel.wait_readable(self._fd)
+            try:
+                os.eventfd_read(self._fd)
+            except BlockingIOError:
+                return
+        else:
+            await trio.lowlevel.wait_readable(self._sockets[0])
+            try:
+                self._sockets[0].recv(64)
+            except BlockingIOError:
+                return
+
+    def close(self) -> None:
+        """Give back what it has of the operating system."""
+        if self._sockets is None:
+            os.close(self._fd)
+        else:
+            for each in self._sockets:
+                each.close()
+
+
+class WaitingPlace:
+    """A place where one thread waits for another. value: what it was told."""
+
+    __slots__ = ("_lock", "value")
+
+    def __init__(self) -> None:
+        self.value: object = None
+        self._lock = threading.Lock()
+        self._lock.acquire()
+
+    def set(self) -> None:
+        """Let the other thread go on. To be called once."""
+        self._lock.release()
+
+    def wait(self, thread: threading.Thread) -> bool:
+        """Wait until `set` was called; return False if the thread that would do so has ended without."""
+        while not self.wait_once():
+            if not thread.is_alive():
+                return self._lock.acquire(blocking=False)
+        return True
+
+    def wait_once(self) -> bool:
+        """Wait, LOOK_UP at most; return whether `set` was called."""
+        return self._lock.acquire(timeout=LOOK_UP)
+
+
+def forked() -> LocalProtocolError:
+    """Return the error for the use of a master in a child process."""
+    return LocalProtocolError(
+        "this master belongs to the process that this one was forked from, and so do its thread and its bus; "
+        "open a master of its own here, or start processes by the method `spawn`"
+    )
+
+
+_shared: LoopThread | None = None
+_starting = threading.Lock()
+
+
+def held_in_shared_loop(hold: Hold, name: str) -> LoopThread:
+    """Hold something in the loop that all share; return the loop. It is begun if there is none."""
+    global _shared
+    with _starting:
+        shared = _shared
+        if shared is None or not shared.is_of_this_process or not shared.hold(hold):
+            shared = _shared = LoopThread(hold, name)
+            shared.start()
+        return shared
+
+
+def _forget() -> None:
+    global _shared, _starting
+    _shared, _starting = None, threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_forget)

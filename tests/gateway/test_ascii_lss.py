@@ -1,0 +1,97 @@
+"""The layer setting services of the text door, with devices that have no node-ID."""
+
+from __future__ import annotations
+
+from canopen_master.simulation.serving import drive_maker
+from canopen_proto.gateway import LELY
+from canopen_proto.lss.messages import UNCONFIGURED
+from tests.gateway.gateway_world import text_client
+from tests.master.world import virtual_time
+
+ADDRESS = "0x332 0x43 0x10000"
+SHOWN = "0x00000332 0x00000043 0x00010000"
+
+
+def devices(count: int) -> list[object]:
+    return [drive_maker(number, UNCONFIGURED) for number in range(count)]
+
+
+@virtual_time
+async def test_a_question_to_the_selected_device_when_none_is_selected() -> None:
+    async with text_client(allow="lss", makers=devices(1)) as (_, client):
+        for line in ("lss_get_node", "lss_inquire_addr", "lss_set_node 5", "lss_store", "lss_conf_bitrate 0 2"):
+            assert (await client.say(f"[1] {line}")).startswith("[1] ERROR:102 #no device is selected"), line
+
+
+@virtual_time
+async def test_a_device_is_found_named_and_asked() -> None:
+    async with text_client(allow="lss", makers=devices(2)) as (host, client):
+        assert await client.say("[1] lss_ident_nonconf") == "[1] OK"
+        assert await client.say("[2] lss_identity 0x332 0x43 0 0xFFFFFFFF 0 0xFFFFFFFF") == "[2] OK"
+        assert await client.say("[3] lss_identity 0x999 1 0 1 0 1") == "[3] ERROR:103 #Time-out."
+        assert await client.say("[4] _lss_fastscan 20") == f"[4] {SHOWN} 0x00000001"
+        assert await client.say("[5] lss_inquire_addr") == f"[5] {SHOWN} 0x00000001"
+        assert await client.say("[6] lss_inquire_addr 3") == "[6] 0x00000001"
+        assert await client.say("[7] lss_inquire_addr 0x5A") == "[7] 0x00000332"
+        assert await client.say("[8] lss_inquire_addr 4") == "[8] ERROR:101 #Syntax error."
+        assert await client.say("[9] lss_get_node") == "[9] 0xFF"
+        assert await client.say("[10] lss_set_node 5") == "[10] OK"
+        assert await client.say("[11] lss_set_node 0") == "[11] ERROR:101 #Syntax error."
+        assert await client.say("[12] lss_set_node 200") == "[12] ERROR:101 #Syntax error."
+        assert await client.say("[13] lss_conf_bitrate 0 5") == "[13] ERROR:503 #LSS bit rate not supported."
+        assert await client.say("[14] lss_switch_glob 0") == "[14] OK"
+        assert (await client.say("[15] lss_get_node")).startswith("[15] ERROR:102 #")
+        assert host.nodes[0].node_id == 5
+        assert await client.say("[16] 5 r 0x1000 0 u32") == "[16] 131474"
+
+
+@virtual_time
+async def test_a_device_is_selected_by_its_address() -> None:
+    async with text_client(allow="lss", makers=devices(2)) as (_, client):
+        assert await client.say(f"[1] lss_switch_sel {ADDRESS} 2") == "[1] OK"
+        assert await client.say("[2] lss_inquire_addr 3") == "[2] 0x00000002"
+        assert await client.say("[3] lss_switch_glob 0") == "[3] OK"
+        assert await client.say(f"[4] lss_switch_sel {ADDRESS} 9") == "[4] ERROR:103 #Time-out."
+        assert (await client.say("[5] lss_get_node")).startswith("[5] ERROR:102 #")
+
+
+@virtual_time
+async def test_all_devices_get_their_node_ids() -> None:
+    async with text_client(allow="lss", makers=devices(3)) as (host, client):
+        answer = await client.say("[1] lss_allnodes 20 10 0 2 0x332 2 0x43 2 0x10000 0 0")
+        assert answer.splitlines() == [
+            *(f"# Node-ID {10 + number} assigned to: {SHOWN} 0x{number + 1:08X}" for number in range(3)),
+            "# Found 3 nodes, search finished.",
+            "[1] OK",
+        ]
+        assert sorted(node.node_id for node in host.nodes) == [10, 11, 12]
+        assert (await client.say("[2] lss_allnodes 20 10 0 2 0x332 2 0x43 2 0x10000 0 0")).splitlines() == [
+            "# Found 0 nodes, search finished.",
+            "[2] OK",
+        ]
+
+
+@virtual_time
+async def test_searches_as_lely_has_them() -> None:
+    async with text_client(allow="lss", makers=devices(2), dialect=LELY) as (_, client):
+        await client.say("[1] set network 1")
+        known = "0x332 0xFFFFFFFF 0x43 0xFFFFFFFF 0x10000 0xFFFFFFFF 0 0"
+        assert await client.say(f"[2] _lss_fastscan {known}") == "[2] 0x00000332 0x00000043 0x00010000 0x00000001"
+        assert await client.say("[3] lss_get_node") == "[3] 255"
+        assert await client.say("[4] _lss_fastscan 0 1 0 0 0 0 0 0") == "[4] ERROR: 100 (a mask is 0, or 0xFFFFFFFF)"
+        assert await client.say("[5] lss_switch_glob 0") == "[5] OK"
+        found = await client.say("[6] _lss_slowscan 0x332 0x43 0x10000 0x10000 0 7")
+        assert found == "[6] 0x00000332 0x00000043 0x00010000 0x00000001"
+        assert await client.say("[7] _lss_slowscan 0x999 0x43 0 0 0 7") == "[7] ERROR: 103 (Time-out.)"
+
+
+@virtual_time
+async def test_nobody_to_be_found() -> None:
+    async with text_client(3, allow="lss") as (_, client):
+        assert await client.say("[1] _lss_fastscan 50") == "[1] ERROR:103 #Time-out."
+        assert (await client.say("[2] _lss_fastscan 70000")) == "[2] ERROR:101 #Syntax error."
+        assert await client.say("[3] lss_ident_nonconf") == "[3] ERROR:103 #Time-out."
+        assert await client.say("[4] lss_activate_bitrate 100") == "[4] OK"
+        assert await client.say("[5] lss_switch_glob 1") == "[5] OK"
+        assert await client.say("[6] lss_get_node") == "[6] 0x03"
+        assert await client.say("[7] lss_switch_glob 0") == "[7] OK"

@@ -1,0 +1,279 @@
+"""The lease: who moves the machine, for how long, and what happens at its end. In virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+import trio
+
+from canopen_gateway import GatewayService, GatewaySession, LeaseError, NotAllowedError
+from canopen_gateway.lease import LEASE_TIME
+from canopen_master import Chain, ChainState, Host
+from canopen_proto.drives.cia402.objects import VELOCITY_ACTUAL_VALUE
+from canopen_proto.drives.cia402.states import State
+from tests.gateway.gateway_world import TextClient, gateway
+from tests.master.world import arm_of, assert_all_halted, assert_all_stand, drives, position_of, value, virtual_time
+
+
+@asynccontextmanager
+async def machine(allow: str = "motion") -> AsyncIterator[tuple[Host, GatewayService, Chain]]:
+    """An arm of two joints that nobody has given power, and its gateway."""
+    async with gateway(3, 4, allow=allow) as (host, service):
+        yield host, service, arm_of(service.master, 3, 4)
+
+
+class Owner:
+    """A client that moves the machine, and shows that it lives."""
+
+    def __init__(self, service: GatewayService, session: GatewaySession) -> None:
+        self.lease = service.lease
+        self.session = session
+        self.number = 0
+
+    def next(self) -> int:
+        self.number += 1
+        return self.number
+
+    async def hold(self, seconds: float) -> None:
+        """Renew the lease for so long."""
+        end = trio.current_time() + seconds
+        while trio.current_time() < end:
+            self.lease.renew(self.session, self.next())
+            await trio.sleep(0.1)
+
+    async def ready(self, arm: Chain) -> None:
+        """Take the lease, and give the arm power."""
+        self.lease.take(self.session)
+        self.lease.enable(self.session, self.next(), arm.name)
+        while self.lease.doing:
+            await self.hold(0.1)
+        assert arm.state is ChainState.FOLLOWING, self.lease.problem
+
+
+def is_moving(host: Host) -> bool:
+    for node in drives(host):
+        node.drive.refresh(host.now())
+    return any(value(node, VELOCITY_ACTUAL_VALUE) for node in drives(host))
+
+
+@virtual_time
+async def test_a_jog_moves_while_it_is_renewed_and_the_lease_ends_by_itself() -> None:
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            before = position_of(host, drives(host)[0])
+            for _ in range(10):
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+                await trio.sleep(0.1)
+            assert is_moving(host)
+            assert position_of(host, drives(host)[0]) > before
+            await trio.sleep(LEASE_TIME - 0.1 - 0.001)  # the last message is 0.1 s old
+            assert owner.lease.owner is session
+            await trio.sleep(0.002)
+            assert owner.lease.left == 0
+            await trio.sleep(2)
+            assert owner.lease.owner is None
+            assert arm.state is ChainState.HALTED
+            assert_all_halted(host)
+            await assert_all_stand(host)
+            assert owner.lease.problem == "the lease is over"
+
+
+@virtual_time
+async def test_the_chain_brakes_by_its_own_switch_if_the_lease_is_renewed_and_the_jog_is_not() -> None:
+    """Two switches: signs of life alone move nothing."""
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            await owner.hold(0.2)
+            assert is_moving(host)
+            await owner.hold(3)
+            assert not is_moving(host)
+            assert owner.lease.owner is session
+
+
+@virtual_time
+async def test_a_move_goes_on_while_it_is_renewed_and_brakes_when_its_owner_is_gone() -> None:
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            owner.lease.move(session, owner.next(), "arm", [1.0, 0.5], speed=0.3)
+            await owner.hold(0.5)
+            assert is_moving(host)
+            with pytest.raises(LeaseError, match="under way: move"):
+                owner.lease.move(session, owner.next(), "arm", [0.0, 0.0])
+        await trio.sleep(3)  # its connection has ended
+        assert service.lease.owner is None
+        assert arm.state is ChainState.HALTED
+        assert_all_halted(host)
+        await assert_all_stand(host)
+
+
+@virtual_time
+async def test_a_move_comes_to_its_target() -> None:
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            target = [each + 0.05 for each in arm.positions]
+            owner.lease.move(session, owner.next(), "arm", target)
+            while owner.lease.doing:
+                await owner.hold(0.1)
+            assert owner.lease.problem == ""
+            assert arm.positions == pytest.approx(target, abs=1e-3)
+            owner.lease.disable(session, owner.next(), "arm")
+            while owner.lease.doing:
+                await owner.hold(0.1)
+            assert arm.state is ChainState.OFF
+            assert all(node.drive.state is not State.OPERATION_ENABLED for node in drives(host))
+
+
+@virtual_time
+async def test_one_owner_at_a_time() -> None:
+    async with machine("motion,write") as (_, service, _):
+        with service.open_session("hand") as one, service.open_session("other") as other:
+            service.lease.take(one)
+            service.lease.take(one)
+            for refused in (
+                lambda: service.lease.take(other),
+                lambda: service.lease.renew(other, 1),
+                lambda: service.lease.enable(other, 1, "arm"),
+                lambda: service.lease.jog(other, 1, "arm", [0, 0]),
+                lambda: service.lease.move(other, 1, "arm", [0, 0]),
+                lambda: service.lease.stop(other, 1),
+                lambda: service.lease.disable(other, 1, "arm"),
+            ):
+                with pytest.raises(LeaseError):
+                    refused()
+            service.lease.leave(other)  # not its own
+            assert service.lease.owner is one
+            # single writes that move something are refused, too; others are not
+            client = TextClient(other)
+            assert (await client.say("[1] 3 w 0x6040 0 u16 6")).startswith(
+                "[1] ERROR:102 #writing 0x6040:00 was refused: hand moves"
+            )
+            assert await client.say("[2] 3 w 0x1017 0 u16 100") == "[2] OK"
+            service.lease.leave(one)
+            await trio.sleep(0.01)
+            assert await client.say("[3] 3 w 0x6040 0 u16 6") == "[3] OK"
+            service.lease.take(other)
+
+
+@virtual_time
+async def test_an_old_message_moves_nothing() -> None:
+    async with machine() as (_, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            owner.lease.jog(session, 1000, "arm", [0.0, 0.0])
+            for number in (1000, 999, 1):
+                with pytest.raises(LeaseError, match="old message"):
+                    owner.lease.jog(session, number, "arm", [0.1, 0.0])
+            left = owner.lease.left
+            await trio.sleep(0.05)
+            with pytest.raises(LeaseError, match="old message"):
+                owner.lease.renew(session, 1000)
+            assert owner.lease.left == pytest.approx(left - 0.05)  # an old one is no sign of life
+
+
+@virtual_time
+async def test_a_lease_that_is_over_takes_no_messages() -> None:
+    async with machine() as (_, service, _):
+        with service.open_session("hand") as session:
+            service.lease.take(session)
+            await trio.sleep(LEASE_TIME)
+            with pytest.raises(LeaseError, match="not any more"):
+                service.lease.renew(session, 1)
+            await trio.sleep(0.01)
+            service.lease.take(session)  # and may be taken again
+            service.lease.renew(session, 1)
+
+
+@virtual_time
+async def test_without_permission_nobody_has_it_and_everybody_may_halt() -> None:
+    async with machine(allow="write") as (host, service, arm):
+        with service.open_session("hand") as session:
+            with pytest.raises(NotAllowedError, match="--allow motion"):
+                service.lease.take(session)
+            await arm.initialise()
+            await arm.follow()
+
+            async def moved() -> None:
+                from canopen_master import ChainHaltedError
+
+                with pytest.raises(ChainHaltedError):
+                    await arm.move([2.0, 2.0], speed=0.2)
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(moved)
+                await trio.sleep(0.5)
+                assert is_moving(host)
+                assert await TextClient(session).say("[1] _halt") == "[1] OK"
+                assert not is_moving(host)
+            assert arm.state is ChainState.HALTED
+            assert_all_halted(host)
+
+
+@virtual_time
+async def test_a_drive_that_single_writes_have_enabled_is_halted_too() -> None:
+    async with gateway(3, 4, allow="motion,nmt") as (host, service):
+        with service.open_session("hand") as session:
+            client = TextClient(session)
+            for word in ("0x80", "6", "7", "0xF"):
+                await client.say(f"[1] 3 w 0x6040 0 u16 {word}")
+                await trio.sleep(0.6)
+            assert drives(host)[0].drive.state is State.OPERATION_ENABLED
+            assert await client.say("[2] 4 _halt") == "[2] OK"  # another node
+            assert not value(drives(host)[0], 0x6040_00) & 0x100
+            assert await client.say("[3] _halt") == "[3] OK"
+            assert value(drives(host)[0], 0x6040_00) & 0x100
+            assert (await client.say("[4] 9 _halt")).startswith("[4] ERROR:102 #node 9 on")
+
+
+@virtual_time
+async def test_a_gateway_that_ends_halts_what_its_client_moves() -> None:
+    from canopen_gateway import open_gateway, parse_permissions
+    from canopen_master import open_master
+    from tests.master.world import BUS, simulated
+
+    async with simulated(3, 4) as host, open_master(BUS) as master:
+        arm = arm_of(master, 3, 4)
+        async with open_gateway(master, allow=parse_permissions("motion")) as service:
+            with service.open_session("hand") as session:
+                owner = Owner(service, session)
+                await owner.ready(arm)
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.1])
+                await owner.hold(0.2)
+                assert is_moving(host)
+        assert arm.state is ChainState.HALTED
+        assert_all_halted(host)
+        await assert_all_stand(host)
+
+
+@virtual_time
+async def test_a_motion_that_fails_is_told_and_ends_nothing_else() -> None:
+    async with machine() as (_, service, arm):
+        with service.open_session("hand") as session:
+            owner = Owner(service, session)
+            owner.lease.take(session)
+            with pytest.raises(LeaseError, match="no chain 'leg'"):
+                owner.lease.move(session, owner.next(), "leg", [0, 0])
+            owner.lease.move(session, owner.next(), "arm", [0, 0])  # it has no power
+            await owner.hold(0.1)
+            assert owner.lease.problem
+            assert owner.lease.owner is session
+            await owner.ready(arm)
+            owner.lease.jog(session, owner.next(), "arm", [0.1, 0.1])
+            await owner.hold(0.1)
+            with pytest.raises(LeaseError, match="does not jog"):
+                owner.lease.jog(session, owner.next(), "arm", [0.1])
+            owner.lease.stop(session, owner.next())
+            await owner.hold(1)
+            assert owner.lease.doing == ""
+            assert arm.state is ChainState.FOLLOWING
