@@ -27,6 +27,7 @@ def commands_of(page: str) -> list[tuple[list[str], int]]:
         for line in block.splitlines() if not not_run else ():
             if line.startswith("canopen "):
                 command, _, comment = line.partition("  #")
+                command = command.partition(" > ")[0]
                 status = re.match(r" status (\d+):", comment)
                 found.append((shlex.split(command)[1:], int(status[1]) if status else 0))
     return found
