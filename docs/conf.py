@@ -31,7 +31,6 @@ html_permalinks_icon = "#"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
-python_maximum_signature_line_length = 110
 python_use_unqualified_type_names = True
 add_module_names = False
 toc_object_entries = False

@@ -10,6 +10,8 @@ docs/move-an-arm.md: each function of its Python blocks runs alone; ARM_EXAMPLE 
 docs/live.md: a demonstration in which a drive breaks down is recorded, and its frames are shown as `canopen watch` and
 `canopen top` show them at one moment.
 
+docs/screens: what SCREENS says, as a terminal shows it.
+
 Needs the extras `plot` and `motion`.
 """
 
@@ -18,19 +20,23 @@ from __future__ import annotations
 import argparse
 import inspect
 import io
+import os
 import re
 import tempfile
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from unittest.mock import patch
 
 import trio
 import trio.testing
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console, RenderableType
+from rich.text import Text
 
 from canopen_cli.app import main as run_command
 from canopen_cli.live.top_view import BusShown, TopView
@@ -337,9 +343,38 @@ def draw_live(folder: Path) -> None:
         print(path)
 
 
-def write_svg(path: Path, shown: RenderableType, title: str) -> None:
+SCREENS: Final = {
+    "scan": "canopen scan -b demo",
+    "info": "canopen info 3 -b demo",
+    "state": "canopen drive 3 state -b demo",
+    "check": "canopen log check customer.log",
+}
+"""Commands by the names of their pictures. customer.log is a demonstration in which a drive breaks down."""
+SCREEN_WIDTH: Final = 96
+
+
+def draw_screens(folder: Path) -> None:
+    """Draw what each command of SCREENS prints, in virtual time."""
+    folder.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as temporary, chdir(temporary):
+        record_demonstration(Path("customer.log"))
+        for name, command_line in SCREENS.items():
+            path = folder / f"{name}.svg"
+            write_svg(path, Text.from_ansi(printed_by(command_line)), command_line, SCREEN_WIDTH)
+            print(path)
+
+
+def printed_by(command_line: str) -> str:
+    """Return what a command prints on a terminal with colours."""
+    out = io.StringIO()
+    with patch.dict(os.environ, FORCE_COLOR="1", COLUMNS=str(SCREEN_WIDTH)), redirect_stdout(out), redirect_stderr(io.StringIO()):
+        run_command(command_line.split()[1:], clock=trio.testing.MockClock(autojump_threshold=0))
+    return out.getvalue().rstrip()
+
+
+def write_svg(path: Path, shown: RenderableType, title: str, width: int = LIVE_SIZE[0]) -> None:
     """Write what a terminal shows as a picture, which loads no fonts from elsewhere."""
-    console = Console(record=True, width=LIVE_SIZE[0], file=io.StringIO(), force_terminal=True, color_system="truecolor")
+    console = Console(record=True, width=width, file=io.StringIO(), force_terminal=True, color_system="truecolor")
     console.print(shown)
     svg = console.export_svg(title=title, unique_id=path.stem)
     path.write_text(re.sub(r"\s*@font-face \{.*?\}", "", svg, flags=re.DOTALL), encoding="utf-8")
@@ -380,7 +415,8 @@ def _dress(axes: Axes) -> None:
     axes.margins(x=0.01)
 
 
-PICTURED: Final = (*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem)
+SCREENS_FOLDER: Final = "screens"
+PICTURED: Final = (*PICTURES, ARM_PAGE.stem, LIVE_PAGE.stem, SCREENS_FOLDER)
 """The pages with pictures."""
 
 
@@ -388,6 +424,8 @@ def draw_page(page: str, docs: Path) -> None:
     """Draw the pictures of a page (one of PICTURED) into a folder that is laid out as this one."""
     if page == LIVE_PAGE.stem:
         draw_live(docs / "live")
+    elif page == SCREENS_FOLDER:
+        draw_screens(docs / SCREENS_FOLDER)
     elif page == ARM_PAGE.stem:
         path = docs / f"{page}.png"
         print(f"{path}: {draw_arm(path)}")

@@ -44,6 +44,23 @@ def test_the_pictures_are_drawn(build: ModuleType, tmp_path: Path) -> None:
             assert "font-face" not in path.read_text(encoding="utf-8"), "a picture loads nothing from elsewhere"
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [("scan", "Simulated Schunk"), ("info", "NMT state"), ("state", "it does not move"), ("check", "the drive is in fault")],
+)
+def test_the_screens_are_what_the_commands_print(
+    build: ModuleType, name: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CANOPEN_BUS", raising=False)
+    path = DOCS / "screens" / f"{name}.svg"
+    assert text in words_of(path)
+    assert build.SCREENS[name] in words_of(path)
+    if name != "check":  # which needs a recording of a whole demonstration
+        printed = re.sub(r"\x1b\[[\d;]*m", "", build.printed_by(build.SCREENS[name]))
+        shown = "".join(words_of(path).split())  # a line is several texts there, one for each style
+        assert [line for line in printed.splitlines() if "".join(line.split()) not in shown] == []
+
+
 def test_each_option_on_the_page_exists() -> None:
     for name in ("watch", "top"):
         section = PAGE.partition(f"\n## {name}\n")[2].partition("\n## ")[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final
@@ -69,6 +70,10 @@ COMMANDS: Final = {
     "machine": ("machine.group", "The machine file: one file with the buses, devices, joints and chains of a machine."),
     "ros": ("machine.ros", "ROS: write a package with launch files for a machine."),
     "data": ("machine.data", "The object dictionary and the chain files."),
+    "completion": (
+        "completion.completion",
+        "Write the script by which a shell completes commands, nodes, objects and constants.",
+    ),
 }
 """Listed in the order to try them."""
 
@@ -93,6 +98,10 @@ def main(arguments: Sequence[str] | None = None, *, clock: trio.abc.Clock | None
     asks_json = "--json" in (sys.argv if arguments is None else arguments)
     open_closed_streams()
     try:
+        if asked := os.environ.get("_CANOPEN_COMPLETE"):
+            with importing():
+                from canopen_cli.completion.words import complete
+            return complete(cli, asked)
         result = cli.main(
             None if arguments is None else list(arguments), prog_name="canopen", standalone_mode=False, obj=settings
         )

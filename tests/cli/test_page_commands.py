@@ -9,8 +9,10 @@ import re
 import shlex
 from pathlib import Path
 
+import click
 import pytest
 
+from canopen_cli.app import cli
 from tests.cli.cli_support import runner_in_folder
 from tests.docs_build import DOCS
 
@@ -25,6 +27,7 @@ def commands_of(page: str) -> list[tuple[list[str], int]]:
         for line in block.splitlines() if not not_run else ():
             if line.startswith("canopen "):
                 command, _, comment = line.partition("  #")
+                command = command.partition(" > ")[0]
                 status = re.match(r" status (\d+):", comment)
                 found.append((shlex.split(command)[1:], int(status[1]) if status else 0))
     return found
@@ -41,3 +44,42 @@ def test_the_commands_of_a_page(
         outcome = run(*arguments)
         assert outcome.status == status, (arguments, outcome.err)
         assert outcome.out + outcome.err, arguments
+
+
+LINE = re.compile(r"(?:^|[|] |&& )(canopen [^\n|&]*)", re.MULTILINE)
+
+
+def command_lines() -> list[tuple[str, str]]:
+    """Each line of a shell block of README and of the pages that gives a command of ours, with its page."""
+    found = []
+    for path in (DOCS.parent / "README.md", *sorted(DOCS.rglob("*.md"))):
+        for _, block in BLOCK.findall(path.read_text(encoding="utf-8")):
+            found += [(path.name, line.partition(" #")[0].strip()) for line in LINE.findall(block.replace("\\\n", " "))]
+    return found
+
+
+def check(command: click.Command, name: str, arguments: list[str], parent: click.Context | None = None) -> None:
+    """Raise click's error if a command does not take these arguments. Values are not looked at."""
+    context = click.Context(command, info_name=name, parent=parent)
+    _, rest, _ = command.make_parser(context).parse_args(arguments)
+    if isinstance(command, click.Group):
+        if rest:
+            inner = command.get_command(context, rest[0])
+            assert inner is not None, f"{context.command_path} has no command {rest[0]}"
+            check(inner, rest[0], rest[1:], context)
+    else:
+        assert not rest, f"{context.command_path} does not take {rest}"
+
+
+def test_each_command_line_of_the_pages_exists_with_its_options() -> None:
+    lines = command_lines()
+    assert len(lines) > 150
+    wrong = []
+    for page, line in lines:
+        words = [word for word in shlex.split(line.replace("...", ""))[1:] if word not in ("&", ";", "|")]
+        redirected = next((place for place, word in enumerate(words) if word.startswith((">", "2>"))), len(words))
+        try:
+            check(cli, "canopen", words[:redirected])
+        except (click.UsageError, AssertionError) as error:
+            wrong.append((page, line, str(error)))
+    assert wrong == []

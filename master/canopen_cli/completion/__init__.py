@@ -1,0 +1,1 @@
+"""Completion for shells: `canopen completion`, and the words that a shell asks for."""
