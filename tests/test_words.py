@@ -22,6 +22,9 @@ VALUES = {
 }  # fmt: skip
 """Words that stand like a name, and are a value, a part of what is returned, or the begin of a line of a table."""
 
+GENERATED = {"canopen_master.blocking.classes"}
+"""Modules that are written by a program, which takes their docstrings from the async classes: what these have, they may lack."""
+
 Documented: TypeAlias = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -66,13 +69,13 @@ def documentation(node: Documented) -> str:
 
 
 def test_a_docstring_explains_only_parameters_and_attributes_that_there_are(sources: list[Source]) -> None:
-    classes: dict[str, tuple[set[str], list[str]]] = {}
+    classes: dict[str, tuple[set[str], list[str]]] = {}  # by their names, and by module and name
     for source in sources:
         for node in source.documented:
             if isinstance(node, ast.ClassDef):
                 code = source.text_of(node).replace(ast.get_docstring(node, clean=False) or "\0", "")
                 bases = [ast.unparse(base).partition("[")[0].rpartition(".")[2] for base in node.bases]
-                classes[node.name] = {*members(node, code)}, bases
+                classes[node.name] = classes[f"{source.module}.{node.name}"] = {*members(node, code)}, bases
 
     def known(name: str) -> set[str]:
         own, bases = classes.get(name, (set(), []))
@@ -80,11 +83,14 @@ def test_a_docstring_explains_only_parameters_and_attributes_that_there_are(sour
 
     absent, explained = [], 0
     for source in sources:
+        if source.module in GENERATED:
+            continue
         for node in source.documented:
             terms = {name for found in TERM.finditer(documentation(node)) for name in found[1].split(", ")} - VALUES
             explained += len(terms)
-            there = known(node.name) if isinstance(node, ast.ClassDef) else parameters(node)
-            absent += [f"{source.module}.{node.name}: {name}" for name in sorted(terms - there)]
+            place = f"{source.module}.{node.name}"
+            there = known(place) if isinstance(node, ast.ClassDef) else parameters(node)
+            absent += [f"{place}: {name}" for name in sorted(terms - there)]
     assert explained > 3000
     assert absent == []
 
