@@ -85,7 +85,7 @@ class WorldBus:
         self.names = names
         self.participants: list[WorldMember] = []
         self.trace: list[Passed] = []
-        self.observer = Judge(name, self.trace, clock, names, lambda: [sent.frame for sent in self._sent])
+        self.observer = Judge(name, self.trace, clock, names, self._under_way)
         self._clock = clock
         self._faults = faults
         self._on_sudden = on_sudden
@@ -135,6 +135,11 @@ class WorldBus:
     def lines(self, last: int = 20) -> list[str]:
         """Return the last frames in words."""
         return self.observer.lines()[-last:] if last else []
+
+    def _under_way(self) -> list[Frame]:
+        """The frames that were sent, and have not come yet."""
+        queued = [frame for each in self.participants if each.network is not None for frame in each.network.out.frames]
+        return [*(sent.frame for sent in self._sent), *(late.course.frame for late in self._late), *queued]
 
     # ---- for the world ----
 

@@ -50,6 +50,7 @@ class Fault:
     """Fields that `subject` says."""
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         self._take_times("since", "until")
         if not isinstance(self.chance, int | float) or not 0 <= self.chance <= 1:
             raise LocalProtocolError(f"a chance is 0 to 1, not {self.chance!r}")
@@ -80,6 +81,7 @@ class Fault:
 
     def _take_times(self, *names: str) -> None:
         """Check fields that are times, ns."""
+        __tracebackhide__ = True
         for name in names:
             object.__setattr__(self, name, nanoseconds(getattr(self, name), f"{name} of {type(self).__name__}"))
 
@@ -96,6 +98,7 @@ class FrameFault(Fault):
     _in_subject = ("on",)
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         object.__setattr__(self, "on", as_pattern(self.on))
         if self.to != 0:
@@ -121,6 +124,7 @@ class Copy(FrameFault):
     later: Time = 0
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         self._take_times("later")
 
@@ -132,6 +136,7 @@ class Delay(FrameFault):
     by: Time = SECOND
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         self._take_times("by")
 
@@ -145,6 +150,7 @@ class Reorder(FrameFault):
     gateway: str = ""
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         self._take_times("by")
         if not self.gateway:
@@ -164,6 +170,7 @@ class Corrupt(FrameFault):
     flip: bytes = b""
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         _check_data("flip", self.flip)
 
@@ -175,6 +182,7 @@ class Replace(FrameFault):
     data: bytes = b""
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         _check_data("data", self.data)
 
@@ -195,6 +203,7 @@ class Refuse(Fault):
     _in_subject = ("node_id", "key")
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         check_node_id(self.node_id)
         if not isinstance(self.code, int) or not 0 <= self.code < 1 << 32:
@@ -218,6 +227,7 @@ class Lie(Fault):
     _in_subject = ("node_id", "key")
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         check_node_id(self.node_id)
 
@@ -235,6 +245,7 @@ class Sudden(Fault):
     at: Time | None = None
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         if self.on is not None and self.at is not None:
             raise LocalProtocolError("a fault happens at a time or on a frame: give `at` or `on`, not both")
@@ -252,6 +263,7 @@ class NodeFault(Sudden):
     _in_subject = ("node_id",)
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         check_node_id(self.node_id)
 
@@ -268,6 +280,7 @@ class Pause(NodeFault):
     lasts: Time = NEVER
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         self._take_times("lasts")
 
@@ -284,6 +297,7 @@ class BusOff(NodeFault):
     lasts: Time = SECOND
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         self._take_times("lasts")
 
@@ -297,6 +311,7 @@ class SecondMaster(Sudden):
     _in_subject = ("frames",)
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         super().__post_init__()
         self._take_times("apart")
         if not self.frames:
@@ -329,6 +344,7 @@ def _said(name: str, value: object) -> str:
 
 
 def _check_data(name: str, data: bytes) -> None:
+    __tracebackhide__ = True
     if not isinstance(data, bytes | bytearray):
         raise LocalProtocolError(f"{name} is bytes, such as {name}=bytes(8), not {data!r}")
     if len(data) > MAX_DATA:

@@ -51,6 +51,7 @@ class WorldMaster(WorldMember):
 
         Raises LocalProtocolError if there is none.
         """
+        __tracebackhide__ = True
         if node_id not in self._nodes:
             known = self._names(node_id) if dictionary is None else dictionary
             if known is None:

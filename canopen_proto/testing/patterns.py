@@ -72,6 +72,7 @@ class Pattern:
     text: str = ""
 
     def __post_init__(self) -> None:
+        __tracebackhide__ = True
         if self.node_id != 0:
             check_node_id(self.node_id)
 
@@ -153,6 +154,8 @@ def as_pattern(meant: object) -> Pattern:
         return meant
     if isinstance(meant, str | Frame):
         return can_frame(str(meant))
+    if callable(meant) and getattr(meant, "__name__", "").startswith("test"):
+        raise LocalProtocolError("a marker takes faults, and no class of them: canopen_faults(Lose(...))")
     called = f": call it, {getattr(meant, '__name__', '')}(...)" if getattr(meant, "__module__", "") == __name__ else ""
     raise LocalProtocolError(f'{meant!r} is no pattern of frames, such as heartbeat(5) or "705#05"{called}')
 
@@ -185,11 +188,13 @@ def emcy(node_id: int = 0, code: int | None = None) -> Pattern:
 
 def tpdo(node_id: int, number: int = 1) -> Pattern:
     """A PDO that a node sends, 1..4."""
+    __tracebackhide__ = True
     return _pdo("tpdo", node_id, number)
 
 
 def rpdo(node_id: int, number: int = 1) -> Pattern:
     """A PDO to a node, 1..4."""
+    __tracebackhide__ = True
     return _pdo("rpdo", node_id, number)
 
 
@@ -232,6 +237,7 @@ def sdo_abort(node_id: int = 0, code: int | None = None) -> Pattern:
 
 
 def _pdo(service: str, node_id: int, number: int) -> Pattern:
+    __tracebackhide__ = True
     if not 1 <= number <= _PDOS:
         raise LocalProtocolError(f"PDO {number} is not in the predefined connection set, which has 1..{_PDOS}: use can_frame")
     return Pattern(service, check_node_id(node_id), number=number)

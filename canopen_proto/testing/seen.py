@@ -8,11 +8,11 @@ An assertion looks back: let the world run first.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sized
 from typing import Final
 
 from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, SECOND, Time
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import mux
 from canopen_proto.sdo.codec import MAX_EXPEDITED
 from canopen_proto.testing.judge import Judge, Witnessed
@@ -70,10 +70,14 @@ class SeenFrame:
     def times(self, count: int) -> SeenFrame:
         """Check that such frames came so many times, no more and no less. Raises AssertionError."""
         __tracebackhide__ = True
+        if not isinstance(count, int) or count < 1:
+            raise LocalProtocolError(f"times takes a number from 1 on, not {count!r}; for none: bus.never(...)")
         found = list(_all(self._pattern, self._judge, self._names, self._since))
         if len(found) != count:
             lines = "\n".join(f"  {self._judge.witnessed()[place]}" for place in found[-_NEAR:])
-            raise AssertionError(f"{self._pattern} came {len(found)} times, not {count}:\n{lines}")
+            raise AssertionError(
+                f"{self._pattern} came {'once' if len(found) == 1 else f'{len(found)} times'}, not {count}:\n{lines}"
+            )
         return self
 
     def then(self, pattern: Pattern | Frame | str) -> SeenFrame:
@@ -91,9 +95,12 @@ def find(pattern: Pattern, judge: Judge, names: Names, since: Time, first: int =
         return SeenFrame(pattern, place, judge, names, since)
     looked = [each for each in judge.witnessed()[first:] if each.passed.time >= since]
     near = _nearest(pattern, looked, names)
-    told = [f"{judge.name} never saw {pattern}{behind} (looked at {len(looked)} frames from {since / SECOND:.6f} s on)."]
+    told = [f"{judge.name} never saw {pattern}{behind} (looked at {_count(looked)} from {since / SECOND:.6f} s on)."]
     if near:
         told += ["What came nearest:", *(f"  {each}" for each in near)]
+    before = [judge.witnessed()[each] for each in _all(pattern, judge, names, 0)]
+    if before:
+        told += ["It came before that:", *(f"  {each}" for each in before[-_NEAR:])]
     lost = [each for each in looked if not each.passed.was_heard and pattern.fits(each.passed.frame, names)]
     if lost:
         told += ["It was sent, but a fault took it:", *(f"  {each}" for each in lost[:_NEAR])]
@@ -150,6 +157,10 @@ def _nearest(pattern: Pattern, looked: Iterable[Witnessed], names: Names) -> lis
         ):
             of_object.append(each)
     return (of_object or same)[-_NEAR:]
+
+
+def _count(frames: Sized) -> str:
+    return f"{len(frames)} frame{'' if len(frames) == 1 else 's'}"
 
 
 def _time_text(time: Time) -> str:

@@ -146,6 +146,9 @@ class World:
 
         dictionary: by default that of its shape.
         """
+        __tracebackhide__ = True
+        if not isinstance(node_id, int):
+            raise LocalProtocolError(f"{node_id!r} is no node-ID; a drive of a file is a device: sim_node(file, node_id=5)")
         make = partial(DriveNode, node_id=node_id, settings=settings or DriveSettings(), dictionary=dictionary)
         node = self.device(make, bus=bus)
         assert isinstance(node, DriveNode)
@@ -191,6 +194,8 @@ class World:
         __tracebackhide__ = True
         for fault in faults:
             if not isinstance(fault, Fault):
+                if isinstance(fault, list | tuple):
+                    raise LocalProtocolError("give faults one by one: add_faults(*faults)")
                 raise LocalProtocolError(f"{fault!r} is no fault, such as Lose(sdo_answer(5), nth=3)")
             armed = ArmedFault(fault, Draws(f"fault {len(self._faults)}", self.seed))
             self._faults.append(armed)
@@ -232,6 +237,8 @@ class World:
         (ns), or if nothing more will happen.
         """
         __tracebackhide__ = True
+        if isinstance(condition, bool):
+            raise LocalProtocolError("a condition is a function, which is asked again and again: run_until(lambda: ...)")
         if not callable(condition) or getattr(condition, "__module__", "") == patterns.__name__:
             condition = as_pattern(condition)
             condition.check(self._dictionary_of)

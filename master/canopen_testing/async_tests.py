@@ -25,6 +25,8 @@ from canopen_testing.world_loop import WorldLoop
 
 T = TypeVar("T")
 
+_NO_ASYNCIO, _NO_TRIO = "no running event loop", "must be called from async context"
+"""What asyncio and trio say in the loop of the other."""
 CLOCK = "_canopen_world_as_clock"
 """The argument by which pytest-trio finds the clock of a test."""
 
@@ -71,7 +73,13 @@ def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[.
         _check_time(world, in_trio)
         async with _opened(arguments, world, in_trio) as opened:
             started = functools.partial(test, **opened)
-            return await (world.watched(started) if in_trio else started())
+            try:
+                return await (world.watched(started) if in_trio else started())
+            except RuntimeError as error:
+                if str(error) == (_NO_ASYNCIO if in_trio else _NO_TRIO):
+                    other, this = ("asyncio", "trio") if in_trio else ("trio", "asyncio")
+                    error.add_note(f"this test runs in {this}; to run it in {other}, mark it @pytest.mark.{other}")
+                raise
 
     return run
 

@@ -71,7 +71,9 @@ def canopen_world(request: pytest.FixtureRequest) -> Iterator[ProgramWorld]:
         wrong += [repr(each) for each in mark.args if not isinstance(each, worlds.Fault)]
         wrong += [f"seed={seed!r}" for seed in [mark.kwargs.get("seed", 0)] if not isinstance(seed, int)]
         if wrong:
-            raise pytest.UsageError(f"canopen_faults takes faults of canopen_proto.testing and seed=, not {', '.join(wrong)}")
+            raise pytest.UsageError(
+                f"canopen_faults takes faults of canopen_proto.testing, one by one, and seed=, not {', '.join(wrong)}"
+            )
     seed = next((mark.kwargs["seed"] for mark in markers if "seed" in mark.kwargs), request.config.getoption("canopen_seed"))
     world = request.node.stash[_WORLD] = worlds.ProgramWorld(seed, [fault for mark in markers for fault in mark.args])
     mark = request.node.get_closest_marker("canopen_limit")

@@ -131,7 +131,10 @@ class ProgramWorld(World, trio.abc.Clock):
         bitrate: bit/s: frames take the time of their bits, and the lowest identifier goes first; 0: any time, as the seed draws.
         Raises LocalProtocolError if the bus has another bit rate already, or if frames are under way on it.
         """
+        __tracebackhide__ = True
         there = super().bus(name)
+        if not isinstance(bitrate, int) or bitrate < 0:
+            raise LocalProtocolError(f"a bit rate is bit/s, such as 125_000, not {bitrate!r}")
         if bitrate and bitrate != there.bitrate:
             there.use_cable(Wire(WireSettings(bitrate=bitrate, seed=self.seed, acknowledge=False), self.now), bitrate)
         return there
@@ -221,6 +224,9 @@ class ProgramWorld(World, trio.abc.Clock):
 
     def _begin(self, program: str, limit: Time | float | None, waits: Callable[[], WaitingTasks]) -> None:
         """A program begins. program: how it lets time pass. waits: returns where its tasks wait."""
+        __tracebackhide__ = True
+        if self._program:
+            raise LocalProtocolError("a program runs in this world already: await main() in it")
         self._program, self._waits = program, waits
         self._until = self.now + (self.limit if limit is None else nanoseconds(limit, "limit"))
         self._stuck, self._left, self._left_working = None, IN_EARNEST, WORKING

@@ -1,13 +1,17 @@
-"""`virtual_time`: while it lasts, what runs in real time is an error in this thread: `time.sleep`, and a thread that is started.
+"""`virtual_time`: while it lasts, what runs in real time is an error in this thread, wherever it is called.
 
-**time.sleep.** From Python 3.13 on, each one is seen, by the audit event of that name. Before 3.13, the function is replaced for
-that time: in `time`, and in each module that has imported it by name (`from time import sleep`). What keeps it elsewhere is not
-seen: a default of a parameter, an attribute of a class.
+    time.sleep                        WallClockWaitError
+    a wait for an event, a queue      WallClockWaitError: it is a `threading.Condition` that waits
+    asyncio.run, trio.run             WallClockWaitError, unless the loop, or the clock, is that of the world
+    a thread that is started          ThreadStartedError: when it acts is no matter of a seed, so no run can be repeated
+    a SocketCAN socket                LocalProtocolError: it is a bus in earnest, whose drives would move
 
-**Threads.** When a thread runs is no matter of a seed, so a program with one cannot be repeated. The functions that start one are
-replaced for that time. Allowed are threads whose work a program awaits (trio's, asyncio's: time stands still meanwhile,
-working_threads.py), the one that writes a recording, which decides nothing, and those of tools. Threads that run already are not
-seen.
+Allowed are threads whose work a program awaits (trio's, asyncio's: time stands still meanwhile, working_threads.py), the one that
+writes a recording, which decides nothing, and those of tools; `allows_threads` allows all. Threads that run already are not seen.
+
+These functions are replaced for that time. From Python 3.13 on, each `time.sleep` is seen by the audit event of that name.
+Before, it is replaced in `time`, and in each module that has imported it by name (`from time import sleep`). What keeps it
+elsewhere is not seen: a default of a parameter, an attribute of a class.
 
 An audit hook cannot be taken away again, so there is one for the process, made at the first use. All of this does nothing outside
 of `virtual_time`, nor in other threads.
@@ -16,20 +20,33 @@ of `virtual_time`, nor in other threads.
 from __future__ import annotations
 
 import _thread
+import asyncio
+import inspect
+import socket
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from typing import Any, Final, NamedTuple
 
+from trio._core import _run
+
+from canopen_proto.machine import LocalProtocolError
+
 _HAS_EVENT: Final = sys.version_info >= (3, 13)
-_PASSED_ON: Final = ("threading", "concurrent.futures", "canopen_testing.real_time")
-"""Modules that start a thread for somebody else."""
-_ALLOWED: Final = (
-    "trio.", "asyncio.", "canopen_master.motion.recording",
-    "pytest_timeout", "execnet.", "xdist.", "coverage.", "debugpy.", "pydevd", "_pydev",
+_PASSED_ON: Final = ("threading", "queue", "concurrent.futures", "canopen_testing.real_time")
+"""Modules that start a thread, or wait, for somebody else."""
+_TOOLS: Final = (
+    "pytest_timeout", "pytest_asyncio", "pytest_trio", "anyio.", "execnet.", "xdist.", "coverage.", "debugpy.", "pydevd",
+    "_pydev",
 )  # fmt: skip
+_AWAITED: Final = ("trio.", "asyncio.", "canopen_master.motion.recording", *_TOOLS)
+_INSTEAD: Final = (
+    "but the world of this test has its own time: `world.advance(...)` in a test, `await trio.sleep(...)` or "
+    "`await asyncio.sleep(...)` in a program"
+)
 
 
 class WallClockWaitError(RuntimeError):
@@ -92,23 +109,99 @@ def _sleep(seconds: float) -> None:
     _real_sleep(seconds)
 
 
-def _starting(start: Callable[..., Any]) -> Callable[..., Any]:
-    """Return what stands for a function that starts a thread: its first argument is what the thread does."""
+def _watched(module: Any, name: str, refuse: Callable[..., None]) -> _Replaced:
+    """Let a function be replaced by one that looks first. refuse: is given its arguments; raises."""
+    real = getattr(module, name)
 
-    def start_watched(function: Callable[..., Any], *args: Any, **options: Any) -> Any:
+    @wraps(real)
+    def watched(*args: Any, **options: Any) -> Any:
         __tracebackhide__ = True
-        _refuse_thread(function)
-        return start(function, *args, **options)
+        if threading.get_ident() in _worlds:
+            refuse(*args, **options)
+        return real(*args, **options)
 
-    return start_watched
+    return _Replaced(module, name, real, watched)
+
+
+def _refuse_wait(condition: threading.Condition, timeout: float | None = None) -> None:
+    __tracebackhide__ = True
+    if (timeout is None or timeout > 0) and not _is_allowed(_AWAITED):
+        raise WallClockWaitError(f"a wait for an event, a queue or another thread is one in real time, {_INSTEAD}")
+
+
+def _refuse_loop(loop: object, *args: object) -> None:
+    __tracebackhide__ = True
+    if not hasattr(loop, "world"):
+        _refuse_run(*args)
+
+
+def _refuse_run(main: object = None, *args: object, **options: object) -> None:
+    __tracebackhide__ = True
+    if _starter(("asyncio",)).startswith(_TOOLS):
+        return
+    if inspect.iscoroutine(main):
+        main.close()
+    raise WallClockWaitError("this asyncio loop runs in real time: use `world.run_asyncio(main)`, or an async test")
+
+
+def _refuse_clock(clock: object, *args: object) -> None:
+    __tracebackhide__ = True
+    if not _starter(("trio", "attr")).startswith(_TOOLS):
+        text = "trio.run has a clock in real time: use `world.run(main)`, `trio.run(main, clock=world)`, or an async test"
+        raise WallClockWaitError(text)
+
+
+def _refuse_bus(made: socket.socket, family: int = -1, *args: object, **options: object) -> None:
+    __tracebackhide__ = True
+    if family == getattr(socket, "AF_CAN", None):
+        raise LocalProtocolError(
+            'a SocketCAN socket is a bus in earnest, and this is the world of a test: can.Bus(interface="canopen_world", '
+            'channel="can0"), or open_master("socketcan:can0")'
+        )
+
+
+def _refuse_thread(function: Any, *args: object, **options: object) -> None:
+    __tracebackhide__ = True
+    if _is_allowed(_AWAITED):
+        return
+    thread = getattr(function, "__self__", None)
+    name = f"the thread {thread.name!r}" if isinstance(thread, threading.Thread) else "a thread"
+    target = getattr(thread, "_target", None) or function
+    raise ThreadStartedError(
+        f"{name} ({getattr(target, '__qualname__', target)}) runs in real time, and the world of this test does not: when it "
+        "acts is no matter of the seed, so no run can be repeated. Await its work (`trio.to_thread.run_sync`, "
+        "`asyncio.to_thread`): time stands still meanwhile. A can.Notifier needs no thread with `loop=`. If the thread decides "
+        "nothing on the bus: `world.allows_threads = True`"
+    )
+
+
+def _is_allowed(starters: tuple[str, ...]) -> bool:
+    return _worlds[threading.get_ident()][-1]() or _starter().startswith(starters)
+
+
+def _starter(more: tuple[str, ...] = ()) -> str:
+    """Return the name of the module that starts or waits now. more: modules that do so for somebody else."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith((*_PASSED_ON, *more)):
+        frame = frame.f_back
+    name: str = frame.f_globals.get("__name__", "")
+    return name
 
 
 _real_sleep: Final = time.sleep
-_STARTS: Final = ((_thread, "start_new_thread"), (threading, "_start_new_thread"), (threading, "_start_joinable_thread"))
 _places: list[_Replaced] = [
-    _Replaced(module, name, start, _starting(start))
-    for module, name in _STARTS
-    if (start := getattr(module, name, None)) is not None  # of this version of Python
+    _watched(threading.Condition, "wait", _refuse_wait),
+    _watched(asyncio, "run", _refuse_run),
+    _watched(asyncio.BaseEventLoop, "run_until_complete", _refuse_loop),
+    _watched(asyncio.BaseEventLoop, "run_forever", _refuse_loop),
+    _watched(_run.SystemClock, "__init__", _refuse_clock),
+    _watched(socket.socket, "__init__", _refuse_bus),
+    _watched(_thread, "start_new_thread", _refuse_thread),
+    *(
+        _watched(threading, name, _refuse_thread)
+        for name in ("_start_new_thread", "_start_joinable_thread")
+        if hasattr(threading, name)  # in this version of Python
+    ),
 ]
 _searched = {__name__}  # modules
 
@@ -125,32 +218,4 @@ def _find_sleep() -> None:
 def _refuse_sleep(seconds: float) -> None:
     __tracebackhide__ = True
     if seconds > 0 and threading.get_ident() in _worlds:
-        raise WallClockWaitError(
-            f"time.sleep({seconds:g}) waits in real time, but the world of this test has its own: `world.advance(...)` in a "
-            "test, `await trio.sleep(...)` or `await asyncio.sleep(...)` in a program"
-        )
-
-
-def _refuse_thread(function: Any) -> None:
-    __tracebackhide__ = True
-    worlds = _worlds.get(threading.get_ident())
-    if not worlds or worlds[-1]() or _starter().startswith(_ALLOWED):
-        return
-    thread = getattr(function, "__self__", None)
-    name = f"the thread {thread.name!r}" if isinstance(thread, threading.Thread) else "a thread"
-    target = getattr(thread, "_target", None) or function
-    raise ThreadStartedError(
-        f"{name} ({getattr(target, '__qualname__', target)}) runs in real time, and the world of this test does not: when it "
-        "acts is no matter of the seed, so no run can be repeated. Await its work (`trio.to_thread.run_sync`, "
-        "`asyncio.to_thread`): time stands still meanwhile. A can.Notifier needs no thread with `loop=`. If the thread decides "
-        "nothing on the bus: `world.allows_threads = True`"
-    )
-
-
-def _starter() -> str:
-    """Return the name of the module that starts a thread now."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(_PASSED_ON):
-        frame = frame.f_back
-    name: str = frame.f_globals.get("__name__", "")
-    return name
+        raise WallClockWaitError(f"time.sleep({seconds:g}) waits in real time, {_INSTEAD}")

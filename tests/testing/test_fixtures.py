@@ -343,7 +343,10 @@ def test_what_is_no_fault_is_refused_and_not_left_out(suite: pytest.Pytester, wr
     suite.makepyfile(f"import pytest\n@pytest.mark.canopen_faults({wrong})\ndef test_it(canopen_world): pass")
     run = suite.runpytest()
     run.assert_outcomes(errors=1)
-    assert f"canopen_faults takes faults of canopen_proto.testing and seed=, not {wrong.partition('3')[0]}" in run.stdout.str()
+    assert (
+        f"canopen_faults takes faults of canopen_proto.testing, one by one, and seed=, not {wrong.partition('3')[0]}"
+        in run.stdout.str()
+    )
 
 
 def test_a_device_on_a_bus_is_checked_and_reset() -> None:

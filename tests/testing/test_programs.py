@@ -5,10 +5,13 @@ from __future__ import annotations
 import _thread
 import asyncio
 import os
+import queue
+import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
@@ -28,6 +31,8 @@ from canopen_proto.testing import DidNotHappenError, Lose, boot_up, emcy, heartb
 from canopen_testing import AsyncioMaster, ProgramWorld, ThreadStartedError, WallClockWaitError, WorldCanBus
 from canopen_testing.present import present, present_world
 from canopen_transports import open_transport
+
+pytest_plugins = "pytester"
 
 
 async def configure(locator: str = "virtual:can0") -> str:
@@ -428,6 +433,53 @@ def test_a_wait_in_real_time_is_told() -> None:
     time.sleep(0.0001)
 
 
+def test_what_else_waits_in_real_time_is_told() -> None:
+    async def main() -> None:
+        await asyncio.sleep(0.1)
+
+    loop = asyncio.new_event_loop()
+    coroutine = main()
+    waits: list[tuple[Callable[[], object], str]] = [
+        (lambda: threading.Event().wait(0.1), "a wait for an event, a queue or another thread is one in real time"),
+        (lambda: queue.Queue[int]().get(timeout=0.1), "a wait for an event"),
+        (lambda: asyncio.run(main()), "this asyncio loop runs in real time: use `world.run_asyncio"),
+        (lambda: loop.run_until_complete(coroutine), "this asyncio loop runs in real time"),
+        (lambda: loop.run_forever(), "this asyncio loop runs in real time"),
+        (lambda: trio.run(trio.sleep, 0.1), "trio.run has a clock in real time: use `world.run"),
+    ]
+    with present(ProgramWorld()):
+        for wait, text in waits:
+            with pytest.raises(WallClockWaitError, match=text):
+                wait()
+        assert not threading.Event().wait(0)
+        trio.run(trio.sleep, 1, clock=trio.testing.MockClock(autojump_threshold=0))
+    loop.close()
+    asyncio.run(main())
+
+
+def test_a_bus_in_earnest_is_refused_in_a_world() -> None:
+    with present(ProgramWorld()), pytest.raises(LocalProtocolError, match="a SocketCAN socket is a bus in earnest"):
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    with present(ProgramWorld()):
+        socket.socket().close()
+
+
+def test_the_loop_that_is_missing_is_named(suite: pytest.Pytester) -> None:
+    suite.makepyfile("""
+        import asyncio, pytest, trio
+
+        async def test_without_a_mark(canopen_world):
+            await asyncio.sleep(1)
+
+        @pytest.mark.asyncio
+        async def test_with_a_mark(canopen_world):
+            await trio.sleep(1)
+    """)
+    text = suite.runpytest("-p", "no:asyncio").stdout.str()
+    assert "this test runs in trio; to run it in asyncio, mark it @pytest.mark.asyncio" in text
+    assert "this test runs in asyncio; to run it in trio, mark it @pytest.mark.trio" in text
+
+
 def test_a_sleep_that_was_imported_by_its_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     worlds = ProgramWorld(), ProgramWorld()
     for number, world in enumerate(worlds):  # the second module comes when a world was there already
@@ -584,6 +636,14 @@ def test_a_mistake_is_told_at_once_with_the_right_form() -> None:
     for run, name in ((world.run, "world.run"), (world.run_asyncio, "world.run_asyncio")):
         with pytest.raises(LocalProtocolError, match=rf"give the function, as in {name}\(main\)"):
             run(main())
+
+    async def runs_another() -> None:
+        world.run(main)
+
+    with pytest.raises(LocalProtocolError, match="a program runs in this world already"):
+        world.run(runs_another)
+    with pytest.raises(LocalProtocolError, match="a bit rate is bit/s, such as 125_000, not '125k'"):
+        world.bus(bitrate="125k")  # type: ignore[arg-type]
     with pytest.raises(LocalProtocolError, match="limit is 5: times are nanoseconds"):
         world.run(main, limit=5)
     with pytest.raises(DeviceRefusedError, match='sim_node."sample_drive.eds", node_id=5.') as told:

@@ -456,6 +456,11 @@ class Station(DeclaredDevice):
     (lambda world: world.bus().saw("705#00", after=1.5), r"after is 1.5"),
     (lambda world: world.bus().saw(sdo_write(5, "controlwort")), "controlwort is no object of node 5 .*did you mean controlword"),
     (lambda world: world.bus().never(heartbeat(300)), "node-ID 300 is outside 1..127"),
+    (lambda world: world.run_until(False), "a condition is a function"),
+    (lambda world: world.bus().saw("705#00").times("3"), "times takes a number from 1 on, not '3'"),
+    (lambda world: world.add_faults([Lose()]), r"give faults one by one: add_faults\(\*faults\)"),
+    (lambda world: world.drive("my.eds"), "'my.eds' is no node-ID; a drive of a file is a device: sim_node"),
+    (lambda world: Lose(test_what_is_clear_is_taken), "a marker takes faults, and no class of them"),
     (lambda world: world.add_faults("lose"), "'lose' is no fault, such as Lose"),
     (lambda world: world.add_faults(Refuse(5, "controlwort")), "did you mean controlword"),
     (lambda world: world.add_faults(Lose(sdo_read(5, "statuswort"))), "did you mean statusword"),
@@ -518,6 +523,16 @@ def test_what_is_clear_is_taken() -> None:
     bus.saw("705#").then("000#0105").then("705#05").within(0.2 * SECOND)
     bus.never("123#")
     bus.observer.clean(but="late heartbeat")
+
+
+def test_what_came_too_soon_is_told_and_what_is_on_its_way() -> None:
+    world = beating()
+    bus, master = world.bus(), world.master()
+    with pytest.raises(AssertionError, match=r"It came before that:\n.* write 1017:00 producer_heartbeat_time = 100"):
+        bus.saw(heartbeat(5)).then(sdo_write(5, "producer_heartbeat_time"))
+    master.command(NmtCommand.START, 5)
+    with pytest.raises(AssertionError, match="It was sent just now, and is on its way"):
+        bus.saw(nmt("start", 5))
 
 
 # ---- what the faults have done ----
