@@ -131,6 +131,14 @@ GATEWAY_MUTANTS: Final = tuple(
             LEASE,
         ),
         (
+            "refused_jog_counts",
+            _LEASE,
+            "        self.renew(session, sequence)\n        self._wanted = list(velocities)\n",
+            "        self._wanted = list(velocities)\n        self.renew(session, sequence)\n",
+            "velocities of a client that is refused move the machine if they come while a jog begins",
+            LEASE,
+        ),
+        (
             "jog_without_its_own_switch",
             _LEASE,
             "        async with arm.jog(renew_within=LEASE_TIME) as jog:\n",

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from canopen_proto.datatypes import DataType, ValueRangeError, decode, encode, is_signed, size_of
+from canopen_proto.datatypes import DataType, Value, ValueRangeError, decode, encode, is_signed, size_of
 from canopen_proto.gateway.dialect import CANOPENNODE, Dialect
 from canopen_proto.machine import LocalProtocolError
 
@@ -174,9 +174,9 @@ def typed_value(value_type: ValueType, data: bytes, dialect: Dialect = CANOPENNO
     return text
 
 
-def _encoded(number: float, value_type: ValueType) -> bytes | None:
+def _encoded(value: Value, value_type: ValueType) -> bytes | None:
     try:
-        return encode(number, value_type.data_type)
+        return encode(value, value_type.data_type)
     except ValueRangeError:
         return None
 

@@ -139,13 +139,13 @@ class Lease:
     def jog(self, session: LeaseHolder, sequence: int, chain: str, velocities: Sequence[float]) -> None:
         """Move the joints of a chain at these velocities, in their units per second, until the next message, or the end of the
         lease. All zeros: the joints brake, and the jog goes on. Raises as `enable`; LeaseError if it cannot move like that."""
-        self._wanted = list(velocities)
         if self.doing != "jog" or self._jogged != chain:
             arm = self._begin(session, sequence, chain, "jog")
-            self._jogged = chain
+            self._jogged, self._wanted = chain, list(velocities)
             self._run("jog", lambda: self._jogging(arm))
             return
         self.renew(session, sequence)
+        self._wanted = list(velocities)
         if self._jog is not None:
             try:
                 self._jog.velocity(self._wanted)

@@ -166,9 +166,9 @@ class GatewayService:
     @asynccontextmanager
     async def turn(self, net: str, node_id: int, timeout: float | None) -> AsyncIterator[Node]:
         """Have a node while the block runs, with this time-out (seconds) for each of its answers; None: the master's."""
+        node = self.node(net, node_id)
         with self.under_way():
             async with self._turns[net, node_id]:
-                node = self.node(net, node_id)
                 client = node.remote.sdo
                 before = client.timeout, client.max_upload
                 if timeout is not None and not self._is_moved(node):

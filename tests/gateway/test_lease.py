@@ -167,19 +167,22 @@ async def test_one_owner_at_a_time() -> None:
 
 @virtual_time
 async def test_an_old_message_moves_nothing() -> None:
-    async with machine() as (_, service, arm):
-        with service.open_session("hand") as session:
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session, service.open_session("another") as other:
             owner = Owner(service, session)
             await owner.ready(arm)
             owner.lease.jog(session, 1000, "arm", [0.0, 0.0])
-            for number in (1000, 999, 1):
-                with pytest.raises(LeaseError, match="old message"):
-                    owner.lease.jog(session, number, "arm", [0.1, 0.0])
+            for client, number in ((session, 1000), (session, 999), (session, 1), (other, 1001)):
+                with pytest.raises(LeaseError, match="old message|does not have the lease"):
+                    owner.lease.jog(client, number, "arm", [0.1, 0.0])  # while the jog begins, too
             left = owner.lease.left
             await trio.sleep(0.05)
             with pytest.raises(LeaseError, match="old message"):
                 owner.lease.renew(session, 1000)
             assert owner.lease.left == pytest.approx(left - 0.05)  # an old one is no sign of life
+            await trio.sleep(0.15)
+            assert owner.lease.doing == "jog"
+            assert not is_moving(host)
 
 
 @virtual_time
