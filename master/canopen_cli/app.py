@@ -50,6 +50,8 @@ COMMANDS: Final = {
     "home": ("drive.home", "Home drives (CiA 402), all at the same time."),
     "backup": ("node.backup", "Read all values of a node into a DCF, which `canopen restore` writes back."),
     "restore": ("node.restore", "Write those settings of a DCF or XDC to a node that differ from its own."),
+    "store": ("node.storing", "Have a device keep its present parameters over power-off (0x1010)."),
+    "reset-defaults": ("node.storing", "Have a device take the defaults of its parameters from its next reset on (0x1011)."),
     "flash": ("node.flash", "Write a new program (firmware) into a device that takes it by CiA 302-3, and start it."),
     "compare": ("node.compare", "Compare the values of a node, or of a file, with those of another file."),
     "dump": ("node.dump", "Read all objects of a node, and show them."),
