@@ -38,6 +38,8 @@ COMMANDS: Final = {
     "read": ("node.objects", "Read objects of a node."),
     "write": ("node.objects", "Write an object of a node, and show its value before and after."),
     "nmt": ("bus.nmt", "Start, stop or reset a node, or all of them."),
+    "sync": ("bus.sync_time", "Send SYNC: all nodes take and send their synchronous PDOs."),
+    "time": ("bus.sync_time", "Send this computer's time of day to all nodes (TIME, 0x100), once, in UTC."),
     "lss": ("lss.group", "Give devices their node-ID and bit rate over the bus itself (CiA 305)."),
     "listen": ("live.listen", "Hear who is on a bus, and with --bitrates find its bit rate."),
     "monitor": ("live.monitor", "Show what each frame on a bus means, until Ctrl-C."),
