@@ -133,8 +133,8 @@ MASTER_MUTANTS: Final = tuple(
         (
             "one_tick_after_a_stall",
             "canopen_master/participant/pump.py",
-            "self._quiet_ticks if late > _STALL else _TICKS",
-            "_TICKS",
+            "self._quiet_ticks if late > _STALL else self._loop.rounds_to_hear",
+            "self._loop.rounds_to_hear",
             "after a stall the master acts on what it heard before it has heard the rest",
             STALLS,
         ),

@@ -76,8 +76,8 @@ TRANSPORT_MUTANTS: Final = tuple(
         (
             "half_a_line",
             "canopen_transports/tcp/client.py",
-            "(shield=True, deadline=trio.current_time() + ROOM_TIME) as limit:\n            while rest:",
-            "(deadline=trio.current_time() + ROOM_TIME) as limit:\n            while rest:",
+            "(shield=True, deadline=self._loop.current_time() + ROOM_TIME) as limit:\n            while rest:",
+            "(deadline=self._loop.current_time() + ROOM_TIME) as limit:\n            while rest:",
             "a cancelled sender leaves half a frame on the line",
             CLIENT,
         ),

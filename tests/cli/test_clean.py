@@ -144,6 +144,7 @@ COMMANDS = [
     ("check", "5", "-e", "device.eds", *DEMO, "--case", "1", "--case", "4", "--case", "9.1", "--yes"),
     ("nmt", "start", "5", "-b", "broken:x"),
     ("bus", "serve", "--bind", EVIL, "--yes", "--seconds", "0"),
+    ("serve", "ascii", "--bind", EVIL, "--reachable", "--seconds", "0", *DEMO),
     ("data", "init", "--to", EVIL[:-3]),
     ("sim", NAMED_EDS, "--id", "5", "--seconds", "0.2", "-b", "virtual:x"),
     ("sim", "odd.eds", "--id", "5", "--seconds", "0.2", "-b", "virtual:x", "--script", "odd.py"),

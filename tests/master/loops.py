@@ -16,6 +16,7 @@ import trio
 import trio.testing
 
 from canopen_proto.machine import NEVER, SECOND, Time
+from canopen_testing.working_threads import WorkingThreads
 from canopen_testing.world_loop import WorldLoop
 from canopen_transports.loop import Loop, current_loop
 from canopen_transports.loop.on_asyncio import AsyncioLoop
@@ -47,8 +48,10 @@ class VirtualTime:
     def __init__(self) -> None:
         self.now: Time = 0
 
-    def pass_time(self, end: Time) -> float:
-        if end >= NEVER:
+    def pass_time(self, end: Time, threads: WorkingThreads) -> float:
+        if threads.take_news():
+            return 0.0
+        if end >= NEVER or threads.names:
             return IN_EARNEST
         self.now = max(self.now, end)
         return 0.0
