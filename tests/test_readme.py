@@ -15,7 +15,19 @@ from trio.testing import MockClock
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-NAMES = ("devices.md", "own-device.md", "machine.md", "first-move.md", "recording.md", "lss.md", "flash.md", "network.md")
+NAMES = (
+    "devices.md",
+    "own-device.md",
+    "machine.md",
+    "first-move.md",
+    "recording.md",
+    "lss.md",
+    "flash.md",
+    "network.md",
+    "master.md",
+    "core.md",
+    "start-no-hardware.md",
+)
 PAGES = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in NAMES)
 EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT + PAGES, re.DOTALL)
 LIMIT = 60  # seconds, for a machine that is busy with other things
