@@ -115,7 +115,9 @@ def _help(text: str) -> Iterator[str]:
 
 
 def build(into: Path, draw: bool = True) -> int:
-    """Build the site into a folder, which is emptied. Returns Sphinx's status: 0 without a warning."""
+    """Build the site into a folder, in place of an older site. Returns Sphinx's status: 0 without a warning."""
+    if into.exists() and any(into.iterdir()) and not (into / "objects.inv").is_file():
+        raise SystemExit(f"{into} holds something else than a site; nothing was built. Name a new or an empty folder")
     with tempfile.TemporaryDirectory() as temporary:
         source = Path(temporary) / "source"
         shutil.copytree(DOCS, source, ignore=shutil.ignore_patterns("__pycache__"))

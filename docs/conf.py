@@ -25,7 +25,7 @@ myst_heading_anchors = 4
 html_theme = "furo"
 html_title = f"canopen-proto {release}"
 html_show_sourcelink = html_copy_source = False
-html_show_sphinx = False
+html_show_sphinx = html_show_copyright = False
 html_permalinks_icon = "#"
 
 autodoc_member_order = "bysource"
@@ -70,6 +70,7 @@ def read_docstring(app: Sphinx, kind: str, name: str, value: Any, options: Any, 
 
 
 CODE: Final = re.compile(r"`([^`]+)`")
+MARKUP: Final = re.compile(r"([\\*|_`])")
 ITEM: Final = re.compile(r" *(?:-|\d+\.) ")
 
 
@@ -93,8 +94,16 @@ def as_rst(lines: list[str]) -> Iterator[str]:
 def _inline(line: str) -> str:
     parts = CODE.split(line)  # text, code, text ...
     for place, part in enumerate(parts):
-        parts[place] = f"``{part}``" if place % 2 else re.sub(r"([\\*|_`])", r"\\\1", part)
-    return re.sub(r"(``[^`]+``)(?=[\w(])", r"\1\\ ", "".join(parts))  # code ends only before a space or a sign
+        if place % 2:
+            apart = "\\ " if re.match(r"[\w(]", parts[place + 1]) else ""  # code ends only before a space or a sign
+            parts[place] = f"``{part}``{apart}"
+        else:
+            bold = r"\*\*([^*]+)\*\*"
+            pieces = re.split(bold, part)  # text, bold, text ...
+            parts[place] = "".join(
+                f"**{each}**" if number % 2 else MARKUP.sub(r"\\\1", each) for number, each in enumerate(pieces)
+            )
+    return "".join(parts)
 
 
 def setup(app: Sphinx) -> None:

@@ -25,21 +25,23 @@ NAMES = (
     "flash.md",
     "network.md",
     "gateway.md",
+    "master.md",
+    "core.md",
+    "start-no-hardware.md",
 )
 PAGES = "".join((ROOT / "docs" / name).read_text(encoding="utf-8") for name in NAMES)
 EXAMPLES = re.findall(r"```python\n(.*?)```", TEXT + PAGES, re.DOTALL)
+THREADED = [number for number, example in enumerate(EXAMPLES) if "import direct" in example]
+"""Their connection is a thread, so the end of its process counts too."""
 LIMIT = 60  # seconds, for a machine that is busy with other things
 
 
 def test_there_are_examples() -> None:
     assert len(EXAMPLES) >= 5
+    assert THREADED
 
 
-THREADED = next(number for number, example in enumerate(EXAMPLES) if "import direct" in example)
-"""Its connection is a thread, so the end of its process counts too."""
-
-
-@pytest.mark.parametrize("number", [number for number in range(len(EXAMPLES)) if number != THREADED])
+@pytest.mark.parametrize("number", [number for number in range(len(EXAMPLES)) if number not in THREADED])
 def test_example(number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     run = trio.run
 
@@ -51,9 +53,10 @@ def test_example(number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Ca
     assert capsys.readouterr().out.strip(), "an example shows something"
 
 
-def test_an_example_with_a_thread_is_a_script_that_ends() -> None:
+@pytest.mark.parametrize("number", THREADED)
+def test_an_example_with_a_thread_is_a_script_that_ends(number: int) -> None:
     path = os.pathsep.join(sys.path)
-    script = [sys.executable, "-W", "error", "-c", EXAMPLES[THREADED]]
+    script = [sys.executable, "-W", "error", "-c", EXAMPLES[number]]
     ran = subprocess.run(
         script, capture_output=True, text=True, timeout=LIMIT, env={**os.environ, "PYTHONPATH": path}, check=False
     )

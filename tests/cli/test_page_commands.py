@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from canopen_cli.app import cli
+from canopen_cli.app import COMMANDS, cli
 from tests.cli.cli_support import runner_in_folder
 from tests.docs_build import DOCS
 
@@ -83,3 +83,8 @@ def test_each_command_line_of_the_pages_exists_with_its_options() -> None:
         except (click.UsageError, AssertionError) as error:
             wrong.append((page, line, str(error)))
     assert wrong == []
+
+
+def test_the_list_of_commands_has_each_of_them() -> None:
+    table = (DOCS / "commands.md").read_text(encoding="utf-8").partition("\nEvery command")[0]
+    assert sorted(re.findall(r"`([a-z-]+)`", table)) == sorted(COMMANDS)

@@ -387,3 +387,11 @@ def test_advice_for_programs_is_told_in_the_words_of_the_machine_file(words: str
     assert in_words_of_files(words) == others
     problem = problem_of(errors.SetPointRefusedError("a set-point was refused", "", words, (words,)))
     assert (problem.seen, tuple(problem.tries)) == (others, (others,))
+
+
+def test_a_write_without_an_answer_keeps_its_whole_sentence() -> None:
+    """It has a colon in it, at which other errors are parted into what failed and what was seen."""
+    lost = SdoTransferError(SdoAborted(5, 1, 0x6040, 0, AbortCode.TIMED_OUT, AbortOrigin.TIMEOUT, not_confirmed=True), "writing")
+    problem = problem_of(lost)
+    assert problem.failed == "node 5 did not answer writing 0x6040:00 (not confirmed: it may have been executed)"
+    assert problem.exit_code == ExitCode.NO_ANSWER

@@ -83,7 +83,7 @@ def completed(arguments: Sequence[str], incomplete: str) -> dict[str, str | None
 
 
 def test_a_shell_completes_commands_and_options() -> None:
-    assert completed([], "re") == {name: app.COMMANDS[name][1] for name in ("read", "restore")}
+    assert completed([], "re") == {name: app.COMMANDS[name][1] for name in ("read", "restore", "reset-defaults")}
     assert "--bus" in completed([], "--b")
     assert list(completed(["eds"], "to")) == ["to-dcf", "to-cdcf"]
     assert "--master-id" in completed(["home"], "--m")

@@ -42,7 +42,7 @@ DEMO_NODES: Final = range(3, 9)
 OF_FILES: Final = ("-e", "--eds", "-m", "--machine", "--overlay", "--trace", "-o", "--output")
 WITH_VALUE: Final = (*OF_FILES, "-b", "--bus", "--encoding", "--timeout")
 """Common options that take a value. Commands have others, whose values may be taken for words: then click answers."""
-NODE_FIRST: Final = ("info", "read", "write", "watch", "dump", "backup", "restore", "flash", "drive")
+NODE_FIRST: Final = ("info", "read", "write", "watch", "dump", "backup", "restore", "store", "reset-defaults", "flash", "drive")
 OBJECTS: Final = {"read": None, "watch": None, "write": 2}
 """Commands that take objects behind the node; and how many words `write` has before its value."""
 

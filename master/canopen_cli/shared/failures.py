@@ -26,7 +26,7 @@ from canopen_proto.explained import Explained
 from canopen_proto.machine import LocalProtocolError
 from canopen_proto.manager.programs.download import ProgramDownloadError
 from canopen_proto.procedures.objects import UnexpectedLengthError
-from canopen_proto.procedures.steps import ProcedureError, SdoTransferError
+from canopen_proto.procedures.steps import NOT_CONFIRMED, ProcedureError, SdoTransferError
 from canopen_transports import TransportError
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION
 
@@ -235,11 +235,13 @@ def _of_chain(error: errors.MasterError) -> CommandError:
 def _of_sdo(error: SdoTransferError) -> CommandError:
     silent = error.origin is AbortOrigin.TIMEOUT and error.abort_code != AbortCode.CANNOT_TRANSFER  # our own side ended it
     code = errors.NO_ANSWER if silent else _SDO_CODES.get(error.origin, errors.GIVEN_UP)
-    failed, _, seen = (error.failed if isinstance(error, DriveError) else str(error)).partition(": ")
+    text = error.failed if isinstance(error, DriveError) else str(error)
+    whole = text.removesuffix(NOT_CONFIRMED)
+    failed, _, seen = whole.partition(": ")
     return CommandError(
         ExitCode.NO_ANSWER if silent or error.not_confirmed else ExitCode.SDO_ABORT,
         code,
-        failed,
+        failed + text[len(whole) :],
         seen=seen,
         cause="no device has this node-ID, its power is off, or it is stopped" if silent else "",
         tries=(SCAN, "a longer --timeout") if silent else (),

@@ -105,6 +105,7 @@ def usage(code: str, failed: str, **more: Any) -> CommandError:
 
 _ON_A_BUS = re.compile(
     r"canopen (?:lss [a-z-]+|net (?:check|boot|watch)|scan|info|read|write|nmt|home|drive|sim|backup|restore|flash|dump"
+    r"|store|reset-defaults|sync|time"
     r"|(?:check|compare) [0-9])\b"
 )
 _BEFORE_BUS = re.compile(r"(?=    | -- |$)")  # before a remark, or before arguments that must stand last

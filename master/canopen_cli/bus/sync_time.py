@@ -1,0 +1,88 @@
+"""`canopen sync` and `canopen time`: send SYNC, and the time of day, to all nodes of a bus."""
+
+from __future__ import annotations
+
+import datetime
+
+import click
+
+from canopen_cli.shared.options import Duration, Settings, common
+from canopen_cli.shared.problem import usage
+from canopen_cli.shared.questions import confirm
+from canopen_cli.shared.running import run
+from canopen_cli.shared.screen import Screen
+from canopen_cli.shared.session import open_session
+from canopen_proto.machine import MICROSECOND, SECOND, Time
+from canopen_proto.procedures.steps import act
+from canopen_proto.sync import SyncSent
+from canopen_proto.time_stamp import TimeProducer
+
+
+@click.command()
+@click.option("--period", type=Duration(low=100 * MICROSECOND), help="One each so often, until Ctrl-C or --count: 10ms, 1s.")
+@click.option("--count", type=click.IntRange(min=1), help="How many.  [default: 1, or no end with --period]")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@common
+@click.pass_obj
+def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) -> None:
+    """Send SYNC: all nodes take and send their synchronous PDOs. A DRIVE THAT WAITS FOR SET-POINTS ACTS ON THEM.
+
+    Nobody else may send SYNC on this bus meanwhile.
+
+    \b
+    canopen sync -b demo --yes
+    canopen sync --period 20ms --count 100 -b demo --yes
+    """
+    if period is None and count is not None and count > 1:
+        raise usage("CO001", "--count needs a --period", tries=(f"canopen sync --period 10ms --count {count}",))
+    screen = settings.screen()
+    confirm(screen, "send SYNC: drives act on the set-points that they have", yes, needed=True)
+    sent = run(settings, screen, lambda: _sync(settings, screen, period, count))
+    if settings.json:
+        screen.json({"sent": sent, "period": None if period is None else period / SECOND})
+    else:
+        screen.say(f"{sent} SYNC sent")
+
+
+async def _sync(settings: Settings, screen: Screen, period: Time | None, count: int | None) -> int:
+    async with open_session(settings, screen) as session:
+        master = session.master
+        if period is None:
+            await master.send_sync()
+            return 1
+        with master.events(SyncSent) as syncs:
+            master.sync_start(period / SECOND)  # which keeps its phase
+            sent = 0
+            async for _ in syncs:
+                sent += 1
+                if sent == count:
+                    break
+            master.sync_stop()
+            return sent
+
+
+@click.command("time")
+@common
+@click.pass_obj
+def time(settings: Settings) -> None:
+    """Send this computer's time of day to all nodes (TIME, 0x100), once, in UTC.
+
+    \b
+    canopen time -b demo
+    """
+    screen = settings.screen()
+    sent = run(settings, screen, lambda: _time(settings, screen))
+    if settings.json:
+        screen.json({"time": sent.isoformat()})
+    else:
+        screen.say(f"TIME sent: {sent:%Y-%m-%d %H:%M:%S} UTC")
+
+
+async def _time(settings: Settings, screen: Screen) -> datetime.datetime:
+    now = datetime.datetime.now(datetime.UTC)
+    async with open_session(settings, screen) as session:
+        producer = TimeProducer(session.network.out)
+        session.network.attach(producer)
+        await session.master.run(act(lambda moment: producer.send(now, moment)))
+        session.network.detach(producer)
+    return now
