@@ -139,7 +139,7 @@ class WorldBus:
     def _under_way(self) -> list[Frame]:
         """The frames that were sent, and have not come yet."""
         queued = [frame for each in self.participants if each.network is not None for frame in each.network.out.frames]
-        return [*(sent.frame for sent in self._sent), *(late.course.frame for late in self._late), *queued]
+        return [*(sent.frame for sent in self._sent), *(late.transit.frame for late in self._late), *queued]
 
     # ---- for the world ----
 
