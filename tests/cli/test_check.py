@@ -105,7 +105,7 @@ def test_a_file_with_a_mistake(run: Run) -> None:
     Path("faulty.eds").write_bytes(read_file(SAMPLE).replace(b"LowLimit=0", b"LowLimit=10001"))
     outcome = run("check", "faulty.eds", "--junit", "report.xml")
     assert outcome.status == ExitCode.DIFFERENT
-    assert "faulty.eds:362:10: error: in [2000] Filter time: LowLimit 10001 is above" in outcome.out
+    assert "faulty.eds:366:10: error: in [2000] Filter time: LowLimit 10001 is above" in outcome.out
     assert "0 passed, 1 failed, 0 not applicable (1.0)" in outcome.err
     assert "canopen eds lint faulty.eds" in outcome.err
     assert ElementTree.parse("report.xml").getroot().get("failures") == "1"

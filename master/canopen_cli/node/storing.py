@@ -20,7 +20,7 @@ GROUPS: Final = {"all": 1, "communication": 2, "application": 3}
 MAKERS: Final = range(4, 128)
 
 
-class Group(Kind):
+class ParameterGroup(Kind):
     """A group of parameters: one of GROUPS, or a subindex of the maker's."""
 
     name = "group"
@@ -36,7 +36,11 @@ class Group(Kind):
 
 
 _GROUP = click.option(
-    "--group", type=Group(), default="all", show_default=True, help="all, communication, application, or the maker's 4 to 127."
+    "--group",
+    type=ParameterGroup(),
+    default="all",
+    show_default=True,
+    help="all, communication, application, or the maker's 4 to 127.",
 )
 _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 
