@@ -247,6 +247,12 @@ COMMANDS = [
     ("read", "5", "1000", *DEMO, "--trace", f"{EVIL[:-3]}.log"),
     (EVIL,),
     ("read", EVIL, "1000"),
+    ("store", "5", "--yes", "-b", EVIL),
+    ("store", "5", "--group", EVIL, *DEMO),
+    ("reset-defaults", "5", "--yes", "-b", EVIL),
+    ("sync", "--yes", "-b", EVIL),
+    ("time", "-b", EVIL),
+    ("completion", EVIL),
 ]
 
 
