@@ -130,6 +130,7 @@ class MasterSession:
         self._sources = sources
         self._make = make
         self._open_transports = AsyncExitStack()
+        self._is_halting = False
 
     @protected
     async def __aenter__(self) -> Master:
@@ -137,12 +138,15 @@ class MasterSession:
             grant = self._ask_for_realtime()
             self._master = self._make(*await self._open())
             self._master.realtime = () if grant is None else tuple(grant.measures)
+            self._watch = current_loop().cancel_scope(shield=True)
             self._tasks = current_loop().open_nursery()
             self._nursery = await self._tasks.__aenter__()
         except BaseException:
             await self._close()
             raise
         self._nursery.start_soon(self._serve)
+        if current_loop().cancels_at_end:
+            self._nursery.start_soon(self._halt_when_cancelled)
         self._master.body.__enter__()
         return self._master
 
@@ -155,7 +159,7 @@ class MasterSession:
             came = None if master.body.__exit__(kind, error, traceback) else error
         except BaseException as rest:  # noqa: BLE001 - a group without the Cancelled that was ours; raised again below
             came = rest
-        self._nursery.start_soon(self._halt)
+        self._begin_halt()
         try:
             await self._tasks.__aexit__(None, None, None)
         except BaseExceptionGroup as late:  # a Ctrl-C on the way out, or a bug there
@@ -185,6 +189,21 @@ class MasterSession:
             await self._master.pump.run()
         finally:
             await self._close()
+
+    @protected
+    async def _halt_when_cancelled(self) -> None:
+        """asyncio.run cancels all tasks at its end, also those of a master that nobody will leave any more, as when a generator
+        that holds it was forgotten: the drives must be halted then."""
+        with self._watch:
+            await current_loop().cancelled_from_outside()
+            LOGGER.warning("the event loop ends, and the master has not been left: its drives are halted now")
+            self._begin_halt()
+
+    def _begin_halt(self) -> None:
+        if not self._is_halting:
+            self._is_halting = True
+            self._watch.cancel()
+            self._nursery.start_soon(self._halt)
 
     @protected
     async def _halt(self) -> None:

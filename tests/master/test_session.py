@@ -7,11 +7,23 @@ from typing import Any
 
 import pytest
 
-from canopen_master import BusError, Chain, HaltNotConfirmedError, Master, MasterClosedError, open_master, standard_drives
+from canopen_master import (
+    BusError,
+    Chain,
+    HaltNotConfirmedError,
+    Master,
+    MasterClosedError,
+    Node,
+    boot_network,
+    open_master,
+    standard_drives,
+)
+from canopen_master.machine_file import parse_machine
 from canopen_master.session import SHUTDOWN_TIME
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.dictionary.standard import standard_object
 from canopen_proto.drives.cia402.states import State
+from canopen_proto.manager.parameters.walk import back_up_by_names
 from canopen_transports import VirtualTransport
 from canopen_transports.loop import CancelScope
 from canopen_transports.record import Record
@@ -161,17 +173,44 @@ async def _follow(master: Master, arm: Chain) -> None:
 
 
 async def _by_hand(master: Master, arm: Chain) -> None:
-    node = master.node(5)
+    await _begin_by_hand(master.node(5))
+    await loop.sleep_forever()
+
+
+async def _begin_by_hand(node: Node) -> None:
     await node.write("modes_of_operation", 6)
     for word in (6, 7, 15, 31):
         await node.write("controlword", word)
-    await loop.sleep_forever()
 
 
 async def _shut_down(master: Master, arm: Chain) -> None:
     await arm.initialise()
     await arm.enable_interpolated_position()
     await arm.shut_down()
+
+
+MACHINE = parse_machine("""
+[buses."virtual:test"]
+locator = "virtual:test"
+
+[nodes]
+shoulder = { id = 3, boot = { mandatory = true, heartbeat = "200ms" } }
+elbow = { id = 4, boot = { mandatory = true } }
+""")
+
+
+async def _boot(master: Master, arm: Chain) -> None:
+    node = master.node(5)
+    await _begin_by_hand(node)
+    await boot_network(master, MACHINE)
+    await loop.sleep_forever()
+
+
+async def _back_up(master: Master, arm: Chain) -> None:
+    node = master.node(5)
+    await _begin_by_hand(node)
+    await master.run(back_up_by_names(node.remote, node.remote.dictionary))
+    await loop.sleep_forever()
 
 
 Scenario = Callable[[Master, Chain], Awaitable[None]]
@@ -198,7 +237,11 @@ HOMING = [640, 1300, 1640, 1670, 2500]
 
 @pytest.mark.parametrize(
     ("scenario", "milliseconds"),
-    [(scenario, each) for scenario in (_home, _follow, _by_hand) for each in BEGINNING + (HOMING if scenario is _home else [])],
+    [
+        *((scenario, each) for scenario in (_home, _follow, _by_hand) for each in BEGINNING),
+        *((_home, each) for each in HOMING),
+        *((scenario, each) for scenario in (_boot, _back_up) for each in (84, 333, 700)),
+    ],
 )
 def test_cancelled_at_any_time_the_drives_stand(scenario: Scenario, milliseconds: int) -> None:
     @virtual_time
@@ -230,7 +273,7 @@ def step_by_step(work: Coroutine[Any, Any, None], step: int, scope: CancelScope)
 
 
 @pytest.mark.both_loops
-@pytest.mark.parametrize("scenario", [_home, _follow, _shut_down])
+@pytest.mark.parametrize("scenario", [_home, _follow, _shut_down, _boot, _back_up])
 def test_cancelled_at_each_await_the_drives_stand(scenario: Scenario) -> None:
     tested = 0
 

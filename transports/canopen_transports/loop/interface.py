@@ -168,11 +168,15 @@ class AsyncResource(ABC):
 class Loop(Protocol):
     """An event loop that runs. Get it by `current_loop()`. name: "trio" or "asyncio".
 
+    cancels_at_end: whether it cancels all tasks when its main one has ended, as asyncio.run does; trio waits for them.
     rounds_to_hear: after so many `checkpoint`s, a task that waits for a file that was readable before has run.
     """
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def cancels_at_end(self) -> bool: ...
 
     @property
     def rounds_to_hear(self) -> int: ...
@@ -227,6 +231,9 @@ class Loop(Protocol):
 
     def move_on_at(self, deadline: float, *, shield: bool = False) -> CancelScope:
         """Return a scope that cancels itself at this time."""
+
+    async def cancelled_from_outside(self) -> None:
+        """Return when the loop's own means cancel this task, whatever shields it: where `cancels_at_end`."""
 
     async def checkpoint(self) -> None:
         """Let other tasks run; may be cancelled."""

@@ -58,6 +58,7 @@ class AsyncioLoop:
     """See `Loop`."""
 
     name: Final = "asyncio"
+    cancels_at_end: Final = True
     rounds_to_hear: Final = 3  # the first sees the file, the second calls who waits for it, the third runs the task
     Cancelled: Final = asyncio.CancelledError
     ClosedResourceError: Final = ClosedResourceError
@@ -118,6 +119,14 @@ class AsyncioLoop:
 
     def move_on_at(self, deadline: float, *, shield: bool = False) -> AsyncioScope:
         return AsyncioScope(self._tasks, deadline, shield)
+
+    async def cancelled_from_outside(self) -> None:
+        await self._tasks.check()
+        try:
+            await self._loop.create_future()
+        except asyncio.CancelledError:
+            if not self._tasks.goes_on(has_ended=not self._tasks.is_cancelled()):
+                raise
 
     async def checkpoint(self) -> None:
         await checkpoint(self._tasks)

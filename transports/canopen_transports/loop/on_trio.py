@@ -23,6 +23,7 @@ class TrioLoop:
     """See `Loop`."""
 
     name: Final = "trio"
+    cancels_at_end: Final = False
     rounds_to_hear: Final = 2  # through a thread, the second one is needed
     Cancelled: Final = trio.Cancelled
     ClosedResourceError: Final = trio.ClosedResourceError
@@ -61,6 +62,9 @@ class TrioLoop:
         import trio.testing  # only here: it takes longer to import than all of this package
 
         await trio.testing.wait_all_tasks_blocked()
+
+    async def cancelled_from_outside(self) -> None:
+        await trio.sleep_forever()
 
     def clock(self) -> Callable[[], float]:
         return trio.lowlevel.current_clock().current_time

@@ -4,7 +4,14 @@ framing     the protocol, pure           outgoing    the queue for one member, p
 address     HOST:PORT, and its errors    client      the transport                     server      the bus
 """
 
-from canopen_transports.tcp.client import TcpTransport, open_tcp
-from canopen_transports.tcp.server import BusServer, serve_bus
+from typing import TYPE_CHECKING
 
-__all__ = ["BusServer", "TcpTransport", "open_tcp", "serve_bus"]
+if TYPE_CHECKING:
+    from canopen_transports.tcp.client import TcpTransport as TcpTransport
+    from canopen_transports.tcp.client import open_tcp as open_tcp
+    from canopen_transports.tcp.server import BusServer as BusServer
+    from canopen_transports.tcp.server import serve_bus as serve_bus
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__ = lazy_names(globals())
