@@ -657,7 +657,7 @@ class BlockingJog(Twin[Jog]):
         self._hub.do(self._inner.velocity, velocities)
 
     def renew(self) -> None:
-        """Holdable the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
+        """Hold the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
         self._hub.do(self._inner.renew)
 
 
@@ -675,7 +675,7 @@ class BlockingTargets(Twin[Targets]):
         self._hub.do(self._inner.aim_at, targets)
 
     def renew(self) -> None:
-        """Holdable the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
+        """Hold the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
         self._hub.do(self._inner.renew)
 
 
