@@ -241,9 +241,16 @@ MASTER_MUTANTS: Final = tuple(
         (
             "woken_for_good",
             "canopen_master/blocking/loop_thread.py",
-            "                self._wakers[0].wake()\n                self._front_waits = False ",
-            "                self._front_waits = False\n                self._wakers[0].wake() ",
-            "an interrupt between the two lines leaves the loop asleep, and a drive is not halted",
+            "            self._jobs.append(job)\n",
+            (
+                "            self._jobs.append(job)\n"
+                "            for number, name in enumerate(('_front_waits', '_dispatcher_waits')):\n"
+                "                if getattr(self, name):\n"
+                "                    setattr(self, name, False)\n"
+                "                    self._wakers[number].wake()\n"
+                "                    return True\n"
+            ),
+            "a task counts as woken before it is: an interrupt in between leaves it asleep, and a drive is not halted",
             BACKGROUND,
         ),
         (

@@ -5,7 +5,8 @@
         await arm.initialise()
         await arm.home()
 
-For scripts without async there is `canopen_master.direct`, the manual's blocking API on top of this.
+For scripts, notebooks and threads there is `canopen_master.blocking`, the same in plain calls; `canopen_master.direct` is the
+manual's blocking API.
 """
 
 from typing import TYPE_CHECKING

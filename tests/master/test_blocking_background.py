@@ -146,6 +146,29 @@ def test_stop_ends_the_calls_that_wait(background: Background[Place], place: Pla
     assert not background.is_running
 
 
+def test_stop_ends_a_call_with_tasks_of_its_own_for_the_same_reason(background: Background[Place], place: Place) -> None:
+    """What a nursery makes of its cancelled tasks may be a group."""
+    errors: list[BaseException] = []
+
+    async def wait_in_two_tasks(place: Place) -> None:
+        async with trio.open_nursery() as nursery:
+            nursery.start_soon(place.wait)
+            nursery.start_soon(place.wait)
+
+    def wait() -> None:
+        try:
+            background.call(wait_in_two_tasks)
+        except BaseException as error:  # noqa: BLE001 - looked at below
+            errors.append(error)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    until(lambda: len(place.log) == 2)
+    background.stop()
+    thread.join(LIMIT)
+    assert [type(error) for error in errors] == [MasterClosedError]
+
+
 def test_after_stop_nothing_is_called(background: Background[Place]) -> None:
     background.stop()
     with pytest.raises(MasterClosedError):

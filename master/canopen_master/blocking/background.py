@@ -12,8 +12,7 @@ because a bus failed, or because a thread has ended that it was made for), all w
 interpreter at once. So if SIGINT still has Python's own handler, such a Ctrl-C does nothing: see `_interrupt`. No thread helps
 against a signal that kills the process: `signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))` makes an exception of SIGTERM.
 
-**What a call costs** is mostly two changes between threads. So tasks that have served a call wait for the next one, and a caller
-waits for a lock.
+**What a call costs** is mostly two changes between threads: see LoopThread. A caller waits for a lock.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 import trio
 
-from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, Work, held_in_shared_loop
+from canopen_master.blocking.loop_thread import LOOK_UP, WATCH_INTERVAL, LoopThread, Work, forked, held_in_shared_loop
 from canopen_master.errors import CallTimeoutError, MasterClosedError
 from canopen_master.plain_text import clean_lines
 from canopen_proto.machine import LocalProtocolError
@@ -183,10 +182,13 @@ class Background(Generic[T]):
 
     @property
     def loop(self) -> LoopThread:
-        """The loop that takes calls. Raises MasterClosedError before there is one, LocalProtocolError in its own thread."""
+        """The loop that takes calls. Raises MasterClosedError before there is one, LocalProtocolError in its own thread, and in a
+        child process."""
         loop = self._loop
         if loop is None:
             raise MasterClosedError
+        if not loop.is_of_this_process:
+            raise forked()
         if get_ident() == loop.ident:
             raise LocalProtocolError("the blocking API was called in the master's own thread; call it in another one")
         return loop
@@ -370,11 +372,11 @@ class _Call:
                     value = await self._function(*self._args, **self._kwargs)
                 if limit.cancelled_caught:
                     error = CallTimeoutError(self._timeout)
-        except trio.Cancelled:
-            error = self._background.reason()
-            raise
-        except BaseException as raised:  # noqa: BLE001 - whatever it is belongs to the caller
-            error = self._background.told(raised)
+        except BaseException as raised:
+            if _is_cancelled(raised):
+                error = self._background.reason()
+                raise
+            error = self._background.told(raised)  # whatever it is belongs to the caller
         finally:
             self._scope = None
             self.end(value, error)
@@ -513,6 +515,13 @@ class Held(Generic[R]):
             await self._leave.wait()
             if self._error is not None:
                 raise self._error
+
+
+def _is_cancelled(error: BaseException) -> bool:
+    """Return whether an exception is Cancelled, or a group of nothing else, as a nursery makes one."""
+    if isinstance(error, BaseExceptionGroup):
+        return error.split(trio.Cancelled)[1] is None
+    return isinstance(error, trio.Cancelled)
 
 
 _running: set[Background[Any]] = set()

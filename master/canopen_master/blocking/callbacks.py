@@ -34,6 +34,7 @@ class Handler:
         self.dropped = 0
         self._callback = callback
         self._queue = queue
+        self._lock = threading.Lock()  # for the events
         self._events: deque[Event] = deque()
         self._told = 0
         self._is_closed = False
@@ -48,17 +49,19 @@ class Handler:
 
     def put(self, event: Event) -> None:
         """Queue an event (the loop does)."""
-        if len(self._events) >= QUEUE_SIZE:
-            self._events.popleft()
-            self.dropped += 1
+        with self._lock:
+            is_full = len(self._events) >= QUEUE_SIZE
+            if is_full:
+                self._events.popleft()
+                self.dropped += 1
             self._events.append(event)
-        else:
-            self._events.append(event)
-            self._queue.put(self)
+        if not is_full:
+            self._queue.put(self)  # once for each event that is there
 
     def call(self) -> None:
         """Call the function with the oldest event (the thread of the callbacks does)."""
-        event = self._events.popleft()
+        with self._lock:
+            event = self._events.popleft()
         if self._is_closed:
             return
         if self.dropped > self._told:

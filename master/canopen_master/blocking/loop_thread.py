@@ -1,6 +1,7 @@
 """`LoopThread`: a trio loop in a thread of its own, for as long as something is held in it. `hand_over` gives it work.
 
-All blocking masters of a process share one (`shared_loop`), so that those on one `virtual:` bus meet, and simulated devices too.
+All blocking masters of a process share one (`held_in_shared_loop`), so that those on one `virtual:` bus meet, and simulated
+devices, too.
 
 **The end of a script.** However the main thread ends (its last line, an exception, sys.exit, Ctrl-C), Python then waits for all
 threads that are no daemons. Ours is not a daemon, and what is held in it looks every WATCH_INTERVAL whether the main thread is
@@ -18,6 +19,7 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, Protocol
 
 import trio
@@ -40,7 +42,7 @@ class Holdable(Protocol):
     goes_last: bool
 
     async def hold(self) -> None:
-        """Holdable it until its end. It must not raise."""
+        """Stay until its end. It must not raise."""
 
 
 class Work(Protocol):
@@ -93,24 +95,27 @@ class LoopThread:
 
     def hold(self, hold: Holdable) -> bool:
         """Begin one more; return False if the loop is ending, so that it takes none."""
-        answer = WaitingPlace()
+        answered = threading.Event()
+        has_begun = False
 
         def begin() -> None:
+            nonlocal has_begun
             if self._nursery is not None:
                 self.held.append(hold)
                 self._nursery.start_soon(self._hold, hold)
-                answer.value = True
-            answer.set()
+                has_begun = True
+            answered.set()
 
-        return self.hand_over(begin) and answer.wait(self.thread) and answer.value is True
+        if self.hand_over(begin):
+            while not answered.wait(LOOK_UP) and self.thread.is_alive():
+                pass
+        return has_begun
 
     def hand_over(self, job: Callable[[], Work | None]) -> bool:
         """Call a function soon, in the loop; what it returns is served by a task. Returns False if the loop has ended.
 
-        job: must not raise. Raises LocalProtocolError in a child process.
+        job: must not raise. Not for a child process: there is nobody who would call it.
         """
-        if os.getpid() != self._pid:
-            raise forked()
         with self._lock:
             if self._wakers is None:
                 return False
@@ -257,7 +262,8 @@ class Waker:
         if self._sockets is None:
             os.eventfd_write(self._fd, 1)
         else:
-            self._sockets[1].send(b"\0")
+            with suppress(BlockingIOError):  # it is full: the task will wake
+                self._sockets[1].send(b"\0")
 
     async def wait(self) -> None:
         """Wait until `wake` was called since the last time."""
@@ -283,32 +289,6 @@ class Waker:
                 each.close()
 
 
-class WaitingPlace:
-    """A place where one thread waits for another. value: what it was told."""
-
-    __slots__ = ("_lock", "value")
-
-    def __init__(self) -> None:
-        self.value: object = None
-        self._lock = threading.Lock()
-        self._lock.acquire()
-
-    def set(self) -> None:
-        """Let the other thread go on. To be called once."""
-        self._lock.release()
-
-    def wait(self, thread: threading.Thread) -> bool:
-        """Wait until `set` was called; return False if the thread that would do so has ended without."""
-        while not self.wait_once():
-            if not thread.is_alive():
-                return self._lock.acquire(blocking=False)
-        return True
-
-    def wait_once(self) -> bool:
-        """Wait, LOOK_UP at most; return whether `set` was called."""
-        return self._lock.acquire(timeout=LOOK_UP)
-
-
 def forked() -> LocalProtocolError:
     """Return the error for the use of a master in a child process."""
     return LocalProtocolError(
@@ -327,7 +307,7 @@ def make_clock() -> trio.abc.Clock | None:
 
 
 def held_in_shared_loop(hold: Holdable, name: str) -> LoopThread:
-    """Holdable something in the loop that all share; return the loop. It is begun if there is none."""
+    """Hold something in the loop that all share; return the loop. It is begun if there is none."""
     global _shared
     with _starting:
         shared = _shared
