@@ -159,6 +159,8 @@ class NodeRules:
     def producer(self, node_id: int, period: Time, now: Time) -> None:
         """Take note of a node's producer heartbeat time (0x1017). period: ns."""
         view = self._views[node_id]
+        if period == view.period > 0:
+            return
         view.has_new_period(period)
         if view.limit == NEVER and view.byte >= 0:  # else the recording may show no heartbeats at all
             view.wait(now)

@@ -218,7 +218,9 @@ class ProgramWorld(World, trio.abc.Clock):
             with present(self), asyncio.Runner(loop_factory=lambda: WorldLoop(self)) as runner:
                 return runner.run(watched())
         except DidNotHappenError as error:
-            raise error.with_traceback(self._stuck_at) from error.__cause__  # not within asyncio
+            if self._stuck is None:  # it is of the program itself
+                raise
+            raise error.with_traceback(self._stuck_at) from error.__cause__  # where it waits, and not within asyncio
         finally:
             self._end()
 

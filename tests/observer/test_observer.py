@@ -194,6 +194,8 @@ def test_a_node_that_falls_silent_though_nobody_consumes_its_heartbeat() -> None
     assert bus.hears("705#05", after=200 * MILLISECOND) == [], "one may be lost"
     assert bus.hears("080#", after=260 * MILLISECOND) == late
     assert bus.hears("080#", after=SECOND) == [], "it is said once"
+    assert bus.hear_all("605#4017100000000000", "585#4B17100064000000") == []
+    assert bus.hears("080#", after=SECOND) == [], "also if somebody reads its time again"
     assert bus.hears("705#05") == []
     assert bus.hears("080#", after=SECOND) == late, "and again for the next one"
     assert bus.hear_all("705#05", *written(5, 0)) == []

@@ -27,7 +27,7 @@ from canopen_proto import EmcyReceived
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.simulation.drive.node import DriveNode
-from canopen_proto.testing import DidNotHappenError, Lose, boot_up, emcy, heartbeat, nmt, sdo_answer
+from canopen_proto.testing import DidNotHappenError, Lose, World, boot_up, emcy, heartbeat, nmt, sdo_answer
 from canopen_testing import AsyncioMaster, ProgramWorld, ThreadStartedError, WallClockWaitError, WorldCanBus
 from canopen_testing.present import present, present_world
 from canopen_transports import open_transport
@@ -548,6 +548,16 @@ def test_a_stuck_program_is_shown_where_it_waits() -> None:
         "await asyncio.gather(asyncio.Event().wait(), waits(2))  # for both",
         "await asyncio.sleep(seconds)  # and again",
     ]
+
+
+def test_a_program_may_wait_in_vain_in_another_world() -> None:
+    async def main() -> None:
+        World().run_until(lambda: False)  # of its own
+
+    for run in (ProgramWorld().run, ProgramWorld().run_asyncio):
+        with pytest.raises(DidNotHappenError, match="nothing more will happen") as told:
+            run(main)
+        assert any(entry.name == "main" for entry in told.traceback)
 
 
 def test_a_program_that_is_ended_has_time_to_clean_up() -> None:
