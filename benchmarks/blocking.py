@@ -2,7 +2,7 @@
 
     python benchmarks/blocking.py [--rounds 9] [--seconds 0.2]
 
-The bus is inside the process: `virtual:` with a simulated device for ours, python-can's `virtual` for the peer. Its two Networks
+The bus is inside the process: `virtual:` with a simulated device for ours, python-can's `virtual` for the peer, whose Networks
 have a Notifier's thread each, as `connect` makes them. The device's work counts on both sides. The blocking master hands each
 call to the thread of its loop and waits for the answer: that is what a read costs more than in a trio task. The last row is a
 look at what is known already (`node.nmt_state`), in place of a read: nothing but the two changes between threads.

@@ -16,6 +16,7 @@ LEASE: Final = ("tests/gateway/test_lease.py",)
 COMMANDS: Final = ("tests/gateway/test_ascii_commands.py",)
 LSS: Final = ("tests/gateway/test_ascii_lss.py",)
 DOOR: Final = ("tests/gateway/test_ascii_door.py",)
+NETS: Final = ("tests/gateway/test_several_nets.py",)
 
 _GUARD: Final = "canopen_gateway/guard.py"
 _LEASE: Final = "canopen_gateway/lease.py"
@@ -180,6 +181,22 @@ GATEWAY_MUTANTS: Final = tuple(
             "            if end - begin >= self._limit:\n",
             "a line of exactly the allowed length ends its connection",
             TEXT,
+        ),
+        (
+            "page_commands",
+            _DOOR,
+            "                if _HTTP.search(line):\n",
+            "                if False:\n",
+            "a page in a browser moves the machine of the computer that shows it",
+            DOOR,
+        ),
+        (
+            "halt_needs_a_net",
+            _CONNECTION,
+            "        if request.net is not None or (request.node and self._net is not None):\n",
+            "        if request.net is not None or request.node:\n",
+            "a halt without a net is refused where there are two",
+            NETS,
         ),
         (
             "line_without_bound",

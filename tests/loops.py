@@ -102,14 +102,7 @@ def jump(seconds: float) -> None:
 
 async def settled() -> None:
     """Wait until all other tasks wait, too."""
-    if is_trio():
-        await trio.testing.wait_all_tasks_blocked()
-        return
-    ready: deque[object] = asyncio.get_running_loop()._ready  # type: ignore[attr-defined]
-    while True:
-        await asyncio.sleep(0)
-        if not ready:
-            return
+    await current_loop().wait_all_tasks_blocked()
 
 
 @contextmanager
@@ -124,6 +117,20 @@ def is_interrupt(error: BaseException) -> bool:
     if isinstance(error, BaseExceptionGroup):
         return error.subgroup(KeyboardInterrupt) is not None
     return isinstance(error, KeyboardInterrupt)
+
+
+@contextmanager
+def ends_by_interrupt() -> Iterator[None]:
+    """The block ends by a Ctrl-C: on trio with a KeyboardInterrupt; asyncio.run cancels the main task, and raises it later."""
+    try:
+        yield
+    except (BaseExceptionGroup, KeyboardInterrupt) as error:
+        assert is_trio()
+        assert is_interrupt(error)
+    except asyncio.CancelledError:
+        assert not is_trio()
+    else:
+        raise AssertionError("no Ctrl-C came out")
 
 
 class Channel(Generic[T]):

@@ -22,7 +22,7 @@ from canopen_cli.shared.problem import ExitCode
 from canopen_master import direct
 from canopen_master.direct import connection
 from tests.master.direct_world import devices, near_home
-from tests.master.test_direct_script import environment
+from tests.master.script_ends import environment
 
 LIMIT = 100.0
 NEAR = 300

@@ -20,7 +20,7 @@ from canopen_proto.drives.cia402.objects import POSITION_ACTUAL_VALUE
 from canopen_proto.drives.cia402.states import State
 from tests.cli.test_demos import _own_signals  # noqa: F401 - a fixture
 from tests.master.direct_world import LIMIT, Devices, devices
-from tests.master.test_direct_script import environment
+from tests.master.script_ends import environment
 
 pytest.importorskip("ruckig", reason="hold to run needs the extra `motion`")
 

@@ -164,6 +164,22 @@ async def test_a_line_that_is_too_long_ends_its_connection_alone() -> None:
         assert await good.say("[1] 3 r 0x1000 0 u32") == "[1] 131474"
 
 
+@pytest.mark.parametrize("first", ["POST / HTTP/1.1\r", "GET /chat HTTP/1.0", "PRI * HTTP/2.0\r"])
+@with_sockets
+async def test_a_page_in_a_browser_commands_nothing(first: str) -> None:
+    """A page from anywhere may let the browser of this computer send what it likes to a port of this computer."""
+    async with open_door(3, allow="nmt") as (door, service):
+        client, other = await connect(door), await connect(door)
+        assert await other.say("[1] 3 enable heartbeat 60000") == "[1] OK"
+        await client.stream.send_all(f"{first}\nHost: localhost\r\n\r\n[1] 3 reset node\n".encode())
+        assert await client.line() == "[0] ERROR:100 #this is no web server"
+        assert await client.ended()
+        assert await other.say("[2] 3 r 0x1000 0 u32") == "[2] 131474"
+        assert not service.log  # no boot-up
+        assert await other.say("[3] 3 reset node") == "[3] OK"
+        assert await other.line() == "1 3 BOOT_UP"
+
+
 @with_sockets
 async def test_a_client_that_takes_no_answers_is_cut_off_and_the_others_are_served() -> None:
     async with open_door(3, limits=Limits(send_seconds=2.0)) as (door, service):

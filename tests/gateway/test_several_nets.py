@@ -73,5 +73,5 @@ async def test_halt_is_for_all_nets_unless_one_is_named() -> None:
             assert [each.drive.state for each in (ours, theirs)] == [State.OPERATION_ENABLED] * 2
             assert await client.say("[2] 1 3 _halt") == "[2] OK"
             assert [bool(value(each, 0x6040_00) & 0x100) for each in (ours, theirs)] == [True, False]
-            assert await client.say("[3] _halt") == "[3] OK"
+            assert await client.say("[3] 3 _halt") == "[3] OK"  # no net is known, so all are meant
             assert [bool(value(each, 0x6040_00) & 0x100) for each in (ours, theirs)] == [True, True]

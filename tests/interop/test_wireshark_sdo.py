@@ -277,12 +277,12 @@ def test_every_abort_code_of_the_server(read: Reading) -> None:
 @session
 def client_aborts() -> list[Frame]:
     """The client gives up: one transfer is cancelled, the other gets no answer."""
-    channel = Channel(server=False)
-    request_id = channel.client.download(INDEX, SUBINDEX, b"too late", 0)
-    channel.client.cancel(request_id, 0)
-    channel.client.upload(INDEX, SUBINDEX, 0)
-    frames = channel.settle()
-    aborted = [event.abort_code for event in channel.bus.take_events(SdoAborted)]
+    cancels, waits = Channel(server=False), Channel(server=False)  # one alone would ask for another object between the two
+    request_id = cancels.client.download(INDEX, SUBINDEX, b"too late", 0)
+    cancels.client.cancel(request_id, 0)
+    waits.client.upload(INDEX, SUBINDEX, 0)
+    frames = cancels.settle() + waits.settle()
+    aborted = [event.abort_code for each in (cancels, waits) for event in each.bus.take_events(SdoAborted)]
     assert aborted == [AbortCode.GENERAL_ERROR, AbortCode.TIMED_OUT]
     return frames
 

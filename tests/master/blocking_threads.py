@@ -24,7 +24,7 @@ from typing import Final
 
 import pytest
 
-from canopen_master import DeviceModel, MasterError, ProcedureTakenBackError
+from canopen_master import DeviceModel, MasterError, PatientClock, ProcedureTakenBackError
 from canopen_master.blocking import (
     BlockingChain,
     BlockingMaster,
@@ -238,9 +238,13 @@ class Worker:
 
 
 @contextmanager
-def looking_up_often() -> Iterator[None]:
-    """An asynchronous exception arrives when the wait of a thread is over: here it waits for no longer than 10 ms at a time."""
+def patient() -> Iterator[None]:
+    """A computer that is busy delays the whole world, and nothing is late in it: all of it is in this process.
+
+    An asynchronous exception arrives when the wait of a thread is over: here it waits for no longer than 10 ms at a time.
+    """
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop_thread, "make_clock", PatientClock)
         patch.setattr(background, "LOOK_UP", 0.01)
         patch.setattr(loop_thread, "LOOK_UP", 0.01)
         yield
@@ -250,7 +254,7 @@ def judge(run: Program) -> tuple[int, int]:
     """Run a program; raise AssertionError if the judge finds a mistake. Return how many answers and interrupts there were."""
     bus = f"virtual:threads?bitrate=1M&loss={run.loss}&seed={run.number}"
     makers = {bus: [*near_home(*DRIVES), DeviceModel(dictionary(), STATION)]}
-    with looking_up_often(), simulated_devices(makers) as devices:
+    with patient(), simulated_devices(makers) as devices:
         master = open_master(bus, sdo_timeout=0.1, dictionary=None)
         try:
             master.node(STATION, dictionary())

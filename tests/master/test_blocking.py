@@ -23,6 +23,7 @@ from canopen_master import (
     DeviceModel,
     HaltNotConfirmedError,
     MasterClosedError,
+    PatientClock,
     SdoTimeoutError,
 )
 from canopen_master.blocking import (
@@ -45,6 +46,12 @@ STATION = DeviceModel(load_description("sample_io.eds").dictionary, node_id=5)
 IO = 0x00070191
 """The device type of the station."""
 THREADS = {"canopen master", "canopen events"}
+
+
+@pytest.fixture(autouse=True)
+def patient_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of it is in this process: a computer that is busy makes nothing late."""
+    monkeypatch.setattr(loop_thread, "make_clock", PatientClock)
 
 
 @pytest.fixture(autouse=True)
@@ -380,6 +387,31 @@ def test_a_callback_runs_in_a_thread_of_its_own_and_may_call_the_master() -> Non
         assert found[1] == 0x8611
         handler.close()
         handler.close()
+
+
+def test_an_interrupt_while_the_thread_of_the_callbacks_begins_leaves_one_that_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    begin, interrupts = threading.Thread.start, [True]
+
+    def interrupted(thread: threading.Thread) -> None:
+        if thread.name == "canopen events" and interrupts:
+            if len(interrupts) == 1:
+                begin(thread)
+            interrupts.pop()
+            raise KeyboardInterrupt
+        begin(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    for interrupts in ([1], [1, 1]):  # the thread runs nevertheless, or it does not
+        with world(3) as (devices, master):
+            node, seen = master.node(3), []
+            while interrupts:
+                with pytest.raises(KeyboardInterrupt):
+                    node.on(EmcyReceived, print)
+            node.on(EmcyReceived, lambda emergency: seen.append(emergency.code))  # noqa: B023 - waited for here
+            devices.raise_fault(3, 0x1000)
+            until(lambda: seen)  # noqa: B023
+            until(lambda: len([each for each in threading.enumerate() if each.name == "canopen events"]) == 1)
+            assert seen == [0x1000]
 
 
 def test_a_slow_callback_delays_no_call_and_what_it_loses_is_told(

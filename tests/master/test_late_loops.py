@@ -7,16 +7,15 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import pytest
-import trio
 from hypothesis import example, given
 from hypothesis import strategies as st
-from trio.testing import MockClock
 
 from canopen_master import Cycle
 from canopen_master.motion.late_sync import RETURN
 from canopen_proto.drives.axis.limits import DEFAULT_SPEED
 from canopen_transports import open_transport
 from tests.examples import examples
+from tests.loops import jump, loop
 from tests.master.world import BUS, following_arm, virtual_time
 
 CYCLE = 0.01
@@ -45,11 +44,9 @@ turns = st.lists(st.tuples(delays, delays), min_size=1, max_size=12)
 async def wait(delay: Delay) -> None:
     blocks, seconds = delay
     if blocks:
-        clock = trio.lowlevel.current_clock()
-        assert isinstance(clock, MockClock)
-        clock.jump(seconds)
+        jump(seconds)
     else:
-        await trio.sleep(seconds)
+        await loop.sleep(seconds)
 
 
 async def sent_along(path: Path, turns: Sequence[tuple[Delay, Delay]]) -> tuple[list[int], list[Cycle], float]:
@@ -58,7 +55,7 @@ async def sent_along(path: Path, turns: Sequence[tuple[Delay, Delay]]) -> tuple[
     async with following_arm(3, max_missed_cycles=10**6) as (_, _, arm), await open_transport(BUS) as spy:
         (start,) = arm.positions
         sent = [round(math.degrees(start) * 1000)]
-        async with trio.open_nursery() as nursery:
+        async with loop.open_nursery() as nursery:
 
             async def listen() -> None:
                 while True:
@@ -69,7 +66,7 @@ async def sent_along(path: Path, turns: Sequence[tuple[Delay, Delay]]) -> tuple[
             nursery.start_soon(listen)
             began = 0.0
             async for cycle in arm.cycles():
-                began = began or trio.current_time()
+                began = began or loop.current_time()
                 cycles.append(cycle)
                 if cycle.number == len(turns):
                     break
@@ -77,8 +74,8 @@ async def sent_along(path: Path, turns: Sequence[tuple[Delay, Delay]]) -> tuple[
                 await wait(before)
                 arm.set_positions([start + path(cycle)])
                 await wait(after)
-            took = trio.current_time() - began
-            await trio.sleep(3 * CYCLE)
+            took = loop.current_time() - began
+            await loop.sleep(3 * CYCLE)
             nursery.cancel_scope.cancel()
     return sent, cycles, took
 
@@ -131,7 +128,7 @@ async def test_a_line_over_several_cycles_advances_the_path_by_all_of_them() -> 
                 arm.set_positions([start + 0.01], cycles=5)
             seen.append(round(cycle.time, 6))
             if cycle.number == 1:
-                await trio.sleep(0.05)
+                await loop.sleep(0.05)
                 arm.hold()
             if cycle.number == 2:
                 break

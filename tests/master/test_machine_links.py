@@ -18,7 +18,7 @@ from canopen_master.machine_file.keys import KEYS
 from canopen_master.machine_file.links import linked_buses, linked_writes, plan_bus
 from canopen_proto.dictionary import Direction
 from canopen_proto.dictionary.concise import pack_concise
-from canopen_proto.machine import MILLISECOND
+from canopen_proto.machine import MILLISECOND, Event
 from canopen_proto.manager.linking import MASTER, End, Link, LinkPlan, Timing
 from canopen_proto.network import Network
 from canopen_proto.pdo.configure import exchange_device_pdos
@@ -309,17 +309,19 @@ def test_an_event_driven_link_without_times_is_not_counted() -> None:
 def test_a_master_hears_linked_pdos_by_the_devices_own_settings() -> None:
     """It exchanges the PDOs that it reads from the devices, also those that only they exchange with each other."""
     linked = Linked(planned(NODES + LINKS))
-    network = linked.bus.attach(Network())
+    network = Network()
+    events: list[Event] = []
+    linked.world.host(network, on_event=events.append)
     remotes = {}
     for each in linked.plan.members:
         remotes[each.name] = RemoteNode(network.out, each.node_id, each.dictionary)
         network.attach(remotes[each.name])
-        network.run(exchange_device_pdos(remotes[each.name]), linked.bus.now)
-    linked.bus.run(100 * MILLISECOND)
-    assert len(linked.bus.take_events(ProcedureFinished)) == 2
+        network.run(exchange_device_pdos(remotes[each.name]), linked.world.now)
+    linked.world.advance(100 * MILLISECOND)
+    assert len([event for event in events if isinstance(event, ProcedureFinished)]) == 2
     linked.nodes["lift"].values.store[0x606400] = 77
     linked.sync()
     linked.sync()
     assert remotes["lift"].values.store[0x606400] == 77
-    assert {event.number for event in linked.bus.take_events(PdoReceived) if event.node_id == 5} >= {1, 3}
+    assert {event.number for event in events if isinstance(event, PdoReceived) and event.node_id == 5} >= {1, 3}
     assert linked.nodes["slide"].values.store[0x607A00] == 77

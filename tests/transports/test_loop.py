@@ -65,10 +65,15 @@ class Run:
     def __init__(self) -> None:
         self.log: dict[str, list[tuple[float, str]]] = {}
         self.start = loop.current_time()
-        self.tasks = 0
+        self.tasks = self.deadlines = 0
 
     def note(self, who: str, what: str) -> None:
         self.log.setdefault(who, []).append((round(loop.current_time() - self.start, 6), what))
+
+    def after(self, seconds: int | None) -> float:
+        """A deadline, at which nothing else happens."""
+        self.deadlines += 1
+        return float("inf") if seconds is None else loop.current_time() + seconds + self.deadlines / 300
 
     async def steps(self, who: str, program: list[Program], scopes: list[CancelScope]) -> None:
         for number, step in enumerate(program):
@@ -98,12 +103,11 @@ class Run:
                     scopes[-1 - depth].cancel()
             case "deadline", depth, seconds:
                 if depth < len(scopes) and seconds is not None:
-                    scopes[-1 - depth].deadline = loop.current_time() + seconds
+                    scopes[-1 - depth].deadline = self.after(seconds)
             case ("fail",):
                 raise Planned
             case "scope", seconds, shield, body:
-                deadline = float("inf") if seconds is None else loop.current_time() + seconds
-                with loop.cancel_scope(deadline=deadline, shield=shield) as scope:
+                with loop.cancel_scope(deadline=self.after(seconds), shield=shield) as scope:
                     await self.steps(who, body, [*scopes, scope])
                 self.note(who, f"scope, cancelled: {scope.cancel_called} {scope.cancelled_caught}")
             case "nursery", tasks, body:

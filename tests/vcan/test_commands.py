@@ -12,7 +12,7 @@ import pytest
 
 from canopen_cli.shared.problem import ExitCode
 from tests.cli.test_demos import NEAR, numbers, without_numbers
-from tests.master.test_direct_script import environment
+from tests.master.script_ends import environment
 from tests.vcan.support import needs_vcan, raw_socket
 
 pytestmark = needs_vcan

@@ -200,9 +200,12 @@ class AsciiConnection:
         await self._session.nmt(self._net_of(request), _NMT[request.command], node_id)
 
     async def halt(self, request: GatewayRequest) -> None:
-        """Stop what moves. The default node does not count: halting too much is better than too little."""
-        net = self._net_of(request) if request.net is not None or request.node else None
-        problems = await self._service.halt(net, request.node or 0)
+        """Stop what moves. The default node does not count, and without a net all nets are meant: halting too much is better than
+        too little."""
+        net = None
+        if request.net is not None or (request.node and self._net is not None):
+            net = self._net_of(request)
+        problems = await self._service.halt(net, request.node or 0 if net else 0)
         if problems:
             raise _Refusal(GatewayCode.INTERNAL_STATE, "; ".join(problems))
 

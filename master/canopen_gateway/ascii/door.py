@@ -7,7 +7,8 @@
 - It listens on this computer only, unless it is told otherwise. There is no password: whoever reaches it may do what is allowed.
 - A client has one request under way at a time; more wait in its socket. One that takes no answers is cut off after
   `Limits.send_seconds`; events that it does not take are dropped, and counted.
-- A line that is too long is answered by 600, and ends the connection.
+- A line that is too long is answered by 600, and ends the connection. So does a request of HTTP: a page from anywhere may let the
+  browser of this computer send what it likes to a port of this computer, and the lines of its body would be commands.
 - When all places are taken, the client that has been silent longest makes room for a new one: after SILENT_FIRST seconds if it
   has never said anything, after SILENT seconds else. One that waits for events, or for an answer, keeps its place. If nobody
   makes room, the new one is told 600.
@@ -21,6 +22,7 @@ import errno
 import ipaddress
 import logging
 import os
+import re
 import socket
 import stat
 from collections.abc import Iterable
@@ -46,6 +48,7 @@ FAREWELL: Final = 1.0
 """Seconds that a client may take for its last answer."""
 BACKLOG: Final = 64
 LOGGER: Final = logging.getLogger("canopen_gateway")
+_HTTP: Final = re.compile(rb" HTTP/\d\.\d\r?\Z")
 
 
 class _Client:
@@ -178,10 +181,13 @@ class AsciiDoor:
             return
         self._refusing += 1
         try:
-            answer = GatewayAnswer(0, code=GatewayCode.OUT_OF_MEMORY, remark="this gateway has no place for another client")
-            await client.send(print_answer(answer, self._dialect), FAREWELL)
+            await self._part(client, GatewayCode.OUT_OF_MEMORY, "this gateway has no place for another client")
         finally:
             self._refusing -= 1
+
+    async def _part(self, client: _Client, code: GatewayCode, remark: str) -> None:
+        """Say why the connection ends; its end follows."""
+        await client.send(print_answer(GatewayAnswer(0, code=code, remark=remark), self._dialect), FAREWELL)
 
     async def _serve(self, client: _Client, connection: AsciiConnection, limits: Limits) -> None:
         async with trio.open_nursery() as tasks:
@@ -198,6 +204,10 @@ class AsciiDoor:
                 return
             client.last_heard = trio.current_time()
             for line in lines.feed(bytes(data)):
+                if _HTTP.search(line):
+                    LOGGER.warning("%s sent a web request, and was cut off", client.name)
+                    await self._part(client, GatewayCode.NOT_SUPPORTED, "this is no web server")
+                    return
                 client.is_busy = client.has_spoken = True
                 try:
                     answer = await connection.answer(line)
@@ -210,8 +220,7 @@ class AsciiDoor:
                 elif self._dialect.answers_blank:
                     await client.send(self._dialect.line_end, limits.send_seconds)
             if lines.too_long:
-                answer = GatewayAnswer(0, code=GatewayCode.OUT_OF_MEMORY, remark=f"a line has {limits.line_bytes} bytes at most")
-                await client.send(print_answer(answer, self._dialect), FAREWELL)
+                await self._part(client, GatewayCode.OUT_OF_MEMORY, f"a line has {limits.line_bytes} bytes at most")
                 return
 
     async def _tell(self, client: _Client, connection: AsciiConnection, limits: Limits) -> None:

@@ -226,9 +226,10 @@ class Background(Generic[T]):
         return error
 
     def reason(self) -> BaseException:
-        """Return why no calls are taken now."""
-        self._was_told = True
+        """Return why no calls are taken now. What its end has to say, `stop` says too."""
         failure = None if self._context is None else self._failure(self._context)
+        if failure is not None:
+            self._was_told = True
         return failure or self._error or MasterClosedError()
 
     # ---- in the loop ----

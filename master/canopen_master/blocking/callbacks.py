@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from canopen_master.errors import MasterClosedError
+from canopen_master.errors import HaltNotConfirmedError, MasterClosedError
 from canopen_master.participant.subscription import QUEUE_SIZE
 from canopen_proto.machine import Event
 
@@ -92,11 +92,9 @@ class Callbacks:
         return Handler(callback, self._queue)
 
     def start(self) -> None:
-        """Begin the thread, unless it has begun."""
-        with self._lock:
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
-                self._thread.start()
+        """Begin the thread, unless it has begun. It counts as begun when it says so itself: an interrupt may come in between."""
+        if self._thread is None:
+            threading.Thread(target=self._run, name=self._name, daemon=True).start()
 
     def end(self) -> None:
         """End the thread, after the events that came."""
@@ -111,10 +109,14 @@ class Callbacks:
                 LOGGER.warning("a function that was called with an event does not return: it is left behind")
 
     def _run(self) -> None:
+        with self._lock:
+            if self._thread is not None:
+                return  # another one was begun meanwhile
+            self._thread = threading.current_thread()
         while (handler := self._queue.get()) is not None:
             try:
                 handler.call()
-            except MasterClosedError:  # it has called the master, which was closed meanwhile: no more events come
+            except (MasterClosedError, HaltNotConfirmedError):  # it has called the master, which was closed meanwhile
                 LOGGER.debug("%r was called while the master was closed", handler)
             except Exception:  # noqa: BLE001 - the user's code; it may do better with the next event
                 threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))

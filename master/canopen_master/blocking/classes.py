@@ -133,7 +133,7 @@ class BlockingNode(NodeTwin):
         return self._hub.run(timeout, self._inner.read, key, block=block)
 
     def read_message(self, key: Key, *, block: Block = False, timeout: float | None = None) -> Message:
-        """Read an object: its value, its name, and the constants that it bears. timestamp: when it came, ns on trio's clock.
+        """Read an object: its value, its name, and the constants that it bears. timestamp: when it came, ns on the loop's clock.
 
         Bits 12 and 13 of the statusword depend on the mode of operation. If one is set, 0x6061 is read too.
         """
@@ -657,7 +657,7 @@ class BlockingJog(Twin[Jog]):
         self._hub.do(self._inner.velocity, velocities)
 
     def renew(self) -> None:
-        """Holdable the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
+        """Hold the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
         self._hub.do(self._inner.renew)
 
 
@@ -675,7 +675,7 @@ class BlockingTargets(Twin[Targets]):
         self._hub.do(self._inner.aim_at, targets)
 
     def renew(self) -> None:
-        """Holdable the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
+        """Hold the dead man's switch, if there is one: the caller is still there, and wants what it said last."""
         self._hub.do(self._inner.renew)
 
 
@@ -1118,7 +1118,7 @@ class BlockingMaster(MasterTwin):
         return self._inner.is_closed
 
     def now(self) -> Time:
-        """Return the time of all machines: trio's clock, in ns."""
+        """Return the time of all machines: the loop's clock, in ns."""
         return self._hub.do(self._inner.now)
 
     def bus(self, name: str | None = None) -> Bus:
@@ -1356,7 +1356,8 @@ def open_master(
     supervision. dictionary: for nodes that are given none; by default that of the data files. watchdog: how drives notice that
     this master is gone, and stop: once it enables a drive, it sends its heartbeat as node 127; None for none. See watchdog.py.
     realtime: what to ask the operating system for, so that SYNC is in time on a busy computer; True for `Realtime()`; by default
-    nothing. `Master.realtime` and the log say what was given. It is for the thread that runs trio; at the end it is given back.
+    nothing. `Master.realtime` and the log say what was given. It is for the thread that runs the loop; at the end it is given
+    back.
 
     machine: a machine file, or what was read of one: its buses are opened, and its nodes, joints and chains are in `nodes`,
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the file

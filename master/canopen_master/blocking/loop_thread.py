@@ -55,8 +55,8 @@ class LoopThread:
 
     thread, ident: the one of the loop. held: what is held in it; for the loop's thread.
 
-    Always one task leads: it waits for what other threads hand over. If that is work, it lets another task lead, and does the
-    work itself, which costs one turn of the loop less than if it woke another task for it.
+    One task, the front, waits for what other threads hand over, and does it itself: so a call wakes one task. While the front is
+    busy with work that waits, the dispatcher is woken instead, and gives work to other tasks.
     """
 
     def __init__(self, first: Holdable, name: str, clock: trio.abc.Clock | None = None) -> None:
@@ -68,9 +68,10 @@ class LoopThread:
         self._nursery: trio.Nursery | None = None
         self._spare: list[_Server] = []  # the tasks that wait
         self._jobs: deque[Callable[[], Work | None]] = deque()
-        self._waker: Waker | None = None  # None before and after. Whoever uses it holds the lock
-        self._is_woken = False  # since it last slept
-        self._lock = threading.RLock()  # which a signal handler may enter that comes in the middle
+        self._lock = threading.RLock()  # for the next three; a signal handler may enter it that comes in the middle
+        self._wakers: tuple[Waker, Waker] | None = None  # of the front and of the dispatcher; None before and after
+        self._front_waits = False
+        self._dispatcher_waits = False
         self._has_begun = threading.Event()
         self.thread = threading.Thread(target=self._run, name=name, daemon=False)
 
@@ -111,12 +112,15 @@ class LoopThread:
         if os.getpid() != self._pid:
             raise forked()
         with self._lock:
-            if self._waker is None:
+            if self._wakers is None:
                 return False
             self._jobs.append(job)
-            if not self._is_woken:
-                self._is_woken = True
-                self._waker.wake()
+            if self._front_waits:
+                self._front_waits = False
+                self._wakers[0].wake()
+            elif self._dispatcher_waits:
+                self._dispatcher_waits = False
+                self._wakers[1].wake()
         return True
 
     def _run(self) -> None:
@@ -127,17 +131,19 @@ class LoopThread:
 
     async def _main(self) -> None:
         self.ident = threading.get_ident()
-        waker = Waker()
+        wakers = Waker(), Waker()
         try:
             async with trio.open_nursery() as nursery:
-                self._nursery, self._waker = nursery, waker
+                self._nursery, self._wakers = nursery, wakers
                 nursery.start_soon(self._hold, self.held[0])
-                nursery.start_soon(self._serve, None)
+                nursery.start_soon(self._front, wakers[0])
+                nursery.start_soon(self._dispatch, wakers[1])
                 self._has_begun.set()
         finally:
             with self._lock:
-                self._waker = None
-                waker.close()
+                self._wakers = None
+                for waker in wakers:
+                    waker.close()
             self._do_jobs()  # those of contexts that have ended: each is told so
 
     async def _hold(self, hold: Holdable) -> None:
@@ -151,38 +157,48 @@ class LoopThread:
 
     # ---- its tasks ----
 
-    async def _serve(self, work: Work | None) -> None:
-        """Serve work, or lead (None), again and again, until that was cancelled or there are tasks enough that wait."""
+    async def _front(self, waker: Waker) -> None:
+        """Do what is handed over, until work was cancelled: another front goes on then."""
+        scope = trio.CancelScope()
+        with scope:
+            while not scope.cancel_called:
+                with self._lock:
+                    self._front_waits = waits = not self._jobs
+                await (waker.wait() if waits else trio.lowlevel.checkpoint())
+                work = self._do_jobs()
+                for each in work[1:]:
+                    self._give(each)
+                if work:
+                    await work[0].serve(scope)
+        if self._nursery is not None:
+            self._nursery.start_soon(self._front, waker)
+
+    async def _dispatch(self, waker: Waker) -> None:
+        """Do what is handed over while the front is busy, and give the work in it to other tasks."""
+        while True:
+            with self._lock:
+                self._dispatcher_waits = waits = not self._jobs
+            await (waker.wait() if waits else trio.lowlevel.checkpoint())
+            for work in self._do_jobs():
+                self._give(work)
+
+    async def _serve(self, work: Work) -> None:
+        """Serve work, again and again, until that was cancelled or there are tasks enough that wait."""
         server = _Server()
         with server.scope:
             while True:
-                if work is None:
-                    work = await self._lead()
                 await work.serve(server.scope)
                 if server.scope.cancel_called or len(self._spare) >= SPARE_TASKS:
                     return
                 self._spare.append(server)
                 work = await server.next_work()
 
-    async def _lead(self) -> Work:
-        """Wait for what other threads hand over, and do it; return the first work that takes a task."""
-        waker = self._waker
-        assert waker is not None
-        while True:
-            await waker.wait()  # perhaps for nothing
-            self._is_woken = False  # before the jobs: one that comes now wakes it again
-            if work := self._do_jobs():
-                self._give(None)
-                for each in work[1:]:
-                    self._give(each)
-                return work[0]
-
     def _do_jobs(self) -> list[Work]:
+        """Do what was handed over; return the work in it."""
         jobs = self._jobs
         return [work for _ in range(len(jobs)) if (work := jobs.popleft()()) is not None]
 
-    def _give(self, work: Work | None) -> None:
-        """Let another task serve this work, or lead."""
+    def _give(self, work: Work) -> None:
         if self._spare:
             self._spare.pop().take(work)
         elif self._nursery is not None:
@@ -204,16 +220,17 @@ class _Server:
         self._task: trio.lowlevel.Task | None = None
         self._work: Work | None = None
 
-    def take(self, work: Work | None) -> None:
-        """Give it work, while it waits for some; None: it is to lead."""
+    def take(self, work: Work) -> None:
+        """Give it work, while it waits for some."""
         task, self._work = self._task, work
         assert task is not None
         trio.lowlevel.reschedule(task)
 
-    async def next_work(self) -> Work | None:
+    async def next_work(self) -> Work:
         """Wait for `take`."""
         self._task = trio.lowlevel.current_task()
         await trio.lowlevel.wait_task_rescheduled(_abort)  # it is only interrupted when the loop ends
+        assert self._work is not None
         return self._work
 
 
@@ -302,13 +319,18 @@ _shared: LoopThread | None = None
 _starting = threading.Lock()
 
 
+def make_clock() -> trio.abc.Clock | None:
+    """Return the clock of the shared loop; None: the real time. Tests have another one: their world is in one process."""
+    return None
+
+
 def held_in_shared_loop(hold: Holdable, name: str) -> LoopThread:
     """Holdable something in the loop that all share; return the loop. It is begun if there is none."""
     global _shared
     with _starting:
         shared = _shared
         if shared is None or not shared.is_of_this_process or not shared.hold(hold):
-            shared = _shared = LoopThread(hold, name)
+            shared = _shared = LoopThread(hold, name, make_clock())
             shared.start()
         return shared
 

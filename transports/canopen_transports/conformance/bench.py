@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from random import Random
 from typing import Final, TypeAlias, TypeVar
 
-import trio
-
 from canopen_proto.frame import Frame
 from canopen_proto.verdict import ViolationError, does_not_apply, expect
 from canopen_transports.conformance.frames import END, number_of
 from canopen_transports.errors import ReceiveOverrun
+from canopen_transports.loop import CancelScope, Nursery, current_loop
 from canopen_transports.opening import open_transport
 from canopen_transports.transport import Received, Transport
 
@@ -60,7 +59,8 @@ class Site:
     """How a transport is tried.
 
     open_bus: makes a fresh bus. unopenable: openings that must fail, each for a different reason; see `openings`. virtual_time:
-    the transport needs neither threads nor the outside world, so the cases run on trio's MockClock. burst: how many frames are
+    the transport needs neither threads nor the outside world, so the cases run on trio's MockClock (asyncio has no
+    such clock). burst: how many frames are
     sent while nobody takes any; choose fewer if the transport cannot count its losses. stream: how many are sent while they are
     taken.
     """
@@ -97,7 +97,7 @@ def at(*locators: str) -> Callable[[], AbstractAsyncContextManager[SiteBus]]:
 class TransportBench:
     """A fresh bus of a site. It closes what it opened when the case is over. nursery: for tasks beside the case's own."""
 
-    def __init__(self, site: Site, bus: SiteBus, stack: AsyncExitStack, nursery: trio.Nursery) -> None:
+    def __init__(self, site: Site, bus: SiteBus, stack: AsyncExitStack, nursery: Nursery) -> None:
         self.site = site
         self.nursery = nursery
         self._bus = bus
@@ -136,7 +136,7 @@ class TransportBench:
         return received
 
     async def _next(self, member: Transport) -> Received | ReceiveOverrun:
-        with trio.move_on_after(HEAR_TIME):
+        with current_loop().move_on_after(HEAR_TIME):
             while True:
                 received = await member.receive()
                 if isinstance(received, tuple | ReceiveOverrun):
@@ -188,11 +188,11 @@ class TransportBench:
             expect(missing <= told, f"frame {number} came; {missing} before it were missing, {told} reported lost")
         expect(heard + told == count, f"of {count} frames {heard} came, and {told} were reported lost")
 
-    def disturb(self, scope: trio.CancelScope, random: Random) -> None:
+    def disturb(self, scope: CancelScope, random: Random) -> None:
         """Perhaps cancel this scope at some moment, before or while it runs."""
         choice = random.randrange(4)
         if choice == 0:
-            scope.deadline = trio.current_time() + random.uniform(0, DISTURBANCE)
+            scope.deadline = current_loop().current_time() + random.uniform(0, DISTURBANCE)
         elif choice < 3:
             self.nursery.start_soon(_cancel_later, scope, random.randrange(6))
 
@@ -200,7 +200,7 @@ class TransportBench:
 async def turns(count: int) -> None:
     """Let the other tasks run `count` times."""
     for _ in range(count):
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
 
 
 async def _say(member: Transport, frames: Sequence[Frame]) -> None:
@@ -208,6 +208,6 @@ async def _say(member: Transport, frames: Sequence[Frame]) -> None:
         await member.send(frame)
 
 
-async def _cancel_later(scope: trio.CancelScope, count: int) -> None:
+async def _cancel_later(scope: CancelScope, count: int) -> None:
     await turns(count)
     scope.cancel()

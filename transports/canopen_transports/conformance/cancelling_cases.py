@@ -6,13 +6,11 @@ import itertools
 from random import Random
 from typing import Final
 
-import trio
-import trio.testing
-
 from canopen_proto.verdict import expect
 from canopen_transports.conformance.bench import TransportBench, turns
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import END, expect_numbers, number_of, numbered
+from canopen_transports.loop import CancelScope, current_loop
 
 SEEDS: Final = (1, 2, 3)
 STORM: Final = 200  # frames
@@ -25,16 +23,16 @@ async def cancelled_receive(bench: TransportBench) -> None:
     count = 50
     heard: list[int] = []
 
-    async def receive_once(scope: trio.CancelScope) -> None:
+    async def receive_once(scope: CancelScope) -> None:
         with scope:
             heard.append(number_of((await bench.hear(other))[0]))
 
     for number in range(count):
-        async with trio.open_nursery() as nursery:
-            scope = trio.CancelScope()
+        async with current_loop().open_nursery() as nursery:
+            scope = current_loop().cancel_scope()
             nursery.start_soon(receive_once, scope)
             if number % 2:
-                await trio.testing.wait_all_tasks_blocked()
+                await current_loop().wait_all_tasks_blocked()
             await one.send(numbered(number))
             await turns(number // 2 % 3)
             scope.cancel()
@@ -48,19 +46,19 @@ async def cancelled_send(bench: TransportBench) -> None:
     one, other = await bench.members(2)
     sent: list[int] = []
 
-    async def send_once(number: int, scope: trio.CancelScope) -> None:
+    async def send_once(number: int, scope: CancelScope) -> None:
         with scope:
             await one.send(numbered(number))
             sent.append(number)
 
     for number in range(30):
-        async with trio.open_nursery() as nursery:
-            scope = trio.CancelScope()
+        async with current_loop().open_nursery() as nursery:
+            scope = current_loop().cancel_scope()
             if number % 3 == 0:
                 scope.cancel()
             nursery.start_soon(send_once, number, scope)
             if number % 3 == 1:
-                await trio.lowlevel.checkpoint()
+                await current_loop().checkpoint()
                 scope.cancel()
     await one.send(END)
     expect_numbers(await bench.numbers_until_end(other), sent, "frames that arrived, against the sends that returned")
@@ -77,7 +75,7 @@ async def storm_on_receive(bench: TransportBench) -> None:
         random = Random(seed)
         heard: list[int] = []
         while len(heard) < STORM:
-            with trio.CancelScope() as scope:
+            with current_loop().cancel_scope() as scope:
                 bench.disturb(scope, random)
                 heard += await bench.numbers(member, 1)
         expect_numbers(heard, list(range(place * STORM, (place + 1) * STORM)), f"with seed {seed}")
@@ -94,14 +92,14 @@ async def storm_on_send(bench: TransportBench) -> None:
     async def send(task: int, random: Random) -> None:
         for _ in range(STORM // tasks):
             number = next(numbers)
-            with trio.CancelScope() as scope:
+            with current_loop().cancel_scope() as scope:
                 bench.disturb(scope, random)
                 await one.send(numbered(number))
                 sent[task].append(number)
 
     async def send_all() -> None:
         for seed in SEEDS:
-            async with trio.open_nursery() as nursery:
+            async with current_loop().open_nursery() as nursery:
                 for task in range(tasks):
                     nursery.start_soon(send, task, Random(seed * tasks + task))
         await one.send(END)

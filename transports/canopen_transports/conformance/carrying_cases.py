@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-import trio
-
 from canopen_proto.frame import Frame
 from canopen_proto.verdict import expect
 from canopen_transports.conformance.bench import TransportBench
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import END, EVERY_KIND, IMPOSSIBLE, expect_numbers, number_of, numbered
+from canopen_transports.loop import current_loop
 from canopen_transports.transport import Transport
 
 PAUSE: Final = 0.05
@@ -51,7 +50,7 @@ async def order(bench: TransportBench) -> None:
     """The frames of one task arrive in order, in both directions at once."""
     count = 200
     one, other = await bench.members(2)
-    async with trio.open_nursery() as nursery:  # different numbers: two nodes must not send one identifier
+    async with current_loop().open_nursery() as nursery:  # different numbers: two nodes must not send one identifier
         for first, sender, hearer in ((0, one, other), (count, other, one)):
             numbers = list(range(first, first + count))
             nursery.start_soon(_expect_numbers, bench, hearer, numbers)
@@ -160,7 +159,7 @@ async def time_stamps(bench: TransportBench) -> None:
         frame, stamp = await bench.hear(other)
         expect(number_of(frame) == number, f"frame {number} was sent, and {number_of(frame)} came")
         stamps.append(stamp)
-        await trio.sleep(PAUSE)
+        await current_loop().sleep(PAUSE)
     first, second = stamps
     if first is None or second is None:
         expect(first is second, f"one frame has a time stamp and one has none: {stamps}")

@@ -11,17 +11,16 @@ first expectation that is not met ends it. A case ends in one of these ways:
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-import trio
-import trio.testing
-
 from canopen_proto.verdict import NotApplicable, Result, Verdict, ViolationError, expect
 from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import Site, TransportBench
+from canopen_transports.loop import current_loop
 
 LIMIT: Final = 120.0
 """Seconds. In virtual time a case that hangs gets there at once."""
@@ -40,24 +39,22 @@ class TransportCase:
     def __str__(self) -> str:
         return self.name
 
-    def run(self, site: Site) -> None:
-        """Run the case in its own `trio.run`. Raises the exception that ends the case; see this module's text."""
-        clock = trio.testing.MockClock(autojump_threshold=0) if site.virtual_time else None
+    def run(self, site: Site, on: str = "trio") -> None:
+        """Run the case in a loop of its own. Raises the exception that ends the case; see this module's text. on: "trio", or
+        "asyncio"."""
         failure: BaseException
         try:
-            trio.run(self._in_trio, site, clock=clock)
-        except trio.TooSlowError as error:
-            raise ViolationError(f"{self.title}: the case hangs; it was not over after {LIMIT:g} s") from error
+            RUN_ON[on](functools.partial(self._in_loop, site), site.virtual_time)
         except BaseExceptionGroup as group:
             failure = group
             while isinstance(failure, BaseExceptionGroup):
                 failure = failure.exceptions[0]
             raise failure from failure.__cause__
 
-    def verdict(self, site: Site) -> Verdict:
-        """Run the case and return its verdict. Never raises an Exception."""
+    def verdict(self, site: Site, on: str = "trio") -> Verdict:
+        """Run the case and return its verdict. Never raises an Exception. on: as of `run`."""
         try:
-            self.run(site)
+            self.run(site, on)
         except NotApplicable as reason:
             return Verdict(Result.NOT_APPLICABLE, str(reason))
         except ViolationError as violation:
@@ -66,14 +63,35 @@ class TransportCase:
             return Verdict(Result.FAILED, f"{type(error).__name__}: {error}")
         return Verdict(Result.PASSED)
 
-    async def _in_trio(self, site: Site) -> None:
+    async def _in_loop(self, site: Site) -> None:
+        loop = current_loop()
         before = leftovers.held()
-        with trio.fail_after(LIMIT):
-            async with site.open_bus() as bus, AsyncExitStack() as stack, trio.open_nursery() as nursery:
+        with loop.move_on_after(LIMIT) as limit:
+            async with site.open_bus() as bus, AsyncExitStack() as stack, loop.open_nursery() as nursery:
                 await self.body(TransportBench(site, bus, stack, nursery))
                 nursery.cancel_scope.cancel()
+        expect(not limit.cancelled_caught, f"{self.title}: the case hangs; it was not over after {LIMIT:g} s")
         left = sorted(leftovers.held() - before)
         expect(not left, f"all members are closed, but this is left open: {', '.join(left)}")
+
+
+def _on_trio(run: Callable[[], Awaitable[None]], virtual_time: bool) -> None:
+    import trio.testing
+
+    trio.run(run, clock=trio.testing.MockClock(autojump_threshold=0) if virtual_time else None)
+
+
+def _on_asyncio(run: Callable[[], Awaitable[None]], virtual_time: bool) -> None:
+    import asyncio
+
+    async def main() -> None:
+        await run()
+
+    asyncio.run(main())
+
+
+RUN_ON: Final[dict[str, Callable[[Callable[[], Awaitable[None]], bool], None]]] = {"trio": _on_trio, "asyncio": _on_asyncio}
+"""The loops on which a case can run. Of virtual time asyncio knows nothing."""
 
 
 def case(body: Body) -> TransportCase:

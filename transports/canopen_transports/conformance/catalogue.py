@@ -22,7 +22,8 @@ CASES: Final = tuple(each for chapter in CHAPTERS for each in vars(chapter).valu
 """All cases: each chapter's in the order in which they are written."""
 
 
-def run_all(site: Site) -> Iterator[tuple[TransportCase, Verdict]]:
-    """Run the cases one after the other, each when it is asked for. Call it outside `trio.run`: each case starts its own."""
+def run_all(site: Site, on: str = "trio") -> Iterator[tuple[TransportCase, Verdict]]:
+    """Run the cases one after the other, each when it is asked for. Call it where no loop runs: each case starts its own. on:
+    "trio", or "asyncio"."""
     for each in CASES:
-        yield each, each.verdict(site)
+        yield each, each.verdict(site, on)

@@ -6,13 +6,11 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import Final
 
-import trio
-import trio.testing
-
 from canopen_proto.verdict import ViolationError
 from canopen_transports.conformance.bench import TransportBench, turns
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import END, expect_numbers, numbered
+from canopen_transports.loop import OneTimeEvent, current_loop
 from canopen_transports.transport import Transport
 
 TRAFFIC: Final = 50
@@ -25,9 +23,9 @@ async def _expect_closed(call: Callable[[], Awaitable[object]], what: str) -> No
     """Raise ViolationError unless the call raises ClosedResourceError."""
     try:
         await call()
-    except trio.ClosedResourceError:
+    except current_loop().ClosedResourceError:
         return
-    raise ViolationError(f"{what} returned, instead of raising trio.ClosedResourceError")
+    raise ViolationError(f"{what} returned, instead of raising ClosedResourceError")
 
 
 async def _hear_on(member: Transport, on_frame: Callable[[], None]) -> None:
@@ -36,7 +34,7 @@ async def _hear_on(member: Transport, on_frame: Callable[[], None]) -> None:
             on_frame()
 
 
-async def _send_on(member: Transport, closes: trio.Event, task: int = 0) -> None:
+async def _send_on(member: Transport, closes: OneTimeEvent, task: int = 0) -> None:
     """Send frames, and at most MANY from the time on when the member closes.
 
     All have one identifier for each task: on a real bus, two nodes must not send one identifier at the same time.
@@ -47,7 +45,7 @@ async def _send_on(member: Transport, closes: trio.Event, task: int = 0) -> None
         left -= closes.is_set()
 
 
-async def _close(member: Transport, closes: trio.Event) -> None:
+async def _close(member: Transport, closes: OneTimeEvent) -> None:
     closes.set()
     await member.aclose()
 
@@ -56,17 +54,17 @@ async def _close(member: Transport, closes: trio.Event) -> None:
 async def closing_wakes_the_receiver(bench: TransportBench) -> None:
     """Closing a transport wakes its waiting receive with ClosedResourceError."""
     one = await bench.hearer(())
-    async with trio.open_nursery() as nursery:
+    async with current_loop().open_nursery() as nursery:
         nursery.start_soon(_expect_closed, functools.partial(_hear_on, one, lambda: None), "receive, while it was closed,")
-        await trio.testing.wait_all_tasks_blocked()
+        await current_loop().wait_all_tasks_blocked()
         await one.aclose()
 
 
 @case
 async def closing_wakes_the_senders(bench: TransportBench) -> None:
     """Closing a transport ends its sends with ClosedResourceError: those under way, and those that wait for room."""
-    one, closes = await bench.join(0), trio.Event()
-    async with trio.open_nursery() as nursery:
+    one, closes = await bench.join(0), current_loop().event()
+    async with current_loop().open_nursery() as nursery:
         for _ in range(3):
             nursery.start_soon(_expect_closed, functools.partial(_send_on, one, closes), "send, while it was closed,")
         await turns(200)
@@ -77,7 +75,7 @@ async def closing_wakes_the_senders(bench: TransportBench) -> None:
 async def closing_amid_traffic(bench: TransportBench) -> None:
     """Closing amid traffic wakes reader and sender, and the others continue."""
     one, other, third = await bench.members(3)
-    flows, closes = trio.Event(), [trio.Event() for _ in range(3)]
+    flows, closes = current_loop().event(), [current_loop().event() for _ in range(3)]
     count = 0
 
     def on_frame() -> None:
@@ -86,7 +84,7 @@ async def closing_amid_traffic(bench: TransportBench) -> None:
         if count >= TRAFFIC:
             flows.set()
 
-    async with trio.open_nursery() as nursery:
+    async with current_loop().open_nursery() as nursery:
         nursery.start_soon(_expect_closed, functools.partial(_hear_on, third, lambda: None), "receive, while it was closed,")
         for task, member in ((1, one), (2, other)):
             nursery.start_soon(_expect_closed, functools.partial(_hear_on, member, on_frame), "receive, while it was closed,")
@@ -94,7 +92,7 @@ async def closing_amid_traffic(bench: TransportBench) -> None:
             nursery.start_soon(_expect_closed, sending, "send, while it was closed,")
         await flows.wait()
         await _close(one, closes[1])
-        count, flows = 0, trio.Event()
+        count, flows = 0, current_loop().event()
         nursery.start_soon(_expect_closed, functools.partial(_send_on, third, closes[0]), "send, while it was closed,")
         await flows.wait()  # `other` hears only `third` now
         await _close(other, closes[2])
@@ -117,7 +115,7 @@ async def what_is_closed_stays_closed(bench: TransportBench) -> None:
 async def closing_by_two_tasks(bench: TransportBench) -> None:
     """Two tasks may close a transport at the same time."""
     one = await bench.hearer(())
-    async with trio.open_nursery() as nursery:
+    async with current_loop().open_nursery() as nursery:
         nursery.start_soon(one.aclose)
         nursery.start_soon(one.aclose)
     await _expect_closed(one.receive, "receive on a transport that two tasks closed")
@@ -127,7 +125,7 @@ async def closing_by_two_tasks(bench: TransportBench) -> None:
 async def cancelled_close(bench: TransportBench) -> None:
     """A cancelled close still closes the transport."""
     one = await bench.hearer(())
-    with trio.CancelScope() as scope:
+    with current_loop().cancel_scope() as scope:
         scope.cancel()
         await one.aclose()
     await _expect_closed(one.receive, "receive after a cancelled close")

@@ -5,12 +5,11 @@ from __future__ import annotations
 import itertools
 from typing import Final
 
-import trio
-
 from canopen_proto.verdict import expect
 from canopen_transports.conformance.bench import TransportBench, turns
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import END, expect_numbers, number_of, numbered
+from canopen_transports.loop import CancelScope, current_loop
 
 WAITING: Final = 200
 """Frames that any receive buffer holds."""
@@ -41,7 +40,7 @@ async def stream(bench: TransportBench) -> None:
 async def time_stamps_in_a_stream(bench: TransportBench) -> None:
     """Time stamps do not run back, and either all frames have one or none has."""
     one, other = await bench.members(2)
-    await trio.sleep(SETTLING)
+    await current_loop().sleep(SETTLING)
     bench.say(one, [numbered(number) for number in range(WAITING)])
     stamps = [(await bench.hear(other))[1] for _ in range(WAITING)]
     known = [stamp for stamp in stamps if stamp is not None]
@@ -58,13 +57,13 @@ async def others_run(bench: TransportBench) -> None:
         await one.send(numbered(number))
     heard: list[int] = []
 
-    async def hear(scope: trio.CancelScope) -> None:
+    async def hear(scope: CancelScope) -> None:
         with scope:
             while True:
                 heard.append(number_of((await bench.hear(other))[0]))
 
-    async with trio.open_nursery() as nursery:
-        scope = trio.CancelScope()
+    async with current_loop().open_nursery() as nursery:
+        scope = current_loop().cancel_scope()
         nursery.start_soon(hear, scope)
         await turns(3)
         scope.cancel()
@@ -74,7 +73,7 @@ async def others_run(bench: TransportBench) -> None:
 
 @case
 async def two_receivers(bench: TransportBench) -> None:
-    """When two tasks receive at once, each frame goes to one of them, or one task is refused with trio.BusyResourceError."""
+    """When two tasks receive at once, each frame goes to one of them, or one task is refused with BusyResourceError."""
     count = 100
     member = await bench.hearer([numbered(number) for number in range(count)])
     heard: list[int] = []
@@ -86,7 +85,7 @@ async def two_receivers(bench: TransportBench) -> None:
         while len(heard) < count:
             try:
                 own += await bench.numbers(member, 1)
-            except trio.BusyResourceError:
+            except current_loop().BusyResourceError:
                 refused += 1
                 expect(refused == 1, "both receivers were refused")
                 return
@@ -94,7 +93,7 @@ async def two_receivers(bench: TransportBench) -> None:
         nursery.cancel_scope.cancel()
         expect(own == sorted(own), "one of the receivers had its frames out of order")
 
-    async with trio.open_nursery() as nursery:
+    async with current_loop().open_nursery() as nursery:
         nursery.start_soon(hear)
         nursery.start_soon(hear)
     expect_numbers(sorted(heard), list(range(count)), "the frames that the two receivers took")

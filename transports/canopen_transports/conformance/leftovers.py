@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Final
 
 _DESCRIPTORS: Final = Path("/dev/fd")
-_TRIO_KEEPS: Final = "Trio thread"
-"""How trio names its idle worker threads, which end by themselves."""
+_END_BY_THEMSELVES: Final = ("Trio thread", "in_thread")
+"""How trio names its idle worker threads, and canopen_transports.loop those on asyncio."""
 
 
 def held() -> frozenset[str]:
     """Return a text for each thread and descriptor, equal as long as it is the same one. Descriptors only on Linux and macOS."""
     threads = {
-        f"thread {thread.name!r} ({thread.ident})" for thread in threading.enumerate() if not thread.name.startswith(_TRIO_KEEPS)
+        f"thread {thread.name!r} ({thread.ident})"
+        for thread in threading.enumerate()
+        if not thread.name.startswith(_END_BY_THEMSELVES)
     }
     files = set()
     with suppress(OSError):

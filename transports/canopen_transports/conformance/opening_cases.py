@@ -5,14 +5,13 @@ from __future__ import annotations
 from random import Random
 from typing import Final
 
-import trio
-
 from canopen_proto.verdict import does_not_apply, expect
 from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import TransportBench
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import numbered
 from canopen_transports.errors import BAD_LOCATOR, CANNOT_OPEN, NO_PERMISSION, TransportError
+from canopen_transports.loop import current_loop
 
 MAX_LINES: Final = 10
 """The most lines that an error text may have: nobody reads more."""
@@ -50,7 +49,7 @@ async def what_cannot_be_opened_says_what_to_do(bench: TransportBench) -> None:
 async def opening_can_be_cancelled(bench: TransportBench) -> None:
     """A cancelled opening leaves nothing open, or returns the member; afterwards the bus can be joined."""
     for seed in SEEDS:
-        with trio.CancelScope() as scope:
+        with current_loop().cancel_scope() as scope:
             bench.disturb(scope, Random(seed))
             await bench.join(1)
         await bench.close_all()

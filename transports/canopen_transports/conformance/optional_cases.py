@@ -7,14 +7,13 @@ from contextlib import suppress
 from random import Random
 from typing import Final
 
-import trio
-
 from canopen_proto.frame import Frame, RoutingKey
 from canopen_proto.machine import MILLISECOND
 from canopen_proto.verdict import ViolationError, does_not_apply, expect
 from canopen_transports.conformance.bench import HEAR_TIME, TransportBench
 from canopen_transports.conformance.case import case
 from canopen_transports.conformance.frames import END, IMPOSSIBLE, expect_numbers, number_of, numbered
+from canopen_transports.loop import current_loop
 from canopen_transports.transport import (
     BatchTransport,
     CyclicTransport,
@@ -50,7 +49,7 @@ async def eager_send(bench: TransportBench) -> None:
         with suppress(ValueError):
             expect(not one.send_nowait(frame), f"send_nowait accepted {frame!r} ({reason})")
     await one.aclose()
-    with suppress(trio.ClosedResourceError):
+    with suppress(current_loop().ClosedResourceError):
         expect(not one.send_nowait(END), "send_nowait on a closed transport says that it sent the frame")
 
 
@@ -63,11 +62,11 @@ async def many_at_once(bench: TransportBench) -> None:
     bench.say(one, [numbered(number) for number in range(EAGER)])
     heard: list[int] = []
     calls = 0
-    with trio.move_on_after(HEAR_TIME):
+    with current_loop().move_on_after(HEAR_TIME):
         while len(heard) < EAGER:
             calls += 1
             limit = 1 + calls % 7
-            with trio.CancelScope() as scope:
+            with current_loop().cancel_scope() as scope:
                 if calls % 3 and len(heard) < EAGER // 2:
                     bench.disturb(scope, Random(calls))
                 items = await other.receive_many(limit)
@@ -75,9 +74,9 @@ async def many_at_once(bench: TransportBench) -> None:
                 heard += [number_of(item[0]) for item in items if isinstance(item, tuple)]
     expect_numbers(heard, list(range(EAGER)), "the frames that receive_many returned")
     await other.aclose()
-    with suppress(trio.ClosedResourceError):
+    with suppress(current_loop().ClosedResourceError):
         await other.receive_many(1)
-        raise ViolationError("receive_many on a closed transport returned, instead of raising trio.ClosedResourceError")
+        raise ViolationError("receive_many on a closed transport returned, instead of raising ClosedResourceError")
 
 
 @case
@@ -98,9 +97,9 @@ async def what_has_come(bench: TransportBench) -> None:
                 heard += await bench.numbers(other, 1)
     expect_numbers(heard, list(range(100)), "the frames that receive_nowait and receive returned")
     await other.aclose()
-    with suppress(trio.ClosedResourceError):
+    with suppress(current_loop().ClosedResourceError):
         other.receive_nowait(1)
-        raise ViolationError("receive_nowait on a closed transport returned, instead of raising trio.ClosedResourceError")
+        raise ViolationError("receive_nowait on a closed transport returned, instead of raising ClosedResourceError")
 
 
 @case
@@ -169,7 +168,7 @@ async def cyclic_frames(bench: TransportBench) -> None:
         one.stop_cyclic()
         await one.send(END)
         await bench.numbers_until_end(other)
-        await trio.sleep(3 * PERIOD / 1e9)
+        await current_loop().sleep(3 * PERIOD / 1e9)
         await one.send(END)
         expect_numbers(await bench.numbers_until_end(other), [], "cyclic frames after they were stopped")
         await other.send(END)

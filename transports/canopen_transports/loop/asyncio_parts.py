@@ -17,7 +17,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, TypeVar
 
-from canopen_transports.loop.asyncio_scopes import AsyncioScope, AsyncioTasks
+from canopen_transports.loop.asyncio_scopes import AsyncioScope, AsyncioTasks, Yield
 from canopen_transports.loop.interface import BusyResourceError, ClosedResourceError, RunFinishedError
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ class AsyncioLot:
         return bool(self._parked)
 
     async def park(self) -> None:
-        self._tasks.check()
+        await self._tasks.check()
         while True:
             future = self._tasks.loop.create_future()
             self._parked[future] = None
@@ -100,7 +100,7 @@ class AsyncioLock:
 
     async def __aenter__(self) -> None:
         if not self._is_locked:
-            self._tasks.check()
+            await self._tasks.check()
             self._is_locked = True
             await checkpoint(self._tasks, may_be_cancelled=False)
             return
@@ -128,22 +128,15 @@ class AsyncioLock:
             self._is_locked = False
 
 
-class _Yield:
-    """Lets the loop go round once."""
-
-    def __await__(self) -> Any:
-        yield
-
-
 async def checkpoint(tasks: AsyncioTasks, may_be_cancelled: bool = True) -> None:
     """Let other tasks run."""
     try:
-        await _Yield()
+        await Yield()
     except CancelledError:  # by asyncio: scopes never cancel this
         if not tasks.goes_on(not may_be_cancelled):
             raise
-    if may_be_cancelled:
-        tasks.check()
+    if may_be_cancelled and tasks.is_cancelled():
+        raise CancelledError("by a cancel scope")
 
 
 class AsyncioFiles:
@@ -161,7 +154,7 @@ class AsyncioFiles:
 
     async def wait(self, file: Any, is_writing: bool) -> None:
         """Wait until a file can be read, or written."""
-        self._tasks.check()
+        await self._tasks.check()
         fd: int = file if isinstance(file, int) else file.fileno()
         waiting, add, remove = self._ways[is_writing]
         if fd in waiting:
@@ -227,7 +220,7 @@ async def in_thread(
     tasks: AsyncioTasks, token: AsyncioToken, function: Callable[..., T], args: tuple[Any, ...], abandon: bool
 ) -> T:
     """See `Loop.in_thread`. A thread of its own, that nothing waits for: some drivers never return."""
-    tasks.check()
+    await tasks.check()
     results: list[T] = []
     failures: list[BaseException] = []
     lot = AsyncioLot(tasks)
@@ -262,7 +255,7 @@ class AsyncioSocket:
         self._tasks = tasks
 
     async def send(self, data: bytes, /) -> int:
-        self._tasks.check()
+        await self._tasks.check()
         while True:
             try:
                 count = self._sock().send(data)
@@ -273,7 +266,7 @@ class AsyncioSocket:
                 return count
 
     async def recv(self, size: int, /) -> bytes:
-        self._tasks.check()
+        await self._tasks.check()
         while True:
             try:
                 data = self._sock().recv(size)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import math
 from asyncio import CancelledError, Future, Task
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Generator
 from functools import partial
 from types import TracebackType
 from typing import Any, Final, Self
@@ -25,6 +25,13 @@ _AT_ONCE: Final = 8
 """So often a task is cancelled in turn, if it awaits on and on."""
 _AGAIN: Final = (0.001, 0.05)
 """Seconds until it is cancelled once more then: at first, and at most."""
+
+
+class Yield:
+    """Lets the loop go round once."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield
 
 
 class _TaskState:
@@ -160,9 +167,10 @@ class AsyncioTasks:
 
     # ---- waiting ----
 
-    def check(self) -> None:
-        """Raise CancelledError if a scope cancels what is awaited now."""
+    async def check(self) -> None:
+        """Raise CancelledError if a scope cancels what is awaited now, but let other tasks run before."""
         if self._states and self.is_cancelled():
+            await Yield()
             raise CancelledError("by a cancel scope")
 
     def is_cancelled(self) -> bool:
@@ -359,21 +367,23 @@ class AsyncioNursery:
 
     async def _run_starting(self, status: _Started, function: Callable[..., Awaitable[object]], *args: Any) -> None:
         self._begin()
+        error: BaseException | None = None
         try:
             with status.scope:
                 await function(*args, task_status=status)
             if status.scope.cancelled_caught:
-                status.ended(CancelledError())
-            else:
-                status.ended(RuntimeError("the task ended without calling task_status.started()"))
-        except CancelledError as error:
-            if not status.ended(error):
-                self._cancelled = error
-        except BaseException as error:  # noqa: BLE001 - raised by `start`, or by the end of this nursery
-            if not status.ended(error):
-                self._fail(error)
+                error = CancelledError()
+            elif not status.is_started:
+                error = RuntimeError("the task ended without calling task_status.started()")
+        except BaseException as raised:  # noqa: BLE001 - raised by `start`, or by the end of this nursery
+            error = raised
         finally:
             self._tasks.end()
+        if status.ended(error):
+            if isinstance(error, CancelledError):
+                self._cancelled = error
+            elif error is not None:
+                self._fail(error)
 
     async def __aenter__(self) -> Self:
         self.cancel_scope.__enter__()
@@ -416,25 +426,28 @@ class _Started:
 
     def __init__(self, tasks: AsyncioTasks) -> None:
         self.scope = AsyncioScope(tasks, math.inf, False)
+        self.is_started = False
         self._tasks = tasks
-        self._future: Future[Any] | None = None
+        self._future: Future[None] | None = None
         self._value: Any = None
         self._error: BaseException | None = None
         self._is_over = False
 
     def started(self, value: Any = None) -> None:
-        if self._is_over:
+        if self.is_started:
             raise RuntimeError("task_status.started() was called twice")
+        self.is_started = True
         self._value = value
-        self._end()
+        if not self.scope.cancel_called:  # else `start` waits for the end of the task
+            self._end()
 
-    def ended(self, error: BaseException) -> bool:
-        """The task ended; return whether that was before it was ready."""
+    def ended(self, error: BaseException | None) -> bool:
+        """The task has ended; return whether `start` returned before."""
         if self._is_over:
-            return False
+            return True
         self._error = error
         self._end()
-        return True
+        return False
 
     def _end(self) -> None:
         self._is_over = True
@@ -442,25 +455,21 @@ class _Started:
             self._future.set_result(None)
 
     async def result(self) -> Any:
-        cancelled: CancelledError | None = None
-        while not self._is_over:
-            self._future = self._tasks.loop.create_future()
-            if cancelled is None:
+        from_outside: CancelledError | None = None
+        with AsyncioScope(self._tasks, math.inf, False) as wait:
+            while not self._is_over:
+                self._future = self._tasks.loop.create_future()
                 try:
                     await self._future
                 except CancelledError as error:
-                    if not self._tasks.goes_on():
-                        cancelled = error
-                        self.scope.cancel()
-            else:
-                with AsyncioScope(self._tasks, math.inf, True):
-                    try:
-                        await self._future
-                    except CancelledError:
-                        self._tasks.goes_on()
-        if cancelled is not None:
-            raise cancelled
+                    if self._tasks.goes_on():
+                        continue
+                    if not self._tasks.is_cancelled():
+                        from_outside = error
+                    self.scope.cancel()
+                    wait.shield = True
+        if from_outside is not None:
+            raise from_outside
         if self._error is not None:
             raise self._error
-        self._tasks.check()
         return self._value

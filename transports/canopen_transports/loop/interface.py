@@ -237,6 +237,9 @@ class Loop(Protocol):
     async def cancel_shielded_checkpoint(self) -> None:
         """Let other tasks run; cannot be cancelled."""
 
+    async def wait_all_tasks_blocked(self) -> None:
+        """Let other tasks run until all wait. For tests."""
+
     # ---- tasks ----
 
     def open_nursery(self) -> AbstractAsyncContextManager[Nursery]:

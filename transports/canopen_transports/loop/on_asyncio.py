@@ -7,7 +7,7 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Sized
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final, TypeAlias, TypeVar
@@ -32,6 +32,8 @@ _Handler: TypeAlias = Callable[[int, FrameType | None], Any]
 
 LOOK: Final = 0.005
 """Seconds between two looks where a loop does not tell when it sleeps: uvloop."""
+ROUNDS: Final = 50
+"""Rounds of the loop after which all tasks should wait; uvloop does not tell whether they do."""
 _REAL: Final = 0.1
 """Seconds by which a loop in real time may differ from the clock: uvloop looks at it once a turn."""
 
@@ -121,10 +123,17 @@ class AsyncioLoop:
         await checkpoint(self._tasks)
 
     async def checkpoint_if_cancelled(self) -> None:
-        self._tasks.check()
+        await self._tasks.check()
 
     async def cancel_shielded_checkpoint(self) -> None:
         await checkpoint(self._tasks, may_be_cancelled=False)
+
+    async def wait_all_tasks_blocked(self) -> None:
+        ready: Sized | None = getattr(self._loop, "_ready", None)
+        for number in range(ROUNDS):
+            await self.checkpoint()
+            if ready is not None and not ready and number >= self.rounds_to_hear:
+                return
 
     # ---- tasks ----
 

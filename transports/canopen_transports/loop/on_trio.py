@@ -57,6 +57,11 @@ class TrioLoop:
             _values.set({})
             return _values.get()
 
+    async def wait_all_tasks_blocked(self) -> None:
+        import trio.testing  # only here: it takes longer to import than all of this package
+
+        await trio.testing.wait_all_tasks_blocked()
+
     def clock(self) -> Callable[[], float]:
         return trio.lowlevel.current_clock().current_time
 
