@@ -239,6 +239,22 @@ MASTER_MUTANTS: Final = tuple(
             BACKGROUND,
         ),
         (
+            "woken_for_good",
+            "canopen_master/blocking/loop_thread.py",
+            "                self._wakers[0].wake()\n                self._front_waits = False ",
+            "                self._front_waits = False\n                self._wakers[0].wake() ",
+            "an interrupt between the two lines leaves the loop asleep, and a drive is not halted",
+            BACKGROUND,
+        ),
+        (
+            "busy_and_woken",
+            "canopen_master/blocking/loop_thread.py",
+            "                self._front_waits = False\n                work =",
+            "                work =",
+            "an interrupt right behind the wake leaves the next call, which may be a halt, to a task that is busy",
+            BACKGROUND,
+        ),
+        (
             "its_thread_may_die",
             _BACKGROUND,
             "self._owners = {threading.main_thread(), owner or threading.main_thread()}",

@@ -11,6 +11,7 @@ import pytest
 import trio
 
 from canopen_master.blocking.background import Background, _Call
+from canopen_master.blocking.loop_thread import Waker
 from canopen_master.errors import MasterClosedError
 from canopen_proto.machine import LocalProtocolError
 
@@ -380,6 +381,30 @@ def test_a_call_that_was_taken_back_before_it_began_never_begins(background: Bac
     until(lambda: all(call.is_done for call in calls))
     assert background.call(Place.answer) == 42
     assert done == []
+
+
+@pytest.mark.parametrize("comes_late", [False, True])
+def test_an_interrupt_right_before_or_behind_a_wake_loses_none(
+    background: Background[Place], place: Place, monkeypatch: pytest.MonkeyPatch, comes_late: bool
+) -> None:
+    """An interrupt may come between any two lines: the loop has two tasks to wake, and neither may sleep on for ever."""
+    wake, interrupts = Waker.wake, [True] * 4
+
+    def interrupted(waker: Waker) -> None:
+        if interrupts and interrupts.pop():
+            interrupts.append(False)  # the taking back is not interrupted
+            if comes_late:
+                before = len(place.log)
+                wake(waker)
+                until(lambda: len(place.log) > before)  # the task that was woken is busy with the call
+            raise KeyboardInterrupt
+        wake(waker)
+
+    monkeypatch.setattr(Waker, "wake", interrupted)
+    while interrupts:
+        with pytest.raises(KeyboardInterrupt):
+            background.call(Place.wait)
+    assert background.call(Place.answer) == 42
 
 
 def test_an_interrupt_of_stop_is_raised_once_the_context_is_left() -> None:

@@ -95,7 +95,7 @@ from canopen_master.claims.channel_claim import channel_claim
 async def main():
     async with channel_claim({BUS!r}, 7):
         print("claimed", flush=True)
-        await loop.sleep_forever()
+        await trio.sleep_forever()
 trio.run(main)
 """
     with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as other:

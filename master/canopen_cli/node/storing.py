@@ -40,7 +40,7 @@ _GROUP = click.option(
     type=ParameterGroup(),
     default="all",
     show_default=True,
-    help="all, communication, application, or 4 to 127.",
+    help="all, communication, application, or the maker's 4 to 127.",
 )
 _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 

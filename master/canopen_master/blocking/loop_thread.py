@@ -116,11 +116,11 @@ class LoopThread:
                 return False
             self._jobs.append(job)
             if self._front_waits:
-                self._front_waits = False
                 self._wakers[0].wake()
+                self._front_waits = False  # behind the wake, and by the task, too: an interrupt may come between any two lines
             elif self._dispatcher_waits:
-                self._dispatcher_waits = False
                 self._wakers[1].wake()
+                self._dispatcher_waits = False
         return True
 
     def _run(self) -> None:
@@ -165,6 +165,7 @@ class LoopThread:
                 with self._lock:
                     self._front_waits = waits = not self._jobs
                 await (waker.wait() if waits else trio.lowlevel.checkpoint())
+                self._front_waits = False
                 work = self._do_jobs()
                 for each in work[1:]:
                     self._give(each)
@@ -179,6 +180,7 @@ class LoopThread:
             with self._lock:
                 self._dispatcher_waits = waits = not self._jobs
             await (waker.wait() if waits else trio.lowlevel.checkpoint())
+            self._dispatcher_waits = False
             for work in self._do_jobs():
                 self._give(work)
 
