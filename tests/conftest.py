@@ -198,7 +198,7 @@ def pytest_unconfigure() -> None:
 
 
 @pytest.hookimpl(wrapper=True, specname="pytest_runtest_protocol")
-def measure() -> Iterator[None]:
+def pytest_measure() -> Iterator[None]:  # pytest passes over a hook whose name does not begin with `pytest_`
     """Measure the first MEASURED seconds of each test, where this run is measured (.ci/run)."""
     coverage = sys.modules.get("coverage")
     measured = coverage and coverage.Coverage.current()

@@ -10,7 +10,7 @@ from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.cia402.states import State, StatusBit
 from canopen_proto.simulation.drive.servo import Servo
 from canopen_proto.simulation.drive.settings import STO_OF_AX8000, Shape
-from canopen_proto.simulation.drive.turns import shown
+from canopen_proto.simulation.drive.turns import shown_range, within
 
 _STATE_BITS: Final[dict[State, int]] = {
     State.UNKNOWN: 0x0000,
@@ -47,8 +47,9 @@ def statusword_of(state: State, mode_status: int, servo: Servo, *, is_referenced
 def show_values(servo: Servo, *, torque_is_off: bool) -> None:
     """Write the present values into the store. torque_is_off: by the STO input."""
     store = servo.store
-    store[objects.POSITION_DEMAND_VALUE] = shown(servo, servo.demand_position)
-    store[objects.POSITION_ACTUAL_VALUE] = shown(servo, servo.position)
+    low, count = shown_range(servo)
+    store[objects.POSITION_DEMAND_VALUE] = within(low, count, servo.demand_position - servo.zero)
+    store[objects.POSITION_ACTUAL_VALUE] = within(low, count, servo.position - servo.zero)
     store[objects.VELOCITY_DEMAND_VALUE] = _limited(servo.demand_velocity)
     store[objects.VELOCITY_ACTUAL_VALUE] = _limited(servo.velocity)
     if objects.VL_VELOCITY_DEMAND in store:
@@ -83,4 +84,6 @@ def _wrapped(position: float) -> int:
 
 def _limited(value: float, bound: int = _INT32) -> int:
     """Return a speed or distance as INTEGER32 (INTEGER16 with that bound), clipped to its range."""
+    if -bound <= value <= bound - 1:
+        return round(value)
     return round(max(-bound, min(bound - 1, value)))

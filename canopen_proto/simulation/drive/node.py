@@ -82,7 +82,9 @@ class DriveNode(LocalNode):
     def _drive(self, settings: DriveSettings, values: Values, axis: int) -> Drive:
         zeros = frozenset(key for key in UNSET_BY_ZERO if values.store.get(key) == 0)
         kind = LateDrive if settings.reaction else Drive
-        return kind(self.inner, self.node_id, values, replace(settings, unset=settings.unset | zeros), axis)
+        if not zeros <= settings.unset:
+            settings = replace(settings, unset=settings.unset | zeros)
+        return kind(self.inner, self.node_id, values, settings, axis)
 
     def _take_node_id(self, node_id: int) -> None:
         super()._take_node_id(node_id)

@@ -27,8 +27,9 @@ class Parameters:
     def parameter(self, key: Mux) -> int:
         """Return an object's present value, or its fallback."""
         value = self.store.get(key)
-        says_nothing = value == 0 and key in self.settings.unset
-        return value if isinstance(value, int) and not says_nothing else FALLBACKS.get(key, 0)
+        if isinstance(value, int) and (value or key not in self.settings.unset):
+            return value
+        return FALLBACKS.get(key, 0)
 
     def rate(self, key: Mux) -> float:
         """Return a speed or an acceleration; at least 1."""

@@ -16,21 +16,26 @@ from canopen_proto.simulation.drive.servo import Servo
 _INT32 = 1 << 31
 
 
-def _range_of(servo: Servo) -> tuple[int, int]:
-    """Return the lowest position, and how many there are."""
+def shown_range(servo: Servo) -> tuple[int, int]:
+    """Return the lowest position that is shown, and how many there are."""
     low, high = servo.parameter(objects.MIN_POSITION_RANGE_LIMIT), servo.parameter(objects.MAX_POSITION_RANGE_LIMIT)
     return (low, high - low + 1) if low < high else (-_INT32, 2 * _INT32)
 
 
 def shown(servo: Servo, place: float) -> int:
     """Return the position that a place on the track has for the user."""
-    low, count = _range_of(servo)
-    return (round(place - servo.zero) - low) % count + low
+    low, count = shown_range(servo)
+    return within(low, count, place - servo.zero)
+
+
+def within(low: int, count: int, position: float) -> int:
+    """Return a position as it is shown. low, count: as `shown_range` has them."""
+    return (round(position) - low) % count + low
 
 
 def place_of(servo: Servo, target: float, direction: RotaryDirection) -> float:
     """Return the place on the track of an absolute target, from the present demand."""
-    low, count = _range_of(servo)
+    low, count = shown_range(servo)
     here = servo.demand_position
     turns = math.floor((here - servo.zero - low) / count)
     place = target + servo.zero + turns * count

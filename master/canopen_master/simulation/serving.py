@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import asynccontextmanager
-from functools import partial
+from functools import lru_cache, partial
 from typing import Final
 
 from canopen_data.configured import configure
@@ -47,6 +47,13 @@ _TRACK: Final = Track(home_switch=(0.0, math.inf))
 """The home switch is active from the middle to the positive end, as homing method 19 expects."""
 
 
+@lru_cache(maxsize=128)
+def _dictionary(shape: Shape, serial: int, node_id: int) -> ObjectDictionary:
+    """Return the dictionary of a drive that has none of its own."""
+    beats = standard_object(indices.PRODUCER_HEARTBEAT_TIME, HEARTBEAT_MS)
+    return with_serial(drive_dictionary(shape).with_objects([beats]), serial, node_id)
+
+
 def drive_maker(
     number: int,
     node_id: int,
@@ -62,8 +69,7 @@ def drive_maker(
     """
     is_own = dictionary is None
     if dictionary is None:
-        dictionary = drive_dictionary(shape).with_objects([standard_object(indices.PRODUCER_HEARTBEAT_TIME, HEARTBEAT_MS)])
-        dictionary = with_serial(dictionary, number + 1, node_id)
+        dictionary = _dictionary(shape, number + 1, node_id)
     else:
         dictionary, _ = drive_dictionary_of(dictionary, shape)
     position = _POSITIONS[number % len(_POSITIONS)]
