@@ -7,6 +7,7 @@ for tests that are marked `both_loops`; with `--hypothesis-profile=full` both fo
 from __future__ import annotations
 
 import asyncio
+import signal
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -80,8 +81,11 @@ def _on_asyncio(test: Callable[[], Awaitable[R]]) -> R:
                 assert isinstance(found, AsyncioLoop)
                 assert not found._tasks._states, "a scope was left open"
 
-    with asyncio.Runner(loop_factory=lambda: WorldLoop(VirtualTime())) as runner:
-        return runner.run(limited())
+    try:
+        with asyncio.Runner(loop_factory=lambda: WorldLoop(VirtualTime())) as runner:
+            return runner.run(limited())
+    finally:
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def is_trio() -> bool:

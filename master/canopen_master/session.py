@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Final, TypeAlias
@@ -130,6 +130,7 @@ class MasterSession:
         self._sources = sources
         self._make = make
         self._open_transports = AsyncExitStack()
+        self._interrupts = ExitStack()  # closed when the drives stand, and the transports are closed
         self._is_halting = False
 
     @protected
@@ -189,6 +190,7 @@ class MasterSession:
             await self._master.pump.run()
         finally:
             await self._close()
+            self._interrupts.close()
 
     @protected
     async def _halt_when_cancelled(self) -> None:
@@ -202,6 +204,7 @@ class MasterSession:
     def _begin_halt(self) -> None:
         if not self._is_halting:
             self._is_halting = True
+            self._has_come = self._interrupts.enter_context(current_loop().interrupts_wait())
             self._watch.cancel()
             self._nursery.start_soon(self._halt)
 
@@ -216,8 +219,8 @@ class MasterSession:
             self._master.pump.stop()
 
     def _was_interrupted(self) -> bool:
-        """Return whether a Ctrl-C came during the halt: it then cancels the nursery, and comes at its end."""
-        return self._nursery.cancel_scope.cancel_called
+        """Return whether a Ctrl-C came during the halt. On trio it cancels the nursery, and comes at its end."""
+        return self._has_come() or (not current_loop().cancels_at_end and self._nursery.cancel_scope.cancel_called)
 
     def _ask_for_realtime(self) -> Grant | None:
         """Ask for what is wanted, and say what was given; it is given back when the session closes. Raises

@@ -136,11 +136,9 @@ class AsyncioTasks:
             self.deliver()
         return task
 
-    def end(self) -> None:
-        """The present task ends."""
-        task = asyncio.current_task(self.loop)
-        assert task is not None
-        del self._states[task]
+    def end(self, task: Task[Any]) -> None:
+        """A task that began within a scope ends, or is destroyed with its loop."""
+        self._states.pop(task, None)
 
     def deliver(self) -> None:
         """Cancel the tasks that wait in a cancelled scope."""
@@ -330,11 +328,13 @@ class AsyncioNursery:
         self._children.setdefault(task, work)
         task.add_done_callback(self._on_end)
 
-    def _begin(self) -> None:
-        self._children[self._tasks.begin(self.cancel_scope)] = None
+    def _begin(self) -> Task[Any]:
+        task = self._tasks.begin(self.cancel_scope)
+        self._children[task] = None
+        return task
 
     async def _run(self, function: Callable[..., Awaitable[object]], *args: Any) -> None:
-        self._begin()
+        task = self._begin()
         try:
             await function(*args)
         except CancelledError as error:
@@ -342,7 +342,7 @@ class AsyncioNursery:
         except BaseException as error:  # noqa: BLE001 - raised by the end of this nursery
             self._fail(error)
         finally:
-            self._tasks.end()
+            self._tasks.end(task)
 
     def _fail(self, error: BaseException) -> None:
         self._errors.append(error)
@@ -366,7 +366,7 @@ class AsyncioNursery:
         return await status.result()
 
     async def _run_starting(self, status: _Started, function: Callable[..., Awaitable[object]], *args: Any) -> None:
-        self._begin()
+        task = self._begin()
         error: BaseException | None = None
         try:
             with status.scope:
@@ -378,7 +378,7 @@ class AsyncioNursery:
         except BaseException as raised:  # noqa: BLE001 - raised by `start`, or by the end of this nursery
             error = raised
         finally:
-            self._tasks.end()
+            self._tasks.end(task)
         if status.ended(error):
             if isinstance(error, CancelledError):
                 self._cancelled = error

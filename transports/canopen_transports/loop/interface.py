@@ -276,6 +276,10 @@ class Loop(Protocol):
     def holding_interrupts(self) -> AbstractContextManager[object]:
         """While it lasts, a Ctrl-C does not interrupt `protected` functions in their middle."""
 
+    def interrupts_wait(self) -> AbstractContextManager[Callable[[], bool]]:
+        """While it lasts, a Ctrl-C waits for its end; the function that it gives tells whether one has come. On trio it does not
+        wait: it comes to the main task alone."""
+
     # ---- files and sockets ----
 
     async def wait_readable(self, file: Any, /) -> None:

@@ -76,7 +76,8 @@ class AsyncioLoop:
         self._system_tasks: set[asyncio.Task[None]] = set()
         self._looks: list[Callable[[float | None], object]] = []
         self.values: dict[object, Any] = {}
-        self._holders = 0
+        self._holders = self._waits = self._interrupts = 0
+        self._is_broken_off = False
         self._handlers: tuple[_Handler, _Handler] | None = None  # of SIGINT: that of before, and ours
 
     # ---- time ----
@@ -215,16 +216,46 @@ class AsyncioLoop:
             if not self._holders and self._handlers is not None:
                 before, ours = self._handlers
                 if signal.getsignal(signal.SIGINT) == ours:
-                    signal.signal(signal.SIGINT, before)
+                    # asyncio.run has given its handler back already, if a Ctrl-C has ended it
+                    is_over = self._is_broken_off and isinstance(_owner(before), asyncio.Runner)
+                    signal.signal(signal.SIGINT, signal.default_int_handler if is_over else before)
                 self._handlers = None
+                self._is_broken_off = False
+
+    @contextmanager
+    def interrupts_wait(self) -> Iterator[Callable[[], bool]]:
+        with self.holding_interrupts():
+            self._waits += 1
+            before = self._interrupts
+            try:
+                yield lambda: self._interrupts > before
+            finally:
+                self._waits -= 1
+                if self._handlers is not None and self._interrupts > before and not self._is_broken_off:
+                    self._token.run_sync_soon(self._hand_on, self._handlers[0], signal.SIGINT, None)
 
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
         assert self._handlers is not None
-        before, _ = self._handlers
+        self._interrupts += 1
         if is_protected(frame):
-            self._token.run_sync_soon(before, number, None)
+            self._token.run_sync_soon(self._interrupt, number, None)
         else:
-            before(number, frame)
+            self._interrupt(number, frame)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        """Do what the program does at a Ctrl-C: asyncio.run cancels its main task at the first one, and then raises it. All tasks
+        end then; none of them must be left half way by one more."""
+        if self._handlers is None:  # it was held back, and nobody holds any longer
+            signal.raise_signal(number)
+        elif not self._waits and not self._is_broken_off:
+            self._hand_on(self._handlers[0], number, frame)
+
+    def _hand_on(self, handler: _Handler, number: int, frame: FrameType | None) -> None:
+        try:
+            handler(number, frame)
+        except KeyboardInterrupt:
+            self._is_broken_off = bool(self._holders)
+            raise
 
     # ---- files and sockets ----
 
@@ -239,6 +270,11 @@ class AsyncioLoop:
 
     async def connect_tcp(self, host: str, port: int) -> AsyncioSocket:
         return await connect_tcp(self._tasks, self._token, self._files, host, port)
+
+
+def _owner(handler: _Handler) -> object:
+    """Return the object whose method a handler is, even with some arguments given."""
+    return getattr(getattr(handler, "func", handler), "__self__", None)
 
 
 class _LookingSelector:

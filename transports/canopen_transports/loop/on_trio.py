@@ -88,6 +88,9 @@ class TrioLoop:
     def holding_interrupts(self) -> AbstractContextManager[object]:
         return nullcontext()  # trio does it by itself
 
+    def interrupts_wait(self) -> AbstractContextManager[Callable[[], bool]]:
+        return nullcontext(lambda: False)
+
     async def connect_tcp(self, host: str, port: int) -> StreamSocket:
         return (await trio.open_tcp_stream(host, port)).socket
 
