@@ -154,9 +154,13 @@ WORDS: Final = (
     (r"\bA cancelled wait\b", "A wait that is interrupted"),
     (r"\bis cancelled\b", "is interrupted"),
     (r"\bif cancelled\b", "if interrupted"),
-    (r"\basync iterator\b", "iterator"),
-    (r"\ban async iterable\b", "a generator"),
+    (r"\ban iterable or an async iterable\b", "an iterable; it is asked in a thread of its own"),
+    (r"\ban async iterator\b", "an iterator"),
+    (r"\bAn async iterator\b", "An iterator"),
     (r", as everywhere in trio\b", ""),
+    (r"\bEntering the block raises BusError\b", "Raises BusError"),
+    (r"On leaving\s+it, see this module's text\.", "How it ends: docs/blocking.md."),
+    (r"\bOpen a master of one or several buses:", "Open a master of one or several buses, at once:"),
 )
 """What is said otherwise in the text of a blocking class."""
 PER_MODULE: Final = {

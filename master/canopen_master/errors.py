@@ -104,10 +104,10 @@ class BusError(MasterError):
 
 
 class MasterClosedError(MasterError):
-    """The `async with open_master(...)` block is over, or ending: the master takes no new commands."""
+    """The block of `open_master` is over or ending, or the master was closed: it takes no new commands."""
 
     def __init__(self) -> None:
-        cause = "its `async with` block is over, or was cancelled"
+        cause = "its block is over or was cancelled, or somebody has closed it"
         super().__init__(MASTER_CLOSED, "the master is closed", cause=cause, tries=("open it again",))
 
 

@@ -106,6 +106,15 @@ def test_even_a_system_exit_of_the_function_only_ends_the_call(background: Backg
     assert background.call(Place.answer) == 42
 
 
+def test_a_loop_is_woken_without_what_only_linux_has(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "eventfd", raising=False)
+    background = Background(lambda: context(place))
+    background.start()
+    assert [background.call(Place.answer) for _ in range(3)] == [42] * 3
+    assert background.do(len, "four") == 4
+    background.stop()
+
+
 def test_many_threads_call_at_the_same_time(background: Background[Place]) -> None:
     inside = 0
     most = 0
@@ -423,8 +432,11 @@ def test_an_interrupt_right_before_or_behind_a_wake_loses_none(
             raise KeyboardInterrupt
         wake(waker)
 
+    loop = background.loop
     monkeypatch.setattr(Waker, "wake", interrupted)
     while interrupts:
+        if comes_late:  # below the lock: neither task may need it meanwhile
+            until(lambda: loop._front_waits and loop._dispatcher_waits)
         with pytest.raises(KeyboardInterrupt):
             background.call(Place.wait)
     assert background.call(Place.answer) == 42

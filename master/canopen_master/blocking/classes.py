@@ -198,9 +198,10 @@ class BlockingNode(NodeTwin):
     ) -> None:
         """Write any object from pieces of any size; return when the device has confirmed the whole.
 
-        pieces: an iterable or a generator, asked for more only when there is room. An exception that it raises aborts the
-        transfer on the bus, and is raised unchanged. size: bytes, if known; some devices insist on it. Raises LocalProtocolError
-        if the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see `write`.
+        pieces: an iterable; it is asked in a thread of its own, asked for more only when there is room. An exception that it
+        raises aborts the transfer on the bus, and is raised unchanged. size: bytes, if known; some devices insist on it. Raises
+        LocalProtocolError if the pieces are more or less than that. See streams.py. A controlword counts as one that enables: see
+        `write`.
         """
         self._hub.run(timeout, self._inner.write_stream, index, subindex, in_a_thread(pieces), size, block=block)
 
@@ -1348,7 +1349,7 @@ def open_master(
     watchdog: Watchdog | None = DEFAULT_WATCHDOG,
     realtime: Realtime | bool | None = None,
 ) -> BlockingMaster:
-    """Open a master of one or several buses: `with open_master("socketcan:can0") as master: ...`
+    """Open a master of one or several buses, at once: `with open_master("socketcan:can0") as master: ...`
 
     locators: the buses, each named by its locator. buses: buses by names of your own, such as those of a chain file; several
     names may mean one bus. sdo_timeout: seconds that a device may take for each answer; by default 0.5. heartbeat_timeout:
@@ -1363,8 +1364,7 @@ def open_master(
     `joints` and `chains` of the master. buses then replace those of the file, by their names. Arguments go before what the file
     says; a watchdog that is DEFAULT_WATCHDOG is not given. Raises DataError, DictionaryError with every error in the file.
 
-    Entering the block raises BusError if a bus cannot be opened, RealtimeRefusedError for `Realtime(required=True)`. On leaving
-    it, see this module's text.
+    Raises BusError if a bus cannot be opened, RealtimeRefusedError for `Realtime(required=True)`. How it ends: docs/blocking.md.
     """
     return open_session(
         BlockingMaster,

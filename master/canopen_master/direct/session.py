@@ -1,7 +1,7 @@
 """`Session`: the manual's blocking API for scripts and notebooks. `canopen_master.direct` has one session's methods as functions.
 
-One session has one connection: a trio master in a thread of its own (background.py), which serves every call. Any number of
-threads may call, also at the same time. Give one drive one command at a time; `halt` may come at any time.
+One session has one connection: a trio master in a thread of its own (blocking/background.py), which serves every call. Any number
+of threads may call, also at the same time. Give one drive one command at a time; `halt` may come at any time.
 
 Three kinds of result:
 
