@@ -241,8 +241,8 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "default_node_halts_alone",
             _CONNECTION,
-            "        net = self._net_of(request) if request.net is not None or request.node else None\n",
-            "        net = self._nets[0]\n",
+            "        net = None\n        if request.net is not None or (request.node and self._net is not None):\n",
+            "        net = self._nets[0]\n        if request.net is not None or (request.node and self._net is not None):\n",
             "halt all halts one net",
             ("tests/gateway/test_several_nets.py",),
         ),
