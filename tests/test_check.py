@@ -101,3 +101,14 @@ def test_full_tells_at_its_end_what_it_could_not_run(tmp_path: Path) -> None:
         assert shown.stdout.endswith(told)
     lacking = ("tests with $tool", "bus sessions", "makers' files", "ROS stacks", "ROS 1", "ROS 2", "SocketCAN", "compiled")
     assert [each for each in lacking if not re.search(f"not_run .*{re.escape(each)}", script)] == []
+
+
+def test_each_hook_of_conftest_is_one_that_pytest_calls(request: pytest.FixtureRequest) -> None:
+    """pytest passes over a hook whose name does not begin with `pytest_`: once no test's measuring ended in time by that."""
+    plugins = request.config.pluginmanager
+    place = str(Path(__file__).with_name("conftest.py"))
+    conftest = next(each for each in plugins.get_plugins() if getattr(each, "__file__", None) == place)
+    marked = {value for value in vars(conftest).values() if hasattr(value, "pytest_impl")}
+    called = {each.function for caller in plugins.get_hookcallers(conftest) or () for each in caller.get_hookimpls()}
+    assert marked
+    assert marked <= called
