@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import pytest
 
 from tests import loops
-from tests.examples import takes_all
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -21,7 +20,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         return
     if metafunc.config.getoption("loop") is not None:
         metafunc.parametrize("on_loop", [metafunc.config.getoption("loop")], indirect=True)
-    elif takes_all() or definition.get_closest_marker("both_loops") is not None:
+    elif definition.get_closest_marker("both_loops") is not None:
         metafunc.parametrize("on_loop", [loops.TRIO, loops.ASYNCIO], indirect=True)
 
 
