@@ -1,8 +1,8 @@
 """The event loops on which the master is tested, in virtual time: trio's MockClock, and the asyncio loop of canopen_testing.
 
 A test says `loop.sleep(1)` in place of `trio.sleep(1)`. tests/master/conftest.py chooses: every day trio, and asyncio beside it
-for tests that are marked `both_loops`. `pytest --loop=asyncio tests/master` takes all but those marked `trio_only`. Some of these
-still fail there, so the full check does not take them.
+for tests that are marked `both_loops`. `pytest --loop=asyncio tests/master` takes all but those marked `trio_only`;
+that is no part of the full check.
 """
 
 from __future__ import annotations

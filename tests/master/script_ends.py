@@ -13,7 +13,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-LIMIT = 100.0
+LIMIT = 800.0
 
 _HEAD = """
 import json, os, signal, sys, threading, time

@@ -8,6 +8,8 @@ import pytest
 
 from tests.master.script_ends import HALT, endings, last_controlword
 
+pytestmark = pytest.mark.timeout(900)  # a busy computer takes minutes for these scripts, and all share one process
+
 SCRIPT = """
 drives = canopen.simulated([12], bus=BUS)
 drives.__enter__()
