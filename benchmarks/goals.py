@@ -16,7 +16,7 @@ import chain_cycle
 import imports
 import master_edge
 import observer
-from measure import Result
+from measure import Result, said
 
 import canopen_proto
 
@@ -37,8 +37,12 @@ class Goal(NamedTuple):
     unit: str = ""
 
     def row(self, results: Results) -> str:
-        """Its line of the table."""
-        now, least = self.now(results), self.compiled if COMPILED else self.pure
+        """Its line of the table. What failed is told in it, and is no end of the others."""
+        least = self.compiled if COMPILED else self.pure
+        try:
+            now = self.now(results)
+        except Exception as error:  # noqa: BLE001 - the other rows go on
+            return f"| {self.work} | {said(error)} | {self._text(least)} | {self._text(self.wanted)} |"
         better = operator.le if self.unit else operator.ge
         mark = "" if better(now, least) else " (missed)"
         cells = (self._text(now) + mark, self._text(least), self._text(self.wanted))

@@ -11,11 +11,15 @@ from __future__ import annotations
 import gc
 import statistics
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 
 Repeat = Callable[[int], object]
 """Does the thing that many times."""
+
+FAILED = "failed: "
+"""With this a cell begins whose case could not be measured."""
 
 
 @dataclass
@@ -30,25 +34,45 @@ class Case:
 
 @dataclass
 class Result:
-    """ns of CPU time for doing it once, round by round."""
+    """ns of CPU time for doing it once, round by round. failure: why there are none, if the case failed."""
 
     title: str
     ours: list[float]
     theirs: list[float]
+    failure: str = ""
+
+    def _succeed(self) -> None:
+        if self.failure:
+            raise RuntimeError(f"{self.title}: {self.failure}")
 
     @property
     def ratio(self) -> float:
         """How many times faster ours is, median against median."""
+        self._succeed()
         return statistics.median(self.theirs) / statistics.median(self.ours)
 
     @property
     def least_ratio(self) -> float:
         """The same, least against least."""
+        self._succeed()
         return min(self.theirs) / min(self.ours)
 
 
 def measure(case: Case, rounds: int, seconds: float) -> Result:
-    """Measure a case: `rounds` times each side, each about `seconds` of CPU time long."""
+    """Measure a case: `rounds` times each side, each about `seconds` of CPU time long. A case that fails is told in its row."""
+    try:
+        return _measure(case, rounds, seconds)
+    except Exception as error:  # noqa: BLE001 - the other cases go on
+        return Result(case.title, [], [], said(error))
+
+
+def said(error: Exception) -> str:
+    """Return an exception as a cell of a table: its kind, and the first line of its text. Its traceback goes to stderr."""
+    traceback.print_exception(error)
+    return f"{FAILED}{type(error).__name__}: {str(error).partition(chr(10))[0]}".replace("|", "/")
+
+
+def _measure(case: Case, rounds: int, seconds: float) -> Result:
     case.check()
     sides = [(case.ours, _calibrate(case.ours, seconds)), (case.theirs, _calibrate(case.theirs, seconds))]
     result = Result(case.title, [], [])
@@ -86,6 +110,9 @@ def table(results: list[Result], peer: str) -> str:
         "|---|---:|---:|---:|---:|",
     ]
     for result in results:
+        if result.failure:
+            lines.append(f"| {result.title} | {result.failure} | | | |")
+            continue
         ours, theirs = (f"{_us(statistics.median(side))} ({_us(min(side))})" for side in (result.ours, result.theirs))
         lines.append(f"| {result.title} | {ours} | {theirs} | **{result.ratio:.1f}** | {result.least_ratio:.1f} |")
     return "\n".join(lines)

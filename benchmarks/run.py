@@ -30,7 +30,7 @@ import pdos
 import read_by_name
 import sdo_transfers
 from direct import VERSION
-from measure import Result, measure, table
+from measure import FAILED, Result, measure, table
 
 MODULES = (sdo_transfers, read_by_name, block_transfers, pdos, heartbeats, many_nodes, observer, master_edge, eds_import)
 
@@ -78,6 +78,8 @@ def main() -> None:
     print(text)
     if arguments.into:
         arguments.into.write_text(paste(arguments.into.read_text(encoding="utf-8"), text), encoding="utf-8")
+    if FAILED in text:
+        raise SystemExit("a case failed: its row says so, and its traceback is above")
 
 
 if __name__ == "__main__":

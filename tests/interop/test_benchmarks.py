@@ -66,3 +66,39 @@ def test_what_a_start_costs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(RUN.parent))
     imports = importlib.import_module("imports")
     assert imports.over_bare("import can", rounds=1) > 0
+
+
+def test_a_case_that_fails_is_told_in_its_row_and_ends_no_other(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(RUN.parent))
+    goals, measure, motions, run = (importlib.import_module(name) for name in ("goals", "measure", "motions", "run"))
+
+    def over(*arguments: object, **options: object) -> float:
+        raise AssertionError("the path was over\nat 3 s | of 4")
+
+    def cycle(joints: int, *arguments: object, **options: object) -> float:
+        return over() if joints == 30 else 250_000.0
+
+    monkeypatch.setattr(goals.imports, "over_bare", over)
+    monkeypatch.setattr(motions.chain_cycle, "cycle", cycle)
+    monkeypatch.setattr(motions, "once", lambda joints, rounds: ("1", "2", "3") if joints == 6 else over())
+    cases = [case for module in run.MODULES for case in module.cases()]
+    broken = next(case for case in cases if case.title == "PDO decode, 4 objects (RemoteNode)")
+    results = [measure.Result(case.title, [2.0], [4.6]) for case in cases if case is not broken]
+    failed = measure.measure(measure.Case(broken.title, broken.ours, broken.theirs, over), 1, 0.001)
+    rows = run.report([*results, failed], 1, 0.1, with_goals=True).splitlines()
+    said = "failed: AssertionError: the path was over"
+    assert f"| {broken.title} | {said} | | | |" in rows
+    assert [row for row in rows if row.startswith("| PDO in, four values, RemoteNode |") and broken.title in row]
+    assert [row for row in rows if row.startswith("| `canopen --help`") and said in row]
+    assert f"| 30 joints along a path | {said} | {said} | {said} |" in rows
+    assert f"| a re-plan while the joints move | 1 | {said} | {said} |" in rows
+    assert [row for row in rows if row.startswith("| 12 joints along a path | 25.0 % |")]
+    assert "the path was over\nat 3 s" in capsys.readouterr().err
+    monkeypatch.setattr(
+        run, "MODULES", (type("Module", (), {"cases": staticmethod(lambda: [measure.Case("bad", over, over, over)])}),)
+    )
+    monkeypatch.setattr(sys, "argv", ["run.py", "bad", "--rounds", "1"])
+    with pytest.raises(SystemExit, match="a case failed"):
+        run.main()
