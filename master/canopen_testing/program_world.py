@@ -6,12 +6,13 @@
     world.run_asyncio(main)              # asyncio
 
 **trio.** The world is the clock: `trio.run(main, clock=world)` is the same as `world.run(main)`. When no task can run, the world
-goes to its next happening, or to the deadline of a task, whichever comes first. Every bus that the program opens is the bus of
-the world with that name, the channel of its locator: `socketcan:can0` and `virtual:can0` are both `can0`. trio's order of tasks
-is drawn with the seed.
+goes to its next happening, or to the deadline of a task, whichever comes first. trio's order of tasks is drawn with the seed.
 
-**asyncio.** The loop (world_loop.py) does the same. Frames come by python-can: `can.Bus(interface="canopen_world",
-channel="can0")` (can_bus.py), or by `World.listener`.
+**asyncio.** The loop (world_loop.py) does the same.
+
+**Buses.** Every bus that a program opens by canopen_master or canopen_transports is the bus of the world with that name, the
+channel of its locator: `socketcan:can0` and `virtual:can0` are both `can0`. Frames also come by python-can,
+`can.Bus(interface="canopen_world", channel="can0")` (can_bus.py), and by `World.listener`.
 
 **Waiting in earnest is an error.** `time.sleep` raises WallClockWaitError while a program runs (wall_clock.py). A program that
 waits for what never comes ends with DidNotHappenError, after `limit` of the world's time, or after IN_EARNEST if nothing more
@@ -147,6 +148,7 @@ class ProgramWorld(World, trio.abc.Clock):
         """Run an asyncio program to its end in this world; return its result, or raise its error. Raises as `run` does."""
 
         async def watched() -> Any:
+            self.take_buses()
             task = asyncio.current_task()
             assert task is not None
             self._cancel = task.cancel
@@ -163,6 +165,10 @@ class ProgramWorld(World, trio.abc.Clock):
                 return runner.run(watched())
         finally:
             self._end()
+
+    def take_buses(self) -> None:
+        """Let every bus that is opened in this run of a loop be one of the world."""
+        virtual.stand_in(lambda name: WorldLine(self, name))
 
     def _begin(self, program: str, limit: Time) -> None:
         """A program begins. program: how it lets time pass."""
@@ -231,7 +237,7 @@ class ProgramWorld(World, trio.abc.Clock):
         if not self._program:  # by `trio.run`, not by `run`
             self._begin("await trio.sleep", DAY)
         trio.lowlevel.add_instrument(self._steps)
-        virtual.stand_in(lambda name: WorldLine(self, name))
+        self.take_buses()
 
     def current_time(self) -> float:
         """Return the world's time in seconds."""
