@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import statistics
 import threading
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
+from typing import Any, TypeAlias
 
 import can
 import trio
@@ -34,6 +35,10 @@ from canopen_proto.frame import Frame
 from canopen_proto.pdo import mapping
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_transports import Received, Report, open_transport
+from canopen_transports.loop import current_loop
+
+Run: TypeAlias = Callable[[Callable[[], Awaitable[object]]], object]
+"""Runs an async function in an event loop, as trio.run does."""
 
 NODE_ID = 12
 NUMBER, VALUE = 0x2000, 0x12345678
@@ -63,12 +68,12 @@ def _payloads(number: int) -> list[bytes]:
 # ---- ours ----
 
 
-def our_reads(count: int) -> object:
-    """Read so often; the last value."""
+def our_reads(count: int, run: Run = trio.run) -> object:
+    """Read so often; the last value. run: the event loop."""
 
     async def main() -> object:
         value: object = None
-        async with trio.open_nursery() as nursery:
+        async with current_loop().open_nursery() as nursery:
             model = DeviceModel(_dictionary(), NODE_ID)
             host = await nursery.start(simulate, await open_transport(BUS), [model])
             host.nodes[0].values[NUMBER << 8] = VALUE
@@ -79,7 +84,7 @@ def our_reads(count: int) -> object:
             nursery.cancel_scope.cancel()
         return value
 
-    return trio.run(main)
+    return run(main)
 
 
 class Source:
@@ -88,14 +93,14 @@ class Source:
     def __init__(self, bursts: int) -> None:
         self.left = bursts
         self.bursts = [[(Frame(TPDO1, payload), None) for payload in _payloads(number)] for number in range(KEPT)]
-        self.taken = trio.Event()
+        self.taken = current_loop().event()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
         assert limit >= BURST
         if not self.left:
             self.taken.set()
-            await trio.sleep_forever()
-        await trio.lowlevel.checkpoint()
+            await current_loop().sleep_forever()
+        await current_loop().checkpoint()
         self.left -= 1
         return self.bursts[self.left % KEPT]
 
@@ -106,11 +111,11 @@ class Source:
         raise NotImplementedError
 
     async def aclose(self) -> None:
-        await trio.lowlevel.checkpoint()
+        await current_loop().checkpoint()
 
 
-def our_frames(subscribed: bool) -> Callable[[int], object]:
-    """Takes so many bursts in; the values of the last frame."""
+def our_frames(subscribed: bool, run: Run = trio.run) -> Callable[[int], object]:
+    """Takes so many bursts in; the values of the last frame. run: the event loop."""
 
     async def main(count: int) -> object:
         source = Source(count)
@@ -123,7 +128,7 @@ def our_frames(subscribed: bool) -> Callable[[int], object]:
             await source.taken.wait()
             return [remote.values[index << 8] for index in (LOW, HIGH)]
 
-    return lambda count: trio.run(main, count)
+    return lambda count: run(partial(main, count))
 
 
 async def _hear(master: Master, count: int) -> None:

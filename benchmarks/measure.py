@@ -74,25 +74,27 @@ def said(error: Exception) -> str:
 
 def _measure(case: Case, rounds: int, seconds: float) -> Result:
     case.check()
-    sides = [(case.ours, _calibrate(case.ours, seconds)), (case.theirs, _calibrate(case.theirs, seconds))]
+    sides = [(case.ours, calibrate(case.ours, seconds)), (case.theirs, calibrate(case.theirs, seconds))]
     result = Result(case.title, [], [])
     for number in range(rounds):
         for side in (0, 1) if number % 2 == 0 else (1, 0):
             repeat, count = sides[side]
-            (result.ours, result.theirs)[side].append(_time(repeat, count) / count)
+            (result.ours, result.theirs)[side].append(cpu_time(repeat, count) / count)
     return result
 
 
-def _calibrate(repeat: Repeat, seconds: float) -> int:
+def calibrate(repeat: Repeat, seconds: float) -> int:
+    """How often a thing is done in about so many seconds of CPU time."""
     count = 1
     while True:
-        taken = _time(repeat, count) / 1e9
+        taken = cpu_time(repeat, count) / 1e9
         if taken >= seconds / 4:
             return max(1, round(count * seconds / taken))
         count *= 4
 
 
-def _time(repeat: Repeat, count: int) -> int:
+def cpu_time(repeat: Repeat, count: int) -> int:
+    """ns of CPU time for doing it that many times."""
     gc.collect()
     gc.disable()
     try:

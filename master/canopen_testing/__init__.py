@@ -11,7 +11,6 @@ It is a package of its own because the core imports nothing of trio and pytest, 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from canopen_testing.async_tests import AsyncioMaster as AsyncioMaster
     from canopen_testing.can_bus import WorldCanBus as WorldCanBus
     from canopen_testing.conformance_fixture import RunCase as RunCase
     from canopen_testing.fixture_types import SimDrive as SimDrive

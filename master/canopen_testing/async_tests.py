@@ -8,20 +8,13 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from typing import Any, TypeVar
 
-import sniffio
 import trio
-import trio.testing
 
 from canopen_master import open_master
-from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Key
 from canopen_proto.machine import LocalProtocolError
-from canopen_proto.nmt import NmtCommand
-from canopen_proto.procedures.objects import read, write
-from canopen_proto.procedures.steps import Procedure
-from canopen_proto.testing import WorldMaster
 from canopen_testing.program_world import ProgramWorld
 from canopen_testing.world_loop import WorldLoop
+from canopen_transports.loop import current_loop
 
 T = TypeVar("T")
 
@@ -35,33 +28,6 @@ class MasterToOpen:
     """Stands for the master of an async test, until its loop runs."""
 
 
-class AsyncioMaster:
-    """A master of a World for asyncio: `WorldMaster`, whose calls are awaited. master: that one."""
-
-    def __init__(self, master: WorldMaster) -> None:
-        self.master = master
-
-    async def read(self, node_id: int, key: Key) -> Value:
-        """Read an object by SDO; return its value. Raises SdoTransferError, UnexpectedLengthError."""
-        return await self.run(read(self.master.node(node_id), key))
-
-    async def write(self, node_id: int, key: Key, value: Value) -> None:
-        """Write an object by SDO. Raises SdoTransferError."""
-        await self.run(write(self.master.node(node_id), key, value))
-
-    def command(self, command: NmtCommand, node_id: int = 0) -> None:
-        """Send an NMT command. node_id: 0: to all nodes."""
-        self.master.command(command, node_id)
-
-    async def run(self, procedure: Procedure[T]) -> T:
-        """Run a procedure to its end; return its result, or raise its error."""
-        ended = asyncio.Event()
-        request_id = self.master.start(procedure, ended.set)
-        await ended.wait()
-        result: T = self.master.result(request_id)
-        return result
-
-
 def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[..., Awaitable[T]]:
     """Return an async test that checks whose time it has, and opens its master first."""
 
@@ -69,9 +35,10 @@ def hosted(test: Callable[..., Awaitable[T]], world: ProgramWorld) -> Callable[.
     async def run(**arguments: Any) -> T:
         __tracebackhide__ = True
         arguments.pop(CLOCK, None)
-        in_trio = sniffio.current_async_library() == "trio"
+        in_trio = current_loop().name == "trio"
         _check_time(world, in_trio)
-        async with _opened(arguments, world, in_trio) as opened:
+        world.take_buses()
+        async with _opened(arguments) as opened:
             started = functools.partial(test, **opened)
             try:
                 return await (world.watched(started) if in_trio else started())
@@ -100,13 +67,11 @@ def _check_time(world: ProgramWorld, in_trio: bool) -> None:
 
 
 @asynccontextmanager
-async def _opened(arguments: Mapping[str, Any], world: ProgramWorld, in_trio: bool) -> AsyncIterator[dict[str, Any]]:
+async def _opened(arguments: Mapping[str, Any]) -> AsyncIterator[dict[str, Any]]:
     wanted = [name for name, value in arguments.items() if isinstance(value, MasterToOpen)]
     if not wanted:
         yield dict(arguments)
-    elif in_trio:
-        async with open_master("virtual:can0") as master:
-            await trio.testing.wait_all_tasks_blocked()  # then it hears the boot-up of a device that the test makes first
-            yield {**arguments, **dict.fromkeys(wanted, master)}
-    else:
-        yield {**arguments, **dict.fromkeys(wanted, AsyncioMaster(world.master()))}
+        return
+    async with open_master("virtual:can0") as master:
+        await current_loop().wait_all_tasks_blocked()  # then it hears the boot-up of a device that the test makes first
+        yield {**arguments, **dict.fromkeys(wanted, master)}

@@ -111,8 +111,8 @@ def sim_drive(canopen_world: ProgramWorld) -> SimDrive:
 
 @pytest.fixture
 def canopen_master(request: pytest.FixtureRequest, canopen_world: ProgramWorld) -> Any:
-    """A master on `can0`: a canopen_master.Master in a trio test; in a test without async a WorldMaster, whose calls let the
-    world run; in an asyncio test an AsyncioMaster, whose calls are awaited."""
+    """A master on `can0`: a canopen_master.Master in an async test, of trio or asyncio; in a test without async a WorldMaster,
+    whose calls let the world run."""
     if inspect.iscoroutinefunction(request.function):
         from canopen_testing.async_tests import MasterToOpen
 

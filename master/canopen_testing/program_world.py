@@ -6,12 +6,13 @@
     world.run_asyncio(main)              # asyncio
 
 **trio.** The world is the clock: `trio.run(main, clock=world)` is the same as `world.run(main)`. When no task can run, the world
-goes to its next happening, or to the deadline of a task, whichever comes first. Every bus that the program opens is the bus of
-the world with that name, the channel of its locator: `socketcan:can0` and `virtual:can0` are both `can0`. trio's order of tasks
-is drawn with the seed.
+goes to its next happening, or to the deadline of a task, whichever comes first. trio's order of tasks is drawn with the seed.
 
-**asyncio.** The loop (world_loop.py) does the same. Frames come by python-can: `can.Bus(interface="canopen_world",
-channel="can0")` (can_bus.py), or by `World.listener`.
+**asyncio.** The loop (world_loop.py) does the same.
+
+**Buses.** Every bus that a program opens by canopen_master or canopen_transports is the bus of the world with that name, the
+channel of its locator: `socketcan:can0` and `virtual:can0` are both `can0`. Frames also come by python-can,
+`can.Bus(interface="canopen_world", channel="can0")` (can_bus.py), and by `World.listener`.
 
 **What runs in real time is told.** While a program runs, `time.sleep` raises WallClockWaitError, and a thread of its own
 ThreadStartedError (real_time.py). While a thread works whose result the program awaits (`trio.to_thread`, `asyncio.to_thread`),
@@ -201,6 +202,7 @@ class ProgramWorld(World, trio.abc.Clock):
 
         async def watched() -> Any:
             __tracebackhide__ = True
+            self.take_buses()
             task = asyncio.current_task()
             assert task is not None
             self._cancel = task.cancel
@@ -223,6 +225,10 @@ class ProgramWorld(World, trio.abc.Clock):
             raise error.with_traceback(self._stuck_at) from error.__cause__  # where it waits, and not within asyncio
         finally:
             self._end()
+
+    def take_buses(self) -> None:
+        """Let every bus that is opened in this run of a loop be one of the world."""
+        virtual.stand_in(lambda name: WorldLine(self, name))
 
     def _begin(self, program: str, limit: Time | float | None, waits: Callable[[], WaitingTasks]) -> None:
         """A program begins. program: how it lets time pass. waits: returns where its tasks wait."""
@@ -312,7 +318,7 @@ class ProgramWorld(World, trio.abc.Clock):
         if not self._program:  # by `trio.run`, not by `run`
             self._begin("await trio.sleep", None, trio_waits)
         trio.lowlevel.add_instrument(self._steps)
-        virtual.stand_in(lambda name: WorldLine(self, name))
+        self.take_buses()
 
     def current_time(self) -> float:
         """Return the world's time in seconds."""

@@ -30,7 +30,7 @@ import trio
 
 from canopen_proto import MILLISECOND, SECOND, NmtCommand
 from canopen_proto.testing import Lose, World, heartbeat, nmt
-from canopen_testing import AsyncioMaster
+from canopen_master import Master
 
 
 def test_canopen_world(canopen_world):
@@ -81,9 +81,10 @@ async def test_sim_node_trio(sim_node, canopen_master):
 @pytest.mark.asyncio
 async def test_sim_node_asyncio(sim_node, canopen_master):
     sim_node("sample_io.eds", node_id=5)
-    assert isinstance(canopen_master, AsyncioMaster)
-    assert await canopen_master.read(5, "manufacturer_device_name") == "Sample I/O"
-    await canopen_master.write(5, "producer_heartbeat_time", 250)
+    assert isinstance(canopen_master, Master)
+    node = canopen_master.node(5, "sample_io.eds")
+    assert await node.read_str("manufacturer_device_name") == "Sample I/O"
+    await node.write("producer_heartbeat_time", 250)
 
 
 def test_sim_drive(sim_drive, canopen_world):
@@ -102,7 +103,7 @@ async def test_sim_drive_trio(sim_drive, canopen_master):
 @pytest.mark.asyncio
 async def test_sim_drive_asyncio(sim_drive, canopen_master):
     drive = sim_drive(3)
-    canopen_master.command(NmtCommand.START)
+    await canopen_master.node(3).start()
     await asyncio.sleep(0.001)
     assert drive.state == 5
 

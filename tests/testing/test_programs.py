@@ -28,7 +28,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError
 from canopen_proto.simulation.drive.node import DriveNode
 from canopen_proto.testing import DidNotHappenError, Lose, World, boot_up, emcy, heartbeat, nmt, sdo_answer
-from canopen_testing import AsyncioMaster, ProgramWorld, ThreadStartedError, WallClockWaitError, WorldCanBus
+from canopen_testing import ProgramWorld, ThreadStartedError, WallClockWaitError, WorldCanBus
 from canopen_testing.present import present, present_world
 from canopen_transports import open_transport
 
@@ -139,18 +139,20 @@ for each in world.bus().trace:
 LIFE_IN_ASYNCIO = """
 import asyncio
 from canopen_proto.testing import Lose, sdo_answer
-from canopen_testing import AsyncioMaster, ProgramWorld
+from canopen_master import open_master
+from canopen_testing import ProgramWorld
 
 async def main():
-    master = AsyncioMaster(world.master())
-    async def work(node_id):
-        for number in range(20):
-            try:
-                await master.write(node_id, "producer_heartbeat_time", 100 + number)
-            except Exception as error:
-                print(error)
-            await asyncio.sleep(0.01)
-    await asyncio.gather(*map(work, (5, 6, 7)))
+    async with open_master("virtual:can0") as master:
+        async def work(node_id):
+            node = master.node(node_id)
+            for number in range(20):
+                try:
+                    await node.write("producer_heartbeat_time", 100 + number)
+                except Exception as error:
+                    print(error)
+                await asyncio.sleep(0.01)
+        await asyncio.gather(*map(work, (5, 6, 7)))
 
 world = ProgramWorld(1, [Lose(sdo_answer(), chance=0.1)])
 for node_id in (5, 6, 7):
@@ -320,9 +322,9 @@ def test_a_master_for_asyncio() -> None:
     world = world_of()
 
     async def main() -> tuple[object, object]:
-        master = AsyncioMaster(world.master())
-        both = await asyncio.gather(master.read(5, "device_type"), master.read(5, (0x1018, 1)))
-        return tuple(both)
+        async with open_master("socketcan:can0") as master:
+            node = master.node(5)
+            return tuple(await asyncio.gather(node.read("device_type"), node.read((0x1018, 1))))
 
     assert world.run_asyncio(main) == (0x0007_0191, 0xFFFF_FF01)
 

@@ -10,7 +10,7 @@ import trio
 from canopen_master import Master
 from canopen_proto import MILLISECOND, SECOND, LocalNode
 from canopen_proto.testing import Delay, Lose, World, WorldBus, WorldMaster, heartbeat, nmt, sdo_answer, sdo_write
-from canopen_testing import AsyncioMaster, ProgramWorld, RunCase, SimDrive, SimNode
+from canopen_testing import ProgramWorld, RunCase, SimDrive, SimNode
 
 
 @pytest.fixture
@@ -42,10 +42,10 @@ async def test_trio(canopen_bus: WorldBus, sim_drive: SimDrive, canopen_master: 
 
 
 @pytest.mark.asyncio
-async def test_asyncio(sim_drive: SimDrive, canopen_master: AsyncioMaster) -> None:
+async def test_asyncio(sim_drive: SimDrive, canopen_master: Master) -> None:
     sim_drive(3)
     await asyncio.sleep(10)
-    assert await canopen_master.read(3, "device_type")
+    assert await canopen_master.node(3).read("device_type")
 
 
 def test_the_core_alone() -> None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-import signal
-import threading
 import time
-from collections.abc import Awaitable, Callable, Iterator, Sized
-from contextlib import contextmanager
-from types import FrameType
-from typing import Any, Final, TypeAlias, TypeVar
+from collections.abc import Awaitable, Callable, Sized
+from contextlib import AbstractContextManager
+from typing import Any, Final, TypeVar
 
+from canopen_transports.loop.asyncio_interrupts import AsyncioInterrupts
 from canopen_transports.loop.asyncio_parts import (
     AsyncioEvent,
     AsyncioFiles,
@@ -25,10 +23,8 @@ from canopen_transports.loop.asyncio_parts import (
 )
 from canopen_transports.loop.asyncio_scopes import AsyncioNursery, AsyncioScope, AsyncioTasks
 from canopen_transports.loop.interface import BusyResourceError, ClosedResourceError, RunFinishedError
-from canopen_transports.loop.protection import is_protected
 
 T = TypeVar("T")
-_Handler: TypeAlias = Callable[[int, FrameType | None], Any]
 
 LOOK: Final = 0.005
 """Seconds between two looks where a loop does not tell when it sleeps: uvloop."""
@@ -76,9 +72,7 @@ class AsyncioLoop:
         self._system_tasks: set[asyncio.Task[None]] = set()
         self._looks: list[Callable[[float | None], object]] = []
         self.values: dict[object, Any] = {}
-        self._holders = self._waits = self._interrupts = 0
-        self._is_broken_off = False
-        self._handlers: tuple[_Handler, _Handler] | None = None  # of SIGINT: that of before, and ours
+        self._interrupts = AsyncioInterrupts(self._token)
 
     # ---- time ----
 
@@ -200,62 +194,11 @@ class AsyncioLoop:
         if self._looks:
             self._loop.call_later(LOOK, self._look_again)
 
-    @contextmanager
-    def holding_interrupts(self) -> Iterator[None]:
-        """A Ctrl-C in the middle of a protected function is handled in a turn of the loop of its own."""
-        self._holders += 1
-        if self._holders == 1 and threading.current_thread() is threading.main_thread():
-            before = signal.getsignal(signal.SIGINT)
-            if callable(before):
-                self._handlers = before, self._on_interrupt
-                signal.signal(signal.SIGINT, self._on_interrupt)
-        try:
-            yield
-        finally:
-            self._holders -= 1
-            if not self._holders and self._handlers is not None:
-                before, ours = self._handlers
-                if signal.getsignal(signal.SIGINT) == ours:
-                    # asyncio.run has given its handler back already, if a Ctrl-C has ended it
-                    is_over = self._is_broken_off and isinstance(_owner(before), asyncio.Runner)
-                    signal.signal(signal.SIGINT, signal.default_int_handler if is_over else before)
-                self._handlers = None
-                self._is_broken_off = False
+    def holding_interrupts(self) -> AbstractContextManager[object]:
+        return self._interrupts.hold()
 
-    @contextmanager
-    def interrupts_wait(self) -> Iterator[Callable[[], bool]]:
-        with self.holding_interrupts():
-            self._waits += 1
-            before = self._interrupts
-            try:
-                yield lambda: self._interrupts > before
-            finally:
-                self._waits -= 1
-                if self._handlers is not None and self._interrupts > before and not self._is_broken_off:
-                    self._token.run_sync_soon(self._hand_on, self._handlers[0], signal.SIGINT, None)
-
-    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
-        assert self._handlers is not None
-        self._interrupts += 1
-        if is_protected(frame):
-            self._token.run_sync_soon(self._interrupt, number, None)
-        else:
-            self._interrupt(number, frame)
-
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        """Do what the program does at a Ctrl-C: asyncio.run cancels its main task at the first one, and then raises it. All tasks
-        end then; none of them must be left half way by one more."""
-        if self._handlers is None:  # it was held back, and nobody holds any longer
-            signal.raise_signal(number)
-        elif not self._waits and not self._is_broken_off:
-            self._hand_on(self._handlers[0], number, frame)
-
-    def _hand_on(self, handler: _Handler, number: int, frame: FrameType | None) -> None:
-        try:
-            handler(number, frame)
-        except KeyboardInterrupt:
-            self._is_broken_off = bool(self._holders)
-            raise
+    def interrupts_wait(self) -> AbstractContextManager[Callable[[], bool]]:
+        return self._interrupts.wait()
 
     # ---- files and sockets ----
 
@@ -270,11 +213,6 @@ class AsyncioLoop:
 
     async def connect_tcp(self, host: str, port: int) -> AsyncioSocket:
         return await connect_tcp(self._tasks, self._token, self._files, host, port)
-
-
-def _owner(handler: _Handler) -> object:
-    """Return the object whose method a handler is, even with some arguments given."""
-    return getattr(getattr(handler, "func", handler), "__self__", None)
 
 
 class _LookingSelector:
