@@ -88,16 +88,17 @@ class Callbacks:
         self._name = name
         self._queue: queue.SimpleQueue[Handler | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._lock = threading.Lock()
 
     def handler(self, callback: Callable[[Any], object]) -> Handler:
         """Return a new handler; no event comes to it yet."""
         return Handler(callback, self._queue)
 
     def start(self) -> None:
-        """Begin the thread, unless it has begun. It counts as begun when it says so itself: an interrupt may come in between."""
+        """Begin the thread, unless it has begun. To be called in the loop: there no interrupt comes, which `Thread.start` may
+        not survive."""
         if self._thread is None:
-            threading.Thread(target=self._run, name=self._name, daemon=True).start()
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
 
     def end(self) -> None:
         """End the thread, after the events that came."""
@@ -112,10 +113,6 @@ class Callbacks:
                 LOGGER.warning("a function that was called with an event does not return: it is left behind")
 
     def _run(self) -> None:
-        with self._lock:
-            if self._thread is not None:
-                return  # another one was begun meanwhile
-            self._thread = threading.current_thread()
         while (handler := self._queue.get()) is not None:
             try:
                 handler.call()
