@@ -1,4 +1,4 @@
-"""The blocking master against the async one and against `canopen` 2.4.1: reads and writes of an object, in one run.
+"""The blocking master against the async one and against `canopen` 2.4.1: reads, writes and PDOs, in one run.
 
     python benchmarks/blocking.py [--rounds 9] [--seconds 0.2]
 
@@ -7,12 +7,16 @@ have a Notifier's thread each, as `connect` makes them. The device's work counts
 call to the thread of its loop and waits for the answer: that is what a read costs more than in a trio task. The last row is a
 look at what is known already (`node.nmt_state`), in place of a read: nothing but the two changes between threads.
 
+PDOs come as in master_edge.py, in bursts of 9 full frames, and each is handed to a function of the user: ours is called in the
+thread of the callbacks, the peer's in that of its Notifier.
+
 The clock is the CPU time of the process (measure.py): it counts the threads of both sides, and no waiting.
 """
 
 from __future__ import annotations
 
 import argparse
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -21,12 +25,17 @@ import trio
 from canopen import Network as TheirNetwork
 from canopen import ObjectDictionary as TheirDictionary
 from direct import VERSION, variable
+from master_edge import BURST, HIGH, LOW, TPDO1, Source, their_frames
+from master_edge import _dictionary as edge_dictionary
 from measure import Case, measure, table
 
-from canopen_master import DeviceModel, Node, blocking, open_master
+from canopen_master import DeviceModel, Master, Node, blocking, open_master
 from canopen_master.simulation import simulated_devices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Variable
+from canopen_proto.pdo import mapping
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_transports import Received, Report
 
 NODE_ID, NUMBER, VALUE = 12, 0x2000, 0x12345678
 BUS = "virtual:blocking"
@@ -83,6 +92,43 @@ def repeated(step: Callable[[], object]) -> Callable[[int], object]:
     return repeat
 
 
+class GatedSource(Source):
+    """Frames that begin to come when the user's function listens, and wait while it is behind. heard: PDOs that it was given."""
+
+    def __init__(self, bursts: int) -> None:
+        super().__init__(bursts)
+        self.sent = self.heard = 0
+        self.is_open = False
+
+    async def receive_many(self, limit: int) -> list[Received | Report]:
+        while not self.is_open or self.sent - self.heard > 2000:
+            await trio.sleep(0.0005)
+        self.sent += BURST
+        return await super().receive_many(limit)
+
+
+def our_pdos(count: int) -> object:
+    """So many bursts to a function; the node's values at the end."""
+    source, done = GatedSource(count), threading.Event()
+
+    def on_pdo(_: PdoReceived) -> None:
+        source.heard += 1
+        if source.heard == BURST * count:
+            done.set()
+
+    def prepare(master: Master) -> None:
+        entries = (mapping.MappedEntry(index, 0, 32, DataType.UNSIGNED32, "") for index in (LOW, HIGH))
+        master.node(NODE_ID).remote.add_tpdo(1, TPDO1, mapping.Mapping(entries), master.now())
+
+    with blocking.open_master(source, dictionary=edge_dictionary()) as master:
+        master.in_loop(prepare)
+        node = master.node(NODE_ID)
+        with node.on(PdoReceived, on_pdo):
+            source.is_open = True
+            done.wait()
+        return master.in_loop(lambda _: [node.remote.values[index << 8] for index in (LOW, HIGH)])
+
+
 def case(title: str, ours: Callable[[int], object], theirs: Callable[[int], object]) -> Case:
     def check() -> None:
         assert ours(20) == theirs(20)
@@ -105,6 +151,7 @@ def cases(ours: blocking.BlockingNode, theirs: Any) -> list[Case]:
         case("write", repeated(write), repeated(their_write)),
         case("read; in their place our async master", read, in_trio(lambda node: node.read("number"))),
         case("write; in their place our async master", repeated(write), in_trio(lambda node: node.write("number", VALUE))),
+        case(f"{BURST} PDOs, each to a function", our_pdos, their_frames(subscribed=True)),
         Case("`nmt_state`; in their place our read", repeated(lambda: ours.nmt_state), read, lambda: None),
     ]
 

@@ -1,7 +1,7 @@
 """`Callbacks`: the thread in which `on` calls the user's functions with events.
 
 The loop only queues an event, so that no function delays a cycle, however slow it is. All functions of one master are called in
-one thread, in the order of the events: none runs beside another one. They may call the master.
+one thread: each gets its events in their order, and none runs beside another one. They may call the master.
 
 Nothing is lost without a word. A function that raises is shown as an error of a thread (`threading.excepthook`), and gets the
 next event. One that is slow loses the oldest events beyond QUEUE_SIZE; `Handler.dropped` counts them, and the log tells it.
@@ -27,15 +27,15 @@ LAST_EVENTS_TIME: Final = 2.0
 
 
 class Handler:
-    """A function that is called with events; made by `on`. `with` or `close` ends it. dropped: events that were lost, because the
-    function was slow."""
+    """A function that is called with events; made by `on`. `with` or `close` ends it."""
 
     def __init__(self, callback: Callable[[Any], object], queue: queue.SimpleQueue[Handler | None]) -> None:
-        self.dropped = 0
         self._callback = callback
         self._queue = queue
-        self._lock = threading.Lock()  # for the events
-        self._events: deque[Event] = deque()
+        self._events: deque[Event] = deque(maxlen=QUEUE_SIZE)  # a full one loses its oldest
+        self._is_queued = False
+        self._put = 0  # events; the loop counts them
+        self._taken = 0  # the thread of the callbacks does
         self._told = 0
         self._is_closed = False
         self._end: Callable[[], object] = lambda: None
@@ -43,30 +43,37 @@ class Handler:
     def __repr__(self) -> str:
         return f"<Handler {self._callback!r}>"
 
+    @property
+    def dropped(self) -> int:
+        """The number of events that were lost, because the function was slow."""
+        return max(0, self._put - self._taken - len(self._events))
+
     def begin(self, end: Callable[[], object]) -> None:
         """Say how it is ended. end: in the loop."""
         self._end = end
 
     def put(self, event: Event) -> None:
         """Queue an event (the loop does)."""
-        with self._lock:
-            is_full = len(self._events) >= QUEUE_SIZE
-            if is_full:
-                self._events.popleft()
-                self.dropped += 1
-            self._events.append(event)
-        if not is_full:
-            self._queue.put(self)  # once for each event that is there
+        self._put += 1
+        self._events.append(event)
+        if not self._is_queued:
+            self._is_queued = True
+            self._queue.put(self)
+
+    def waiting(self) -> range:
+        """Return a number for each event that waits. What comes from now on queues the handler again."""
+        self._is_queued = False
+        return range(len(self._events))
 
     def call(self) -> None:
         """Call the function with the oldest event (the thread of the callbacks does)."""
-        with self._lock:
-            event = self._events.popleft()
+        event = self._events.popleft()
+        self._taken += 1
         if self._is_closed:
             return
-        if self.dropped > self._told:
-            LOGGER.warning("%d events are lost, because %r is slow", self.dropped - self._told, self._callback)
-            self._told = self.dropped
+        if (dropped := self.dropped) > self._told:
+            LOGGER.warning("%d events are lost, because %r is slow", dropped - self._told, self._callback)
+            self._told = dropped
         self._callback(event)
 
     def close(self) -> None:
@@ -88,16 +95,17 @@ class Callbacks:
         self._name = name
         self._queue: queue.SimpleQueue[Handler | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
-        self._lock = threading.Lock()
 
     def handler(self, callback: Callable[[Any], object]) -> Handler:
         """Return a new handler; no event comes to it yet."""
         return Handler(callback, self._queue)
 
     def start(self) -> None:
-        """Begin the thread, unless it has begun. It counts as begun when it says so itself: an interrupt may come in between."""
+        """Begin the thread, unless it has begun. To be called in the loop: there no interrupt comes, which `Thread.start` may
+        not survive."""
         if self._thread is None:
-            threading.Thread(target=self._run, name=self._name, daemon=True).start()
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
 
     def end(self) -> None:
         """End the thread, after the events that came."""
@@ -112,14 +120,14 @@ class Callbacks:
                 LOGGER.warning("a function that was called with an event does not return: it is left behind")
 
     def _run(self) -> None:
-        with self._lock:
-            if self._thread is not None:
-                return  # another one was begun meanwhile
-            self._thread = threading.current_thread()
         while (handler := self._queue.get()) is not None:
-            try:
-                handler.call()
-            except (MasterClosedError, HaltNotConfirmedError):  # it has called the master, which was closed meanwhile
-                LOGGER.debug("%r was called while the master was closed", handler)
-            except Exception:  # noqa: BLE001 - the user's code; it may do better with the next event
-                threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
+            for _ in handler.waiting():
+                self._call(handler)
+
+    def _call(self, handler: Handler) -> None:
+        try:
+            handler.call()
+        except (MasterClosedError, HaltNotConfirmedError):  # it has called the master, which was closed meanwhile
+            LOGGER.debug("%r was called while the master was closed", handler)
+        except Exception:  # noqa: BLE001 - the user's code; it may do better with the next event
+            threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))

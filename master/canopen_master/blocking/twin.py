@@ -141,11 +141,11 @@ def on(hub: Hub, inner: Watchable, kind: type[E] | tuple[type[E], ...], callback
     def begin(context: Any) -> None:
         master: Master = context
         master.check_open()
+        hub.callbacks.start()
         watcher = inner.watch(kinds, handler.put)
         handler.begin(lambda: hub.do_at_the_end(lambda: master.unwatch(watcher)))
 
     hub.do(begin, hub.present)
-    hub.callbacks.start()
     return handler
 
 
