@@ -35,7 +35,7 @@ def real_time(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
     @functools.wraps(test)
     def run(*args: Any, **kwargs: Any) -> None:
         async def limited() -> None:
-            with trio.fail_after(40):
+            with trio.fail_after(25):
                 await test(*args, **kwargs)
 
         trio.run(limited)

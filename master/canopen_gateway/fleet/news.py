@@ -63,8 +63,8 @@ class FleetEmcy(FleetNews):
 
 
 class FleetPdo(FleetNews):
-    """A PDO has come to a bridge. place: of its node. number: 1..512. data: its bytes. values: by name; empty while the bridge has
-    not told yet what it carries. time: of the bridge's clock, ns since 1970."""
+    """A PDO has come to a bridge. place: of its node. number: 1..512. data: its bytes. values: by name; empty while the bridge
+    has not told yet what it carries. time: of the bridge's clock, ns since 1970."""
 
     __slots__ = ("data", "number", "time", "values")
     __match_args__ = ("node_id", "place", "number", "data", "values", "time")
