@@ -17,12 +17,15 @@ COMMANDS: Final = ("tests/gateway/test_ascii_commands.py",)
 LSS: Final = ("tests/gateway/test_ascii_lss.py",)
 DOOR: Final = ("tests/gateway/test_ascii_door.py",)
 NETS: Final = ("tests/gateway/test_several_nets.py",)
+FLEET: Final = ("tests/gateway/test_fleet.py",)
+LEAD: Final = ("tests/gateway/test_fleet_lead.py",)
 
 _GUARD: Final = "canopen_gateway/guard.py"
 _LEASE: Final = "canopen_gateway/lease.py"
 _SERVICE: Final = "canopen_gateway/service.py"
 _DOOR: Final = "canopen_gateway/ascii/door.py"
 _CONNECTION: Final = "canopen_gateway/ascii/connection.py"
+_FLEET: Final = "canopen_gateway/fleet"
 
 GATEWAY_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
@@ -277,6 +280,78 @@ GATEWAY_MUTANTS: Final = tuple(
             "        except* KeyError:\n            pass\n",
             "a mistake in one connection ends the door, and the master with it",
             DOOR,
+        ),
+        (
+            "fleet_stranger_keeps_the_lease",
+            f"{_FLEET}/leading.py",
+            "holder.proof != proof or ",
+            "",
+            "whoever speaks has the lease that another one took",
+            LEAD,
+        ),
+        (
+            "fleet_numbers_unlooked_at",
+            f"{_FLEET}/leading.py",
+            "                lease.renew(holder, sequence)\n",
+            "                lease.renew(holder, lease._last + 1)\n",
+            "a message that was sent again renews the lease",
+            LEAD,
+        ),
+        (
+            "fleet_nan_is_a_number",
+            f"{_FLEET}/leading.py",
+            " or not math.isfinite(value)",
+            "",
+            "a joint is jogged at a velocity that is no number",
+            LEAD,
+        ),
+        (
+            "fleet_silent_stays",
+            f"{_FLEET}/bridge.py",
+            "            self._disappear(place)\n            return\n",
+            "            return\n",
+            "a node whose heartbeat is lost is still there",
+            FLEET,
+        ),
+        (
+            "fleet_emergencies_forgotten",
+            f"{_FLEET}/bridge.py",
+            ".append(emergency)",
+            "",
+            "who comes later hears of no emergency",
+            FLEET,
+        ),
+        (
+            "fleet_first_node_alone",
+            f"{_FLEET}/bridge.py",
+            "[each for each in self.alive if each.bus == name]",
+            "[each for each in self.alive if each.bus == name][:1]",
+            "a query for all nodes is answered for one",
+            FLEET,
+        ),
+        (
+            "fleet_error_is_a_value",
+            f"{_FLEET}/fleet.py",
+            "        if refused is not None and not answers:\n            raise refused\n",
+            "",
+            "what a node refused looks as if its bridge were away",
+            FLEET,
+        ),
+        (
+            "fleet_wild_write",
+            f"{_FLEET}/fleet.py",
+            '            raise ValueError(f"{where} is many nodes; this is for one")\n',
+            "            pass\n",
+            "a write to all nodes goes out",
+            FLEET,
+        ),
+        (
+            "fleet_any_address",
+            f"{_FLEET}/joining.py",
+            '        return ipaddress.ip_address(host.strip("[]")).is_loopback\n',
+            '        return not ipaddress.ip_address(host.strip("[]")).is_multicast\n',
+            "a bridge without passwords listens to other computers",
+            FLEET,
         ),
     )
 )

@@ -60,6 +60,7 @@ COMMANDS: Final = {
     "check": ("node.check", "Run the 127 cases of a conformance test against a node, by its file (-e); or check a file alone."),
     "bus": ("bus.serve", "Run a bus in software, for several terminals or programs."),
     "serve": ("serve.group", "Let other programs and networks use a machine: read-only, unless --allow says more."),
+    "fleet": ("fleet.group", "Many buses on many computers, which `canopen serve zenoh` brings together."),
     "log": ("live.log", "Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng."),
     "sim": (
         "simulation.sim",

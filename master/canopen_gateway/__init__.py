@@ -1,4 +1,5 @@
-"""Doors to a machine from other programs and networks: a service on top of a master, and the text protocol of CiA 309-3.
+"""Doors to a machine from other programs and networks: a service on top of a master, the text protocol of CiA 309-3, and a fleet
+of many buses on many computers (`canopen_gateway.fleet`).
 
     async with open_master("socketcan:can0") as master, open_gateway(master) as service:
         async with open_ascii_door(service, tcp=("127.0.0.1", 60000)) as door:
@@ -10,7 +11,9 @@ Read-only unless it is allowed otherwise: see guard.py. docs/gateway.md has the 
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from canopen_gateway.errors import BridgeRefusedError as BridgeRefusedError
     from canopen_gateway.errors import DoorError as DoorError
+    from canopen_gateway.errors import FleetError as FleetError
     from canopen_gateway.errors import GatewayError as GatewayError
     from canopen_gateway.errors import GatewayFullError as GatewayFullError
     from canopen_gateway.errors import GatewayRefusedError as GatewayRefusedError
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from canopen_gateway.errors import NotAllowedError as NotAllowedError
     from canopen_gateway.errors import NotOverTextError as NotOverTextError
     from canopen_gateway.errors import PdoTakenError as PdoTakenError
+    from canopen_gateway.errors import QueryRefusedError as QueryRefusedError
     from canopen_gateway.guard import Guard as Guard
     from canopen_gateway.guard import Permission as Permission
     from canopen_gateway.guard import parse_permissions as parse_permissions

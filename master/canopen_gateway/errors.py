@@ -24,6 +24,11 @@ DOOR_REFUSED: Final = "CO155"
 NOT_OVER_TEXT: Final = "CO156"
 """A command needs a bus, and this is a text gateway."""
 
+NO_BRIDGE: Final = "CO160"
+"""Nobody answers for this place in a fleet, or the fleet cannot be joined."""
+BRIDGE_REFUSED: Final = "CO161"
+"""A bridge of a fleet has answered with an error: its own, or that of a node."""
+
 
 class GatewayError(Explained, Exception):
     """A gateway cannot do what it was asked for. For the fields see Explained."""
@@ -122,3 +127,39 @@ class DoorError(GatewayError):
 
     def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
         super().__init__(DOOR_REFUSED, failed, seen=seen, cause=cause, tries=tries)
+
+
+class FleetError(GatewayError, ConnectionError):
+    """Nobody answers for a place in a fleet, or the fleet cannot be joined; nothing is known of what became of a request. For the
+    fields see Explained."""
+
+    def __init__(self, failed: str, *, seen: str = "", cause: str = "", tries: Iterable[str] = ()) -> None:
+        super().__init__(NO_BRIDGE, failed, seen=seen, cause=cause, tries=tries)
+
+
+class BridgeRefusedError(GatewayError):
+    """A bridge of a fleet has answered with an error.
+
+    bridge_code: its code there, such as "CO201". abort_code: the node's, or None. not_confirmed: it may have been executed. For
+    the other fields see Explained.
+    """
+
+    def __init__(
+        self, failed: str, *, bridge_code: str = "", seen: str = "", abort_code: int | None = None, not_confirmed: bool = False
+    ) -> None:
+        super().__init__(BRIDGE_REFUSED, failed, seen=seen)
+        self.bridge_code = bridge_code
+        self.abort_code = abort_code
+        self.not_confirmed = not_confirmed
+
+    @property
+    def is_silence(self) -> bool:
+        """Whether the node did not answer the bridge."""
+        return self.abort_code == AbortCode.TIMED_OUT
+
+
+class QueryRefusedError(GatewayError, ValueError):
+    """A bridge of a fleet was asked for what it cannot do; nothing was done. For the fields see Explained."""
+
+    def __init__(self, failed: str) -> None:
+        super().__init__(BRIDGE_REFUSED, failed)

@@ -253,6 +253,12 @@ COMMANDS = [
     ("sync", "--yes", "-b", EVIL),
     ("time", "-b", EVIL),
     ("completion", EVIL),
+    ("serve", "zenoh", "--site", EVIL, *DEMO),
+    ("fleet", "ls", "--zenoh", EVIL),
+    ("fleet", "read", EVIL, "1008"),
+    ("fleet", "watch", EVIL),
+    ("fleet", "halt", EVIL),
+    ("fleet", "router", "--listen", EVIL),
 ]
 
 

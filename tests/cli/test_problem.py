@@ -26,7 +26,9 @@ from canopen_data import DataError
 from canopen_data.findings import DictionaryError, Finding, Severity
 from canopen_data.named_files import UnusableFileError
 from canopen_gateway.errors import (
+    BridgeRefusedError,
     DoorError,
+    FleetError,
     GatewayFullError,
     GatewayRefusedError,
     LeaseError,
@@ -83,6 +85,9 @@ def aborted(origin: AbortOrigin, code: int = AbortCode.READ_ONLY) -> SdoAborted:
         (GatewayRefusedError("silent", gateway_code=103), ExitCode.NO_ANSWER, "CO154"),
         (DoorError("cannot listen"), ExitCode.CANNOT_OPEN, "CO155"),
         (NotOverTextError("gw:x", "read"), ExitCode.USAGE, "CO156"),
+        (FleetError("nobody answers"), ExitCode.CANNOT_OPEN, "CO160"),
+        (BridgeRefusedError("refused", abort_code=AbortCode.READ_ONLY), ExitCode.SDO_ABORT, "CO161"),
+        (BridgeRefusedError("silent", abort_code=AbortCode.TIMED_OUT), ExitCode.NO_ANSWER, "CO161"),
         (errors.ChainFileError("my.csv", [(1, 2, "wrong")]), ExitCode.BAD_FILE, "CO320"),
         (errors.UnknownChainError("CO322", "no chain"), ExitCode.USAGE, "CO322"),
         (errors.PlanRefusedError("joint 1 cannot go to 95", joint=1, value=95.0, limit=90.0), ExitCode.USAGE, "CO323"),

@@ -13,6 +13,10 @@ COMMANDS: Final = {
         "serve.ascii:serve_ascii",
         "Serve a machine as a text gateway (CiA 309-3), until Ctrl-C.",
     ),
+    "zenoh": (
+        "serve.zenoh:serve_zenoh",
+        "Bring the buses of this computer into a fleet, on Zenoh, until Ctrl-C.",
+    ),
 }
 
 

@@ -199,6 +199,7 @@ def _spoken(error: Explained, exit_code: ExitCode) -> CommandError:
 _OF_GATEWAY = {
     gateway_errors.DOOR_REFUSED: ExitCode.CANNOT_OPEN,
     gateway_errors.NO_GATEWAY: ExitCode.CANNOT_OPEN,
+    gateway_errors.NO_BRIDGE: ExitCode.CANNOT_OPEN,
     gateway_errors.NOT_ALLOWED: ExitCode.PERMISSION,
     gateway_errors.NOT_OVER_TEXT: ExitCode.USAGE,
 }
@@ -207,7 +208,7 @@ _OF_GATEWAY = {
 def _of_gateway(error: gateway_errors.GatewayError) -> CommandError:
     """Return the CommandError for what a gateway refuses, or another maker's has answered."""
     problem = _spoken(error, _OF_GATEWAY.get(error.code, ExitCode.SDO_ABORT))
-    if isinstance(error, gateway_errors.GatewayRefusedError) and error.is_silence:
+    if isinstance(error, gateway_errors.GatewayRefusedError | gateway_errors.BridgeRefusedError) and error.is_silence:
         problem.exit_code = ExitCode.NO_ANSWER
     problem.node = problem.node or None
     return problem

@@ -1,0 +1,41 @@
+"""`canopen fleet halt`: stop what moves, at one place or everywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from canopen_cli.fleet.joining import PlaceText, joining
+from canopen_cli.shared.options import Settings, common
+from canopen_cli.shared.problem import ExitCode
+from canopen_cli.shared.running import run
+from canopen_gateway.fleet import FleetPlace, open_fleet
+from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
+
+
+@click.command()
+@click.argument("place", type=PlaceText(), default="*/*")
+@joining
+@common
+@click.pass_obj
+def halt(settings: Settings, place: FleetPlace, connect: tuple[str, ...], config: Path | None) -> int:
+    """Stop what moves, at one place or everywhere. Anybody may, always; nothing has to be allowed for it.
+
+    PLACE is SITE/BUS or SITE/BUS/NODE; * stands for each. Everywhere by default. It is no safety function: keep the emergency
+    stop within reach. Exit status 12: something did not confirm that it stands; 3: nobody answered.
+    """
+    screen = settings.screen()
+
+    async def stop() -> dict[FleetPlace, list[str]]:
+        endpoints = connect or (() if config is not None else (DEFAULT_ENDPOINT,))
+        async with open_fleet(connect=endpoints, config=config) as fleet:
+            return await fleet.halt(place)  # at once: who is there is not waited for
+
+    answers = run(settings, screen, stop)
+    if settings.json:
+        screen.json([{"place": str(where), "problems": problems} for where, problems in sorted(answers.items())])
+    else:
+        for where, problems in sorted(answers.items()):
+            screen.text(f"{where}: {'; '.join(problems) or 'nothing moves'}")
+    return ExitCode.DRIVE_FAULT if any(answers.values()) else ExitCode.OK

@@ -1,0 +1,89 @@
+"""What the commands of a fleet share: how they join it, and how places are given."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import click
+
+from canopen_cli.shared.options import Kind
+from canopen_gateway.errors import FleetError
+from canopen_gateway.fleet import Fleet, FleetPlace, open_fleet, parse_place
+from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, check_endpoint
+
+F = TypeVar("F", bound=Callable[..., Any])
+FLEET_VARIABLE: Final = "CANOPEN_FLEET"
+
+
+class Endpoint(Kind):
+    """Where a program of a fleet is: "tcp/192.168.1.20:7447"."""
+
+    name = "endpoint"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        try:
+            return check_endpoint(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class PlaceText(Kind):
+    """SITE/BUS/NODE, or SITE/BUS. node: it has to name a node."""
+
+    name = "place"
+
+    def __init__(self, *, node: bool = False) -> None:
+        self.node = node
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> FleetPlace:
+        if isinstance(value, FleetPlace):
+            return value
+        try:
+            return parse_place(str(value), node=self.node)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+def zenoh_file(command: F) -> F:
+    """Add the option for Zenoh's own configuration."""
+    added: F = click.option(
+        "--zenoh",
+        "config",
+        type=click.Path(dir_okay=False, path_type=Path),
+        metavar="FILE.json5",
+        help="A file of Zenoh's configuration: users, TLS, rules of access (docs/fleet.md).",
+    )(command)
+    return added
+
+
+def joining(command: F) -> F:
+    """Add the options by which a viewer joins a fleet: `connect` and `config`."""
+    connect = click.option(
+        "--connect",
+        type=Endpoint(),
+        multiple=True,
+        envvar=FLEET_VARIABLE,
+        metavar="ENDPOINT",
+        help=f"A bridge or a router; may be repeated.  [default: {DEFAULT_ENDPOINT}; env: {FLEET_VARIABLE}]",
+    )
+    added: F = connect(zenoh_file(command))
+    return added
+
+
+@asynccontextmanager
+async def joined(connect: tuple[str, ...], config: Path | None) -> AsyncIterator[Fleet]:
+    """Join a fleet while the block runs. Raises FleetError if no bridge is there."""
+    endpoints = connect or (() if config is not None else (DEFAULT_ENDPOINT,))
+    async with open_fleet(connect=endpoints, config=config) as fleet:
+        await fleet.settled()
+        if not fleet.buses:
+            raise FleetError(
+                "nobody is there",
+                seen=f"no bridge showed itself, by {', '.join(endpoints) or config}",
+                cause="no bridge runs, or this program may not see it",
+                tries=("canopen serve zenoh --site NAME -b BUS --listen tcp/127.0.0.1:7447", "--connect ENDPOINT"),
+            )
+        yield fleet

@@ -1,0 +1,118 @@
+"""`canopen serve zenoh`: the buses of this computer in a fleet."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+import trio
+
+from canopen_cli.fleet.joining import Endpoint, zenoh_file
+from canopen_cli.serve.permissions import Permissions
+from canopen_cli.serve.served import open_served
+from canopen_cli.shared.options import FiniteRange, Kind, Settings, common
+from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.screen import Screen, escape
+from canopen_gateway import GatewayService, Permission, open_gateway
+from canopen_gateway.fleet import FleetDoor, bind_fleet_door
+from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
+from canopen_gateway.fleet.keys import check_name
+
+
+class SiteName(Kind):
+    """The name of a site in keys."""
+
+    name = "name"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        try:
+            return check_name("site", str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+@click.command(name="zenoh")
+@click.option("--site", type=SiteName(), required=True, metavar="NAME", help="The name of this computer, or its machine: hall-2.")
+@click.option(
+    "--listen", type=Endpoint(), multiple=True, metavar="ENDPOINT", help=f"Where to listen.  [default: {DEFAULT_ENDPOINT}]"
+)
+@click.option(
+    "--connect",
+    type=Endpoint(),
+    multiple=True,
+    metavar="ENDPOINT",
+    help="A router; may be repeated. Then it only listens with --listen.",
+)
+@zenoh_file
+@click.option(
+    "--allow",
+    type=Permissions(),
+    default="",
+    metavar="KINDS",
+    help="What clients may change: write, motion, store, program, nmt, lss. By default nothing.",
+)
+@click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@common
+@click.pass_obj
+def serve_zenoh(
+    settings: Settings,
+    site: str,
+    listen: tuple[str, ...],
+    connect: tuple[str, ...],
+    config: Path | None,
+    allow: frozenset[Permission],
+    reachable: bool,
+    seconds: float | None,
+) -> None:
+    """Bring the buses of this computer into a fleet, on Zenoh, until Ctrl-C.
+
+    Reading is always allowed, and halting; each kind of change has to be named by --allow. Each bus is asked once who is there
+    (0x1000 of each node-ID), since nodes without heartbeat would not be seen else.
+
+    \b
+    canopen serve zenoh --site hall-2 -b demo
+    canopen fleet ls
+    canopen serve zenoh --site hall-3 -m cell.toml --connect tcp/plant:7447 --zenoh hall-3.json5
+    """
+    screen = settings.screen()
+    endpoints = listen or (() if config is not None or connect else (DEFAULT_ENDPOINT,))
+
+    async def serve() -> None:
+        # Before anything else: a port in use is told while nothing moves yet
+        door = await bind_fleet_door(site, connect=connect, listen=endpoints, config=config, reachable=reachable)
+        async with door, open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
+            _tell(settings, screen, door, service, endpoints, connect, config)
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await door.serve(service)
+        if door.failure is not None:
+            raise door.failure
+
+    async def serve_unwrapped() -> None:
+        try:
+            await serve()
+        except ExceptionGroup as group:
+            raise first_of(group) from None
+
+    run_until_interrupted(settings, screen, serve_unwrapped)
+
+
+def _tell(
+    settings: Settings,
+    screen: Screen,
+    door: FleetDoor,
+    service: GatewayService,
+    listen: tuple[str, ...],
+    connect: tuple[str, ...],
+    config: Path | None,
+) -> None:
+    buses = door.names_of(service.nets)
+    allowed = sorted(each.value for each in service.guard.allowed)
+    if settings.json:
+        screen.json({"site": door.site, "buses": list(buses), "listen": list(listen), "connect": list(connect), "allow": allowed})
+    where = ", ".join((*listen, *connect)) or str(config)
+    screen.say(f"[bold]{escape(door.site)} is in the fleet[/], {service.guard.mode}: {escape(where)}")
+    for name, net in buses.items():
+        screen.say(f"{escape(f'{door.site}/{name}')} is {escape(net)}")

@@ -1,0 +1,473 @@
+"""`FleetDoor`: the bridge between the buses of a master and a fleet on Zenoh. keys.py has its keys.
+
+    door = await bind_fleet_door("hall-2", listen=["tcp/127.0.0.1:7447"])    # before drives boot: a port in use stops nothing
+    async with open_master(...) as master, open_gateway(master) as service:
+        await door.serve(service)
+
+- Whoever hangs delays nothing here: what is published is dropped where it is not taken (`CongestionControl.DROP`), never waited
+  for. Set-points and SYNC never leave this process.
+- A query is served in a task of its own, and answered in a thread, since Zenoh waits for whoever asks and takes no answer. Beyond
+  `Limits.requests` of them, one is answered by CO151 at once.
+- Who may change what is the guard's (guard.py), as at every door. Moving needs the lease (lease.py): a client that is cut off
+  loses it after 300 ms, by the clock of this computer.
+- Strings of devices and of clients are data: a name that is no plain one is refused, or goes as JSON.
+- If the door itself fails, it is closed, and says why (`failure`); the master goes on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import re
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import trio
+
+from canopen_gateway.errors import GatewayError, GatewayFullError, QueryRefusedError
+from canopen_gateway.fleet import keys
+from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
+from canopen_gateway.fleet.keys import FleetPlace, check_name, key_of, name_of_bus, parse_key
+from canopen_gateway.fleet.leading import RemoteLead
+from canopen_gateway.service import GatewayService, GatewaySession, HeardOnNet
+from canopen_master import MasterError, Node
+from canopen_master.errors import SdoError, SdoNotConfirmedError
+from canopen_master.participant.subscription import Subscription
+from canopen_proto import LocalProtocolError, NmtCommand, PdoReceived
+from canopen_proto.abort import AbortCode
+from canopen_proto.datatypes import Value
+from canopen_proto.dictionary import Variable
+from canopen_proto.gateway import GatewayCode, GatewayNews, NodeReport
+from canopen_proto.machine import SECOND
+from canopen_proto.manager.scan import NodeFound, Scanner, scan
+from canopen_proto.multiplexer import index_of, subindex_of
+from canopen_proto.nmt import NmtState
+from canopen_proto.procedures import ProcedureError
+
+if TYPE_CHECKING:
+    import zenoh
+
+STATUS_PERIOD: Final = 1.0
+"""Seconds from one status of a bus to the next."""
+SILENT_AFTER: Final = 3 * SECOND
+"""A node whose heartbeat has begun is away after this time without one."""
+EMERGENCIES_KEPT: Final = 32
+"""Of each node, for those who come later."""
+MAX_PAYLOAD: Final = 1 << 20
+MOST_WAITING: Final = 256
+"""Queries at a time that get an answer at all, be it that there are too many; further ones are dropped, and counted."""
+THREADS: Final = 8
+"""In which answers go out."""
+COMMANDS: Final = {each.name.lower().replace("_", "-"): each for each in NmtCommand}
+LOGGER: Final = logging.getLogger("canopen_gateway")
+_NUMBERS: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{4})(?::([0-9A-Fa-f]{1,2}))?\Z")
+Answer: TypeAlias = tuple[str | None, bytes, bytes | None]
+"""Key, payload and attachment of an answer; without a key an error."""
+_LOST: Final = (GatewayCode.HEARTBEAT_LOST,)
+
+
+class FleetDoor:
+    """See this module's text; made by `bind_fleet_door`. site: its name in keys. failure: why it was closed, or None. buses: the
+    nets by their names in keys, once it serves. dropped: events that came faster than they were taken; dropped_queries: queries
+    that got no answer, since too many waited."""
+
+    def __init__(self, session: zenoh.Session, site: str) -> None:
+        self.site = site
+        self.failure: Exception | None = None
+        self.buses: dict[str, str] = {}
+        self._zenoh = session
+        self._service: GatewayService
+        self._lead: RemoteLead
+        self._session: GatewaySession
+        self._names: dict[str, str] = {}  # of the buses, by net
+        self._tokens: dict[FleetPlace, zenoh.LivelinessToken] = {}
+        self._emergencies: dict[FleetPlace, deque[bytes]] = {}
+        self._states: dict[FleetPlace, NmtState] = {}
+        self._answering = 0
+        self._threads = trio.CapacityLimiter(THREADS)
+        self.dropped_queries = 0
+
+    @property
+    def dropped(self) -> int:
+        """Events of nodes that came faster than they were taken."""
+        return self._session.dropped
+
+    @property
+    def alive(self) -> Sequence[FleetPlace]:
+        """The nodes that were heard lately."""
+        return sorted(place for place in self._tokens if place.node_id)
+
+    async def __aenter__(self) -> FleetDoor:
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        await self.aclose()
+
+    async def aclose(self) -> None:
+        """Leave the fleet. Does nothing the second time."""
+        if not self._zenoh.is_closed():
+            await close_zenoh(self._zenoh)
+
+    async def serve(self, service: GatewayService) -> None:
+        """Serve the fleet until cancelled. Returns early only if the door itself fails; see `failure`. Raises GatewayFullError,
+        ValueError if two buses would have one name."""
+        import zenoh
+
+        self.buses = self.names_of(service.nets)
+        self._names = {net: name for name, net in self.buses.items()}
+        self._service = service
+        self._lead = RemoteLead(service.lease)
+        async with self:
+            with service.open_session(f"the fleet, as {self.site}") as self._session:
+                try:
+                    async with trio.open_nursery() as nursery:
+                        self._begin(nursery)
+                except* zenoh.ZError as failed:
+                    self.failure = failed.exceptions[0]
+                    LOGGER.warning("the door to the fleet is closed: %s", self.failure)
+                finally:
+                    self._tokens.clear()
+
+    def names_of(self, nets: Sequence[str]) -> dict[str, str]:
+        """Return the nets by their names in keys. Raises ValueError if two would have one name."""
+        return _named(nets)
+
+    # ---- what goes out ----
+
+    def _begin(self, nursery: trio.Nursery) -> None:
+        token = trio.lowlevel.current_trio_token()
+
+        def take(query: zenoh.Query) -> None:  # in a thread of Zenoh
+            try:
+                token.run_sync_soon(self._take, query, nursery)
+            except trio.RunFinishedError:
+                query.drop()  # type: ignore[no-untyped-call]
+
+        for name, net in self.buses.items():
+            self._appear(FleetPlace(self.site, name))
+            self._session.hear_boot_ups(net, True)
+            for node_id in range(1, 128):
+                self._session.watch_heartbeat(net, node_id, SILENT_AFTER)
+            nursery.start_soon(self._publish_pdos, name, net)
+            nursery.start_soon(self._publish_status, name, net)
+            nursery.start_soon(self._ask_around, name, net)
+        self._zenoh.declare_queryable(f"{keys.ROOT}/{self.site}/**", take)
+        nursery.start_soon(self._publish_events)
+
+    async def _publish_events(self) -> None:
+        while True:
+            heard = await self._session.next_event()
+            assert isinstance(heard.event, NodeReport)  # no guarding, and no PDOs of its own
+            self._on_report(heard, heard.event)
+
+    def _on_report(self, heard: HeardOnNet, report: NodeReport) -> None:
+        place = FleetPlace(self.site, self._names[heard.net], report.node_id)
+        if report.kind is GatewayNews.ERROR and report.numbers == _LOST:
+            self._disappear(place)
+            return
+        self._appear(place)
+        if report.kind is GatewayNews.STATE:
+            self._on_state(place, NmtState(report.numbers[0]))
+        elif report.kind is GatewayNews.BOOT_UP:
+            self._on_state(place, NmtState.PRE_OPERATIONAL)  # which it enters by itself; CiA 301 v4.2.0, 7.3.2.2.1
+        elif report.kind is GatewayNews.EMCY:
+            code, register, *data = report.numbers
+            emergency = _stamp() + code.to_bytes(2, "little") + bytes((register, *data))
+            self._emergencies.setdefault(place, deque(maxlen=EMERGENCIES_KEPT)).append(emergency)
+            self._put(key_of(place, keys.EMCY), emergency)
+
+    def _on_state(self, place: FleetPlace, state: NmtState) -> None:
+        self._states[place] = state
+        self._put(key_of(place, keys.NMT), state.name.encode())
+
+    async def _publish_pdos(self, name: str, net: str) -> None:
+        with self._service.master.events(PdoReceived, bus=net) as pdos:
+            async for pdo in pdos:
+                place = FleetPlace(self.site, name, pdo.node_id)
+                if pdo.number and pdo.node_id:
+                    self._appear(place)
+                    self._put(key_of(place, keys.PDO, str(pdo.number)), _stamp() + pdo.data)
+
+    async def _publish_status(self, name: str, net: str) -> None:
+        while True:
+            self._put(key_of(FleetPlace(self.site, name), keys.STATUS), _json(self._status(name, net)))
+            await trio.sleep(STATUS_PERIOD)
+
+    async def _ask_around(self, name: str, net: str) -> None:
+        """Ask each node-ID once who is there: one that sends no heartbeat would not be seen else."""
+        network = self._service.master.bus(net).network
+        scanner = Scanner(network.out)
+        network.attach(scanner)
+        try:
+            with self._service.master.events(NodeFound, bus=net) as found:
+                async with trio.open_nursery() as nursery:
+                    nursery.start_soon(self._take_found, name, found)
+                    with contextlib.suppress(MasterError):  # an outage, which the status tells
+                        await self._service.master.run(scan(scanner, listen=0))
+                    await trio.sleep(0)  # what was found last
+                    nursery.cancel_scope.cancel()
+        finally:
+            network.detach(scanner)
+
+    async def _take_found(self, name: str, found: Subscription[NodeFound]) -> None:
+        async for node in found:
+            place = FleetPlace(self.site, name, node.node_id)
+            self._appear(place)
+            if node.state is not None and place not in self._states:
+                self._on_state(place, node.state)
+
+    def _status(self, name: str, net: str) -> dict[str, object]:
+        bus = self._service.master.bus(net)
+        return {
+            "bus": net,
+            "outage": bus.network.outage,
+            "nodes": {str(place.node_id): self._state_name(place) for place in self.alive if place.bus == name},
+            "allow": sorted(each.value for each in self._service.guard.allowed),
+            "chains": [each.name for each in self._service.master.chains.values()],
+            "moved by": "" if self._service.lease.owner is None else self._service.lease.owner.name,
+            "doing": self._service.lease.doing,
+            "problem": self._service.lease.problem,
+            "dropped": self.dropped,
+        }
+
+    def _state_name(self, place: FleetPlace) -> str:
+        state = self._states.get(place)
+        return "" if state is None else state.name
+
+    def _put(self, key: str, data: bytes) -> None:
+        import zenoh
+
+        self._zenoh.put(key, data, congestion_control=zenoh.CongestionControl.DROP)
+
+    def _appear(self, place: FleetPlace) -> None:
+        if place not in self._tokens:
+            self._tokens[place] = self._zenoh.liveliness().declare_token(key_of(place, keys.ALIVE))
+
+    def _disappear(self, place: FleetPlace) -> None:
+        token = self._tokens.pop(place, None)
+        self._states.pop(place, None)
+        if token is not None:
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+    # ---- queries ----
+
+    def _take(self, query: zenoh.Query, nursery: trio.Nursery) -> None:
+        """Begin with a query, in trio's thread."""
+        key = str(query.key_expr)
+        found = parse_key(key)
+        if self._answering >= MOST_WAITING:
+            query.drop()  # type: ignore[no-untyped-call]  # told nothing: an answer may have to wait, too
+            self.dropped_queries += 1
+            return
+        self._answering += 1
+        if found is None:
+            nursery.start_soon(self._refuse, query, QueryRefusedError(f"{key[:200]!r} is no key of this fleet"))
+        elif self._answering > self._service.limits.requests:
+            nursery.start_soon(self._refuse, query, GatewayFullError("requests at a time", self._service.limits.requests))
+        else:
+            nursery.start_soon(self._answer, query, *found)
+
+    async def _refuse(self, query: zenoh.Query, error: GatewayError) -> None:
+        try:
+            await trio.to_thread.run_sync(_reply, query, [_refusal(error)], limiter=self._threads)
+        finally:
+            query.drop()  # type: ignore[no-untyped-call]
+            self._answering -= 1
+
+    async def _answer(self, query: zenoh.Query, pattern: FleetPlace, rest: Sequence[str]) -> None:
+        """Serve a query. Its answers go out in a thread of their own: who asked may be hung, and Zenoh then waits for him."""
+        answers: list[Answer] = []
+        try:
+            async with trio.open_nursery() as nursery:
+                for place in self._places(pattern):
+                    nursery.start_soon(self._answer_for, query, place, rest, answers)
+            await trio.to_thread.run_sync(_reply, query, answers, limiter=self._threads)
+        finally:
+            query.drop()  # type: ignore[no-untyped-call]  # done already, unless this was cancelled
+            self._answering -= 1
+
+    def _places(self, pattern: FleetPlace) -> list[FleetPlace]:
+        """Return the places that a query is about: with a node-ID of its own any, with "*" the nodes that are alive."""
+        found: list[FleetPlace] = []
+        for name in self.buses:
+            bus = FleetPlace(self.site, name)
+            if not bus.matches(pattern._replace(node_id=0)):
+                continue
+            found += (
+                [each for each in self.alive if each.bus == name]
+                if pattern.node_id < 0
+                else [bus._replace(node_id=pattern.node_id)]
+            )
+        return found
+
+    async def _answer_for(self, query: zenoh.Query, place: FleetPlace, rest: Sequence[str], answers: list[Answer]) -> None:
+        try:
+            served = await self._serve(query, place, list(rest))
+        except (GatewayError, MasterError, ProcedureError, LocalProtocolError, ValueError) as error:
+            answers.append(_refusal(error, place))
+        except Exception:  # a mistake of ours ends neither the door nor the master
+            LOGGER.exception("the query %s for %s failed", rest, place)
+            answers.append(_refusal(QueryRefusedError("a mistake in this bridge"), place))
+        else:
+            answers += [(key_of(place, *rest), data, attachment) for data, attachment in served]
+
+    async def _serve(self, query: zenoh.Query, place: FleetPlace, rest: list[str]) -> list[tuple[bytes, bytes | None]]:
+        """Do what a query asks for; return the answers, each with what stands beside it."""
+        net = self.buses[place.bus]
+        payload = b"" if query.payload is None else bytes(query.payload)
+        if len(payload) > MAX_PAYLOAD:
+            raise QueryRefusedError(f"a payload of {len(payload)} bytes: {MAX_PAYLOAD} at most")
+        match place.node_id, rest:
+            case 0, [keys.STATUS]:
+                return [(_json(self._status(place.bus, net)), None)]
+            case 0, [keys.LEASE]:
+                return [(_json(self._lead.say(payload)), None)]
+            case node_id, [keys.HALT]:
+                return [(_json(await self._service.halt(net, node_id)), None)]
+            case int(node_id), [keys.GET, text] if node_id:
+                return [await self._read(net, place, text)]
+            case int(node_id), [keys.SET, text] if node_id:
+                await self._write(net, place, text, payload, str(query.encoding or ""))
+                return [(b"", None)]
+            case int(node_id), [keys.COMMAND] if node_id:
+                await self._session.nmt(net, _command(payload), node_id)
+                return [(b"", None)]
+            case int(node_id), [keys.NMT] if node_id:
+                return [(self._state_name(place).encode(), None)]
+            case int(node_id), [keys.EMCY] if node_id:
+                return [(each, None) for each in self._emergencies.get(place, ())]
+            case int(node_id), [keys.PDOS] if node_id:
+                return [(_json(_pdos_of(self._service.node(net, node_id))), None)]
+        raise QueryRefusedError(f"{'/'.join(rest)[:200]!r} is nothing that can be asked for here")
+
+    async def _read(self, net: str, place: FleetPlace, text: str) -> tuple[bytes, bytes]:
+        node = self._service.node(net, place.node_id)
+        index, subindex, variable = _object(node, text)
+        try:
+            data = await self._session.read(net, place.node_id, index, subindex)
+        except SdoError as error:
+            if error.abort_code != AbortCode.TIMED_OUT:
+                self._appear(place)
+            elif self._states.get(place) is None:  # no heartbeat would tell that it is away
+                self._disappear(place)
+            raise
+        self._appear(place)
+        beside: dict[str, object] = {"object": f"{index:04X}:{subindex:02X}"}
+        if variable is not None:
+            beside |= {"name": variable.name, "type": variable.data_type.name, "unit": variable.unit}
+        return data, _json(beside)
+
+    async def _write(self, net: str, place: FleetPlace, text: str, payload: bytes, encoding: str) -> None:
+        if place.node_id < 0:
+            raise QueryRefusedError("a write goes to one node")
+        node = self._service.node(net, place.node_id)
+        index, subindex, variable = _object(node, text)
+        if encoding.startswith("application/json"):
+            if variable is None:
+                raise QueryRefusedError(f"{text!r} is not in the dictionary of this node: only its bytes can be written")
+            payload = variable.encode(_value(payload, variable))
+        await self._session.write(net, place.node_id, index, subindex, payload)
+
+
+async def bind_fleet_door(
+    site: str, *, connect: Sequence[str] = (), listen: Sequence[str] = (), config: Path | None = None, reachable: bool = False
+) -> FleetDoor:
+    """Join a fleet as a bridge, before anything moves; `FleetDoor.serve` then serves it. site: its name. For the rest, and what
+    is raised, see `open_zenoh`; also ValueError for a name that cannot stand in a key."""
+    check_name("site", site)
+    session = await open_zenoh(connect=connect, listen=listen, config=config, reachable=reachable, mode="router")
+    return FleetDoor(session, site)
+
+
+def _named(nets: Sequence[str]) -> dict[str, str]:
+    named: dict[str, str] = {}
+    for net in nets:
+        name = name_of_bus(net)
+        if name in named:
+            raise ValueError(
+                f"the buses {named[name]} and {net} would both be called {name!r}: give them names in a machine file"
+            )
+        named[name] = net
+    return named
+
+
+def _object(node: Node, text: str) -> tuple[int, int, Variable | None]:
+    """Return index, subindex and the dictionary's entry of an object in a key."""
+    if not keys.OBJECT.match(text):
+        raise QueryRefusedError(f"{text[:200]!r} is no object")
+    numbers = _NUMBERS.match(text)
+    if numbers is None:
+        variable = node.dictionary.variable(text)
+        return variable.index, variable.subindex, variable
+    index, subindex = int(numbers[1], 16), int(numbers[2] or "0", 16)
+    return index, subindex, node.dictionary.get(index, subindex)
+
+
+def _pdos_of(node: Node) -> dict[str, object]:
+    return {
+        str(number): [
+            {
+                "object": f"{index_of(mux):04X}:{subindex_of(mux):02X}",
+                "name": label,
+                "type": entry.data_type.name,
+                "bits": entry.bit_length,
+            }
+            for mux, label, entry in zip(pdo.mapping.muxes, pdo.mapping.labels, pdo.mapping.components, strict=True)
+        ]
+        for number, pdo in node.remote.tpdos.items()
+    }
+
+
+def _command(payload: bytes) -> NmtCommand:
+    word = payload.decode("ascii", "replace")
+    if word not in COMMANDS:
+        raise QueryRefusedError(f"{word[:40]!r} is no NMT command: {', '.join(COMMANDS)}")
+    return COMMANDS[word]
+
+
+def _value(payload: bytes, variable: Variable) -> Value:
+    try:
+        value = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise QueryRefusedError("the value is no JSON") from error
+    if isinstance(value, list | dict) or value is None:
+        raise QueryRefusedError(f"{variable.name} takes one value")
+    return value  # type: ignore[no-any-return]  # `encode` looks whether it fits
+
+
+def _stamp() -> bytes:
+    """The time of this computer, for people: 8 bytes, ns since 1970."""
+    return time.time_ns().to_bytes(8, "little")
+
+
+def _json(value: object) -> bytes:
+    return json.dumps(value, separators=(",", ":")).encode()
+
+
+def _refusal(error: Exception, place: FleetPlace | None = None) -> Answer:
+    """Return the answer to a query that was refused, or failed."""
+    said: dict[str, object] = {"message": str(error).split("\n")[0], "place": "" if place is None else str(place)}
+    if isinstance(error, GatewayError | MasterError):
+        said |= {"code": error.code, "message": error.failed, "seen": error.seen}
+    if isinstance(error, SdoError):
+        said |= {"abort": error.abort_code, "not_confirmed": isinstance(error, SdoNotConfirmedError)}
+    return None, _json(said), None
+
+
+def _reply(query: zenoh.Query, answers: Sequence[Answer]) -> None:
+    """Send the answers to a query, and end it; in a thread."""
+    import zenoh
+
+    try:
+        for key, data, attachment in answers:
+            if key is None:
+                query.reply_err(data, encoding="application/json")
+            else:
+                query.reply(key, data, attachment=attachment)
+    except zenoh.ZError as error:  # who asked is gone, or asked for a key that an answer may not have
+        LOGGER.info("an answer was not taken: %s", error)
+    query.drop()  # type: ignore[no-untyped-call]
