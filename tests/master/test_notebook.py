@@ -1,4 +1,4 @@
-"""A notebook: docs/asyncio.md's cells in a kernel of Jupyter, its interrupt button, and the end of the kernel while a drive moves."""
+"""A notebook: the cells of docs/asyncio.md in a kernel of Jupyter, its interrupt button, and its end while a drive moves."""
 
 from __future__ import annotations
 
@@ -38,12 +38,15 @@ def test_the_cells_of_the_page(in_kernels: None, tmp_path: Path) -> None:
     page = [cell.strip() for cell in re.split(r"^# cell[^\n]*\n", block, flags=re.MULTILINE) if cell]
     assert len(page) == 5
     devices = 'simulated_devices({"virtual:cell": powerballs(5)})'
+    begin = f"""
+import contextlib
+from canopen_master import blocking, powerballs
+from canopen_master.simulation import simulated_devices
+line = contextlib.AsyncExitStack()
+served = await line.enter_async_context({devices})
+"""
     cells = [
-        "import contextlib\n"
-        "from canopen_master import blocking, powerballs\n"
-        "from canopen_master.simulation import simulated_devices\n"
-        "line = contextlib.AsyncExitStack()\n"
-        f"served = await line.enter_async_context({devices})",
+        begin,
         *(cell.replace("socketcan:can0", "virtual:cell") for cell in page[:4]),
         f"await line.aclose()\ndevices = blocking.{devices}\ndevices.__enter__()\nNone",
         page[4].replace("socketcan:can0", "virtual:cell"),
