@@ -26,7 +26,7 @@ from canopen import Network as TheirNetwork
 from canopen import ObjectDictionary as TheirDictionary
 from direct import VERSION, variable
 from master_edge import BURST, HIGH, LOW, TPDO1, Source, their_frames
-from master_edge import _dictionary as edge_dictionary
+from master_edge import dictionary as edge_dictionary
 from measure import Case, measure, table
 
 from canopen_master import DeviceModel, Master, Node, blocking, open_master
@@ -107,6 +107,12 @@ class GatedSource(Source):
         return await super().receive_many(limit)
 
 
+def map_tpdo(master: Master) -> None:
+    """Let the master know what the frames carry."""
+    entries = (mapping.MappedEntry(index, 0, 32, DataType.UNSIGNED32, "") for index in (LOW, HIGH))
+    master.node(NODE_ID).remote.add_tpdo(1, TPDO1, mapping.Mapping(entries), master.now())
+
+
 def our_pdos(count: int) -> object:
     """So many bursts to a function; the node's values at the end."""
     source, done = GatedSource(count), threading.Event()
@@ -116,12 +122,8 @@ def our_pdos(count: int) -> object:
         if source.heard == BURST * count:
             done.set()
 
-    def prepare(master: Master) -> None:
-        entries = (mapping.MappedEntry(index, 0, 32, DataType.UNSIGNED32, "") for index in (LOW, HIGH))
-        master.node(NODE_ID).remote.add_tpdo(1, TPDO1, mapping.Mapping(entries), master.now())
-
     with blocking.open_master(source, dictionary=edge_dictionary()) as master:
-        master.in_loop(prepare)
+        master.in_loop(map_tpdo)
         node = master.node(NODE_ID)
         with node.on(PdoReceived, on_pdo):
             source.is_open = True

@@ -1,12 +1,14 @@
-"""A master on each event loop, and its two peers, in one run: a read by name, and a full frame that comes in.
+"""The master in each style and its two peers, in one run: a read by name, and a full frame that comes in.
 
-    python benchmarks/hosts.py                  # trio, asyncio, `canopen`; uvloop and `canopen-asyncio` where they are installed
+    python benchmarks/hosts.py                  # uvloop and `canopen-asyncio` too, where they are installed
     python benchmarks/hosts.py --loops          # what the loops' own parts cost here, and by anyio where that is installed
 
-master_edge.py says what is done once, and for whom it is fair. On asyncio and uvloop the same master runs. `canopen-asyncio` has
+master_edge.py says what is done once, and for whom it is fair. On asyncio and uvloop the same master runs. The blocking master's
+reads and frames go through its thread, and a subscriber is a function in one more thread (blocking.py). `canopen-asyncio` has
 `canopen`'s two Networks with a thread of a Notifier each, and its callers await `aget_raw`; its frames come in a thread too, and
-are decoded when a value is read. The clock is CPU time of the whole process: threads count, and waiting does not. Rounds are
-interleaved, and each begins with another one; the figures are ratios to trio, of medians, and of the least.
+are decoded when a value is read; a subscriber is a function that this thread calls. The clock is CPU time of the whole process:
+threads count, and waiting does not. Rounds are interleaved, and each begins with another one; the figures are ratios to trio, of
+medians, and of the least.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from typing import Any
 
 import can
 import trio
+from blocking import edge_dictionary, map_tpdo, our_node, our_pdos
 from direct import VERSION
 from master_edge import (
     BURST,
@@ -31,6 +34,7 @@ from master_edge import (
     NUMBER,
     TPDO1,
     VALUE,
+    Source,
     TheirSource,
     our_frames,
     our_reads,
@@ -39,7 +43,9 @@ from master_edge import (
 )
 from measure import Repeat, calibrate, cpu_time
 
+from canopen_master.blocking import open_master as open_blocking
 from canopen_proto.datatypes import DataType
+from canopen_transports import Received, Report
 from canopen_transports.loop import current_loop
 
 Main = Callable[[], Awaitable[object]]
@@ -70,6 +76,40 @@ LOOPS: dict[str, Callable[[Main], object]] = {"trio": trio.run, "asyncio": on_as
 def has(module: str) -> bool:
     """Whether a package is installed."""
     return importlib.util.find_spec(module) is not None
+
+
+# ---- the blocking master ----
+
+
+def blocking_reads(count: int) -> object:
+    """Read so often; the last value."""
+    with our_node() as node:
+        value: object = None
+        for _ in range(count):
+            value = node["number"]
+        return value
+
+
+class _Opened(Source):
+    """Frames that begin to come when the mapping is known."""
+
+    is_open = False
+
+    async def receive_many(self, limit: int) -> list[Received | Report]:
+        while not self.is_open:
+            await trio.sleep(0.0005)
+        return await super().receive_many(limit)
+
+
+def blocking_frames(count: int) -> object:
+    """Take so many bursts in; the values of the last frame."""
+    source = _Opened(count)
+    with open_blocking(source, dictionary=edge_dictionary()) as master:
+        master.in_loop(map_tpdo)
+        node = master.node(NODE_ID)
+        source.is_open = True
+        master.in_loop(lambda _: source.taken.wait())
+        return master.in_loop(lambda _: [node.remote.values[index << 8] for index in (LOW, HIGH)])
 
 
 # ---- canopen-asyncio ----
@@ -106,7 +146,7 @@ def asyncio_peers_reads(count: int) -> object:
     return asyncio.run(main())
 
 
-def asyncio_peers_frames(count: int) -> object:
+def asyncio_peers_frames(count: int, subscribed: bool = False) -> object:
     """Take so many bursts in; the values of the last frame."""
     peer = importlib.import_module("canopen_asyncio")
     dictionary = peer.ObjectDictionary()
@@ -127,10 +167,19 @@ def asyncio_peers_frames(count: int) -> object:
             tpdo.add_variable(index, 0, 32)
         network.bus = source
         tpdo.subscribe()
+        heard = 0
+
+        def on_pdo(_: Any) -> None:
+            nonlocal heard
+            heard += 1
+
+        if subscribed:
+            tpdo.add_callback(on_pdo)
         notifier = can.Notifier(source, network.listeners, 1)
         await asyncio.to_thread(source.taken.wait)
         notifier.stop()
         source.shutdown()
+        assert heard == (BURST * count if subscribed else 0)
         return [mapped.raw for mapped in tpdo.map]
 
     return asyncio.run(main())
@@ -249,11 +298,13 @@ def masters(rounds: int, seconds: float) -> None:
     reads: dict[str, Repeat] = {name: partial(our_reads, run=run) for name, run in loops.items()}
     frames: dict[str, Repeat] = {name: our_frames(False, run) for name, run in loops.items()}
     heard: dict[str, Repeat] = {name: our_frames(True, run) for name, run in loops.items()}
+    reads["blocking"], frames["blocking"], heard["blocking"] = blocking_reads, blocking_frames, our_pdos
     reads[f"canopen {VERSION}"], frames[f"canopen {VERSION}"] = their_reads(), their_frames(False)
     heard[f"canopen {VERSION}"] = their_frames(True)
     if has("canopen_asyncio"):
         reads["canopen-asyncio"] = asyncio_peers_reads
         frames["canopen-asyncio"] = asyncio_peers_frames
+        heard["canopen-asyncio"] = partial(asyncio_peers_frames, subscribed=True)
     for sides in (reads, frames, heard):
         assert len({repr(repeat(20)) for repeat in sides.values()}) == 1
     print(head("once", [*reads]))

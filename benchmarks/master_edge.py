@@ -17,7 +17,7 @@ from __future__ import annotations
 import statistics
 import threading
 from collections.abc import Awaitable, Callable, Mapping
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import can
@@ -35,7 +35,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.pdo import mapping
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_transports import Received, Report, open_transport
-from canopen_transports.loop import current_loop
+from canopen_transports.loop import OneTimeEvent, current_loop
 
 Run: TypeAlias = Callable[[Callable[[], Awaitable[object]]], object]
 """Runs an async function in an event loop, as trio.run does."""
@@ -55,7 +55,7 @@ FRAMES = f"master: {BURST} full frames come in"
 SUBSCRIBED = f"{FRAMES}, with a subscriber"
 
 
-def _dictionary() -> ObjectDictionary:
+def dictionary() -> ObjectDictionary:
     names = {NUMBER: "number", LOW: "low", HIGH: "high"}
     return ObjectDictionary([Object.of(name, [Variable(index, 0, name, DataType.UNSIGNED32)]) for index, name in names.items()])
 
@@ -74,7 +74,7 @@ def our_reads(count: int, run: Run = trio.run) -> object:
     async def main() -> object:
         value: object = None
         async with current_loop().open_nursery() as nursery:
-            model = DeviceModel(_dictionary(), NODE_ID)
+            model = DeviceModel(dictionary(), NODE_ID)
             host = await nursery.start(simulate, await open_transport(BUS), [model])
             host.nodes[0].values[NUMBER << 8] = VALUE
             async with open_master(BUS, dictionary=model.dictionary) as master:
@@ -93,7 +93,11 @@ class Source:
     def __init__(self, bursts: int) -> None:
         self.left = bursts
         self.bursts = [[(Frame(TPDO1, payload), None) for payload in _payloads(number)] for number in range(KEPT)]
-        self.taken = current_loop().event()
+
+    @cached_property
+    def taken(self) -> OneTimeEvent:
+        """All bursts were taken. For the loop: it makes this event."""
+        return current_loop().event()
 
     async def receive_many(self, limit: int) -> list[Received | Report]:
         assert limit >= BURST
@@ -119,7 +123,7 @@ def our_frames(subscribed: bool, run: Run = trio.run) -> Callable[[int], object]
 
     async def main(count: int) -> object:
         source = Source(count)
-        async with open_master(source, dictionary=_dictionary()) as master:
+        async with open_master(source, dictionary=dictionary()) as master:
             remote = master.node(NODE_ID).remote
             entries = (mapping.MappedEntry(index, 0, 32, DataType.UNSIGNED32, "") for index in (LOW, HIGH))
             remote.add_tpdo(1, TPDO1, mapping.Mapping(entries), master.now())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import importlib
-import importlib.util
 import inspect
 import pkgutil
 import re
@@ -18,7 +17,7 @@ import trio
 import trio.testing
 
 from canopen_proto.drives import axis as drive
-from tests import user_example, user_mistakes
+from tests import type_checkers, user_example, user_mistakes
 from tests.testing import typed_strategies, typed_suite
 
 LAZY = [
@@ -101,17 +100,13 @@ def test_a_script_for_the_master() -> None:
     assert told == ["Simulated Schunk Powerball joint", "joint1 at 0.01"]
 
 
-@pytest.mark.timeout(600)  # without its cache, mypy reads everything
-def test_what_a_user_writes_passes_mypy_strict_and_mistakes_do_not(pytestconfig: pytest.Config, tmp_path: Path) -> None:
-    """As a user checks it: outside this tree, against the installed packages."""
-    if importlib.util.find_spec("mypy") is None:
-        pytest.skip("mypy is not installed: pip install 'canopen-proto[dev]'")
-    cache = getattr(pytestconfig, "cache", None)  # there is none with `-p no:cacheprovider`
-    place = cache.mkdir("mypy") if cache else tmp_path
-    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={place}"]
-    command += [user_example.__file__, user_mistakes.__file__, typed_suite.__file__, typed_strategies.__file__]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=590, check=False, cwd=place)
-    assert (done.stdout, done.stderr) == ("Success: no issues found in 4 source files\n", "")
+@type_checkers.LONG
+@pytest.mark.parametrize("checker", [type_checkers.MYPY, type_checkers.PYRIGHT])
+def test_type_checkers_take_what_a_user_writes_and_refuse_mistakes(
+    checker: str, pytestconfig: pytest.Config, tmp_path: Path
+) -> None:
+    modules = (user_example, user_mistakes, typed_suite, typed_strategies)
+    type_checkers.check(checker, [Path(str(module.__file__)) for module in modules], pytestconfig, tmp_path)
 
 
 def test_each_procedure_that_the_text_of_drive_lists_is_there() -> None:

@@ -33,9 +33,9 @@ def declares_what_cannot_be() -> None:
 
         def sets_what_the_objects_cannot_hold(self) -> str:
             self.row = 2
-            self.row = "2"  # type: ignore[assignment]
+            self.row = "2"  # type: ignore[assignment]  # pyright takes it
             self.names[1] = "b"
             self.names[1] = 2  # type: ignore[assignment]
-            self.names = ["b", "c"]  # type: ignore[assignment]
+            self.names = ["b", "c"]  # type: ignore[assignment]  # pyright takes it
             self.nams[1] = "b"  # type: ignore[attr-defined]
-            return self.row  # type: ignore[return-value]
+            return self.row  # type: ignore[return-value]  # pyright takes it

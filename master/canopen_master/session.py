@@ -140,6 +140,7 @@ class MasterSession:
             self._master = self._make(*await self._open())
             self._master.realtime = () if grant is None else tuple(grant.measures)
             self._watch = current_loop().cancel_scope(shield=True)
+            self._has_closed = current_loop().event()
             self._tasks = current_loop().open_nursery()
             self._nursery = await self._tasks.__aenter__()
         except BaseException:
@@ -191,6 +192,7 @@ class MasterSession:
         finally:
             await self._close()
             self._interrupts.close()
+            self._has_closed.set()
 
     @protected
     async def _halt_when_cancelled(self) -> None:
@@ -200,6 +202,8 @@ class MasterSession:
             await current_loop().cancelled_from_outside()
             LOGGER.warning("the event loop ends, and the master has not been left: its drives are halted now")
             self._begin_halt()
+            with current_loop().cancel_scope(shield=True):  # who ends the loop waits for this task
+                await self._has_closed.wait()
 
     def _begin_halt(self) -> None:
         if not self._is_halting:

@@ -42,6 +42,16 @@ class WorldLoop(asyncio.SelectorEventLoop):
         """Return the world's time in seconds."""
         return self.world.now / SECOND
 
+    @property
+    def _clock_resolution(self) -> float:
+        """By so much asyncio lets a timer come early: 1 ns by itself. That is the world's unit. Who looks at the clock then, and
+        sets the timer once more, would do so for ever: no time passes between."""
+        return max(0.5 / SECOND, math.ulp(self.time()))
+
+    @_clock_resolution.setter
+    def _clock_resolution(self, resolution: float) -> None:
+        """asyncio's constructor sets that of its own clock."""
+
     def run_in_executor(self, executor: Any, func: Any, *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
         """See asyncio."""
         inner = func.args[0] if isinstance(func, partial) and func.args else func  # asyncio.to_thread calls it in a context

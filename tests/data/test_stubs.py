@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import subprocess
-import sys
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +19,7 @@ from canopen_data.stubs import identifier, stubs_of
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Object, ObjectDictionary, ObjectType, ReadOnly, ReadWrite, Variable, WriteOnly
 from canopen_proto.testing.strategies import device_descriptions
+from tests import type_checkers
 from tests.examples import examples
 from tests.vendor_files import ALL_NAMES, load, needs_vendor_files
 
@@ -222,18 +221,63 @@ def wrong_steps(node: RemoteNode) -> Procedure[str]:
 """
 
 
-@pytest.mark.timeout(600)  # without its cache, mypy reads everything
-def test_mypy_strict_takes_what_is_right_and_refuses_each_mistake(pytestconfig: pytest.Config, tmp_path: Path) -> None:
-    """Each ignore is a mistake; one without a mistake is reported too. The cache is that of the other test with mypy."""
-    if importlib.util.find_spec("mypy") is None:
-        pytest.skip("mypy is not installed: pip install 'canopen-proto[dev]'")
-    for file, sample, name in (("drive", "sample_drive.eds", "Drive"), ("station", "sample_io.eds", "Station")):
-        (tmp_path / f"{file}.py").write_text(stubs_of(load_description_with_names(sample), name).text, encoding="utf-8")
-    (tmp_path / "use.py").write_text(USE)
-    cache = getattr(pytestconfig, "cache", None)  # there is none with `-p no:cacheprovider`
-    place = cache.mkdir("mypy") if cache else tmp_path
-    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", f"--cache-dir={place}"]
-    done = subprocess.run(
-        [*command, "drive.py", "station.py", "use.py"], capture_output=True, text=True, timeout=590, check=False, cwd=tmp_path
-    )
-    assert (done.stdout, done.stderr) == ("Success: no issues found in 3 source files\n", "")
+def write_samples(folder: Path) -> list[Path]:
+    """The views of two samples, and what somebody writes with them."""
+    files = {"drive.py": ("sample_drive.eds", "Drive"), "station.py": ("sample_io.eds", "Station")}
+    for file, (sample, name) in files.items():
+        (folder / file).write_text(stubs_of(load_description_with_names(sample), name).text, encoding="utf-8")
+    (folder / "use.py").write_text(USE, encoding="utf-8")
+    return [folder / file for file in (*files, "use.py")]
+
+
+@type_checkers.LONG
+@pytest.mark.parametrize("checker", [type_checkers.MYPY, type_checkers.PYRIGHT])
+def test_type_checkers_take_what_is_right_and_refuse_each_mistake(
+    checker: str, pytestconfig: pytest.Config, tmp_path: Path
+) -> None:
+    type_checkers.check(checker, write_samples(tmp_path), pytestconfig, tmp_path)
+
+
+KEY = re.compile(r"^( *)(?:class (\w+):|(\w+) = (ReadOnly|ReadWrite|WriteOnly)\[([\w.]+)\])", re.MULTILINE)
+
+
+def uses_of(module: str, text: str) -> Iterator[str]:
+    """Functions that use one key of each kind and type, rightly and wrongly, and names that are not there."""
+    yield f"import {module}\nprint({module}.View.no_such_object)  # type: ignore"
+    seen = set()
+    path = [module]
+    for indent, holder, name, kind, type_of_value in KEY.findall(text):
+        del path[1 + len(indent) // 4 :]
+        if holder:
+            path.append(holder)
+            if len(path) > 2:
+                yield f"print({'.'.join(path)}.no_such_field)  # type: ignore"
+        elif (kind, type_of_value) not in seen:
+            seen.add((kind, type_of_value))
+            key = ".".join((*path, name))
+            yield f"""
+async def {module}_{len(seen)}(node: Node, value: {type_of_value}) -> {type_of_value}:
+    await node.write({key}, value){"  # type: ignore" if kind == "ReadOnly" else ""}
+    await node.write({key}, None)  # type: ignore
+    wrong: list[None] = await node.read({key})  # type: ignore
+    print(wrong)
+    return await node.read({key}){"  # type: ignore" if kind == "WriteOnly" else ""}
+"""
+
+
+@needs_vendor_files
+@type_checkers.LONG
+@pytest.mark.parametrize("checker", [type_checkers.MYPY, type_checkers.PYRIGHT])
+def test_type_checkers_on_files_of_makers(checker: str, pytestconfig: pytest.Config, tmp_path: Path) -> None:
+    use = ["import datetime\nfrom canopen_master import Node\nprint(datetime)"]
+    files = []
+    for number, name in enumerate(ALL_NAMES):
+        text = stubs_of(with_names(read_description(load(name), name), load_dictionary()[0]), "View").text
+        files.append(tmp_path / f"view{number}.py")
+        files[-1].write_text(text, encoding="utf-8")
+        uses = [*uses_of(f"view{number}", text)]
+        assert len(uses) > 5
+        use += uses
+    files.append(tmp_path / "use.py")
+    files[-1].write_text("\n".join(use), encoding="utf-8")
+    type_checkers.check(checker, files, pytestconfig, tmp_path)

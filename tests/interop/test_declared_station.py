@@ -1,4 +1,5 @@
-"""The station of docs/own-device.md under canopen 2.4.1, which knows it by the EDS that we write; and a device of durand 0.5."""
+"""The station of docs/own-device.md under canopen 2.4.1, which knows it by the EDS that we write, and under the recorded master
+of Lely; and a device of durand 0.5."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.declared import DeclaredDevice
 from canopen_proto.dictionary import Access
 from canopen_proto.frame import Frame
-from canopen_proto.machine import Event, Outbox, Time
+from canopen_proto.machine import MILLISECOND, Event, Outbox, Time
 from canopen_proto.network import Network
+from canopen_proto.nmt import NmtState
 from canopen_proto.remote_node import RemoteNode
 from canopen_proto.sdo.events import SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.server import ObjectAccessPending
@@ -30,6 +32,7 @@ from tests.cli.test_device import station
 from tests.interop.device_rig import NODE, Rig
 from tests.interop.driver import Driver
 from tests.interop.peer import new_channel, peer_network
+from tests.interop.recorded import load
 
 
 class Served:
@@ -113,6 +116,60 @@ def test_the_peer_stores_a_parameter(served: Served) -> None:
     served.remote.nmt.state = "RESET"
     served.rig.wait(lambda: served.remote.nmt.state == "PRE-OPERATIONAL")
     assert served.remote.sdo["Place"]["Row"].raw == 7
+
+
+# ---- the master of Lely, as it was recorded: it boots node 4, a slave of Lely that is an I/O station, too ----
+
+LELY_DIFFERS = {
+    "604#4018100200000000": ("584#4318100201040000", "its own product code, 0x401"),
+    "604#23001A0220011021": ("584#80001A0200000206", "it has no object 0x2110 to be mapped: 0602 0000"),
+    "604#2310210334120000": ("584#8010210300000206", "likewise"),
+}
+"""What the station answers otherwise than the recorded slave, by the request."""
+
+
+def test_the_recorded_master_of_lely_configures_the_station_and_exchanges_pdos_with_it(tmp_path: Path) -> None:
+    """It waits for the station's boot-up, as for that of its slave. That one then started by itself; ours is started here."""
+    network = Network()
+    device: Any = load_device(str(station(tmp_path)))(network.out, 4)
+    network.attach(device.node)
+    lines = load("lely-master-boots-lely-slave")
+    configured = max(number for number, line in enumerate(lines) if line.frame.can_id == 0x584)
+    sent: list[str] = []
+
+    def tell(frame: Frame, now: Time) -> list[str]:
+        network.receive(frame, now)
+        told = [str(each) for each in network.drain(now)[0]]
+        sent.extend(told)
+        return told
+
+    device.node.boot(lines[0].time)
+    sent += [str(frame) for frame in network.drain(lines[0].time)[0]]
+    assert sent == ["704#00"]
+    requests = 0
+    differ = dict(LELY_DIFFERS)
+    for number, (time, frame) in enumerate(lines):
+        while network.next_deadline() <= time:
+            network.handle_timeout(network.next_deadline())
+            sent += [str(each) for each in network.drain(time)[0]]
+        if frame.can_id == 0x604:
+            requests += 1
+            recorded = next(line.text for line in lines[number:] if line.frame.can_id == 0x584)
+            answer, _ = differ.pop(str(frame), (recorded, ""))
+            assert [text for text in tell(frame, time) if text.startswith("584#")] == [answer]
+        elif frame.can_id not in (0x184, 0x584, 0x704):
+            tell(frame, time)
+        if number == configured:
+            tell(Frame.parse("000#0104"), time)
+            assert device.node.state is NmtState.OPERATIONAL
+    assert (requests, differ) == (18, {})
+    syncs = sum(line.frame.can_id == 0x080 for line in lines[configured:])
+    assert sent.count("184#0000") == syncs > 70
+    assert sent.count("704#05") >= (lines[-1].time - lines[configured].time) // (200 * MILLISECOND)
+    for text in ("204#A55A", "080#"):  # the master has made it a synchronous RPDO
+        assert list(device.outputs) == [0, 0]
+        tell(Frame.parse(text), lines[-1].time)
+    assert list(device.outputs) == [0xA5, 0x5A]
 
 
 # ---- durand ----

@@ -21,6 +21,7 @@ from tests.master.direct_world import INTERVAL, LIMIT, LOOSE, PATIENT, Devices, 
 from tests.master.world import BUS, drives, simulated, virtual_time
 
 pytest.importorskip("ruckig", reason="hold to run needs the extra `motion`")
+pytestmark = pytest.mark.trio_only("`direct` has a trio loop of its own")
 
 SPEED = 2000.0
 """Millidegrees per second."""

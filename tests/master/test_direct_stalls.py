@@ -38,6 +38,8 @@ from tests.master.direct_world import devices
 from tests.master.test_stalls import stall
 from tests.master.world import BUS, drives, position_of, simulated, virtual_time
 
+pytestmark = pytest.mark.trio_only("`direct` has a trio loop of its own")
+
 INTERVAL = 10 * MILLISECOND
 PERIOD = 0.01
 LIMIT = 10_550.0

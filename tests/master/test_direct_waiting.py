@@ -19,6 +19,8 @@ from canopen_proto.nmt import NmtCommand
 from canopen_transports import VirtualTransport
 from tests.master.world import BUS, drives, position_of, simulated, value, virtual_time
 
+pytestmark = pytest.mark.trio_only("`direct` has a trio loop of its own")
+
 ENDS = {
     "halt": (State.OPERATION_ENABLED, 0x11F),
     "brake": (State.READY_TO_SWITCH_ON, 0x06),

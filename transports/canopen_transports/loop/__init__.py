@@ -7,7 +7,8 @@ trio's own object, so it costs nothing there. On asyncio it is built here of tas
     current.py      `current_loop`; `RunVar`: a value for each run of a loop
     protection.py   `protected`: a Ctrl-C does not interrupt a function in its middle
     on_trio.py      trio
-    on_asyncio.py   asyncio; asyncio_scopes.py: cancel scopes and nurseries there; asyncio_parts.py: the rest
+    on_asyncio.py   asyncio; asyncio_scopes.py: cancel scopes and nurseries there; asyncio_left.py: a loop that nobody ends;
+                    asyncio_parts.py: the rest
 
 **Cancelling** is that of trio, on both. A scope that is cancelled cancels each await inside it, again and again: a clean-up that
 awaits stands in a scope with `shield=True`. What asyncio itself cancels (`Task.cancel`, `asyncio.timeout`, `TaskGroup`) arrives

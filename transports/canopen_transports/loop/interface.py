@@ -233,7 +233,8 @@ class Loop(Protocol):
         """Return a scope that cancels itself at this time."""
 
     async def cancelled_from_outside(self) -> None:
-        """Return when the loop's own means cancel this task, whatever shields it: where `cancels_at_end`."""
+        """Return when the loop's own means cancel this task, whatever shields it: where `cancels_at_end`. Python's end cancels it
+        too, if the loop is left then, and waits some seconds until the task is done."""
 
     async def checkpoint(self) -> None:
         """Let other tasks run; may be cancelled."""

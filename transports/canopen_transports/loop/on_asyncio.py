@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager
 from typing import Any, Final, TypeVar
 
 from canopen_transports.loop.asyncio_interrupts import AsyncioInterrupts
+from canopen_transports.loop.asyncio_left import cancelled_at_exit
 from canopen_transports.loop.asyncio_parts import (
     AsyncioEvent,
     AsyncioFiles,
@@ -117,6 +118,8 @@ class AsyncioLoop:
 
     async def cancelled_from_outside(self) -> None:
         await self._tasks.check()
+        if (task := asyncio.current_task()) is not None:
+            cancelled_at_exit(task)
         try:
             await self._loop.create_future()
         except asyncio.CancelledError:
