@@ -6,7 +6,7 @@ This happens inside the pump's turn, and nothing here blocks. If a callback rais
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from canopen_master.participant.bus import Bus
@@ -142,27 +142,32 @@ class Dispatcher:
             self._watchers.remove(watcher)
             self._by_kind.clear()
 
-    def dispatch(self, bus: Bus, event: Event) -> None:
-        """Hand out an event of a bus's network. Calls all callbacks, then raises the first error of one."""
-        kind = type(event)
-        told = self._by_kind.get(kind)
-        if told is None:
-            watching = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
-            told = self._by_kind[kind] = self._teller_of(kind), watching
-        tell, watchers = told
-        if tell is not None:
-            tell(bus, event)
-        if not watchers:
-            return
+    def is_asked_for(self, *kinds: type[Event]) -> bool:
+        """Return whether a callback watches one of these kinds, of any bus and node."""
+        return any(issubclass(kind, watcher.kinds) for watcher in self._watchers for kind in kinds)
+
+    def dispatch(self, bus: Bus, events: Sequence[Event]) -> None:
+        """Hand out events of a bus's network, in order. Calls all callbacks, then raises the first error of one."""
         failure: Exception | None = None
-        for watcher in watchers:
-            if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
-                try:
-                    watcher.callback(event)
-                except Exception as error:  # noqa: BLE001 - raised below, when all have been told
-                    failure = failure or error
+        by_kind = self._by_kind
+        for event in events:
+            told = by_kind.get(type(event))
+            tell, watchers = self._told(type(event)) if told is None else told
+            if tell is not None:
+                tell(bus, event)
+            for watcher in watchers:
+                if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
+                    try:
+                        watcher.callback(event)
+                    except Exception as error:  # noqa: BLE001 - raised below, when all have been told
+                        failure = failure or error
         if failure is not None:
             raise failure
+
+    def _told(self, kind: type[Event]) -> tuple[Callable[[Bus, Any], None] | None, tuple[Watcher, ...]]:
+        watching = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
+        told = self._by_kind[kind] = self._teller_of(kind), watching
+        return told
 
     def _teller_of(self, kind: type[Event]) -> Callable[[Bus, Any], None] | None:
         if issubclass(kind, Outcome):

@@ -37,6 +37,7 @@ class Subscription(Generic[E]):
         self._events: deque[E] = deque()
         self._loop = current_loop()
         self._waiting = self._loop.parking_lot()
+        self._check = self._loop.checkpoint_if_cancelled
         self._in_a_row = 0  # the events to take before the next checkpoint; never more than there are
         self._end: BaseException | None = None
 
@@ -61,7 +62,10 @@ class Subscription(Generic[E]):
         After HANDED_OVER events without a wait, other tasks run first. Raises BusError or MasterClosedError at the end.
         """
         if self._in_a_row:
-            await self._loop.checkpoint_if_cancelled()
+            await self._check()
+            if self._events:
+                self._in_a_row -= 1
+                return self._events.popleft()
         elif self._events or self._end is not None:
             await self._loop.checkpoint()
         while not self._events:
@@ -97,5 +101,4 @@ class Subscription(Generic[E]):
     def __aiter__(self) -> Subscription[E]:
         return self
 
-    async def __anext__(self) -> E:
-        return await self.receive()
+    __anext__ = receive
