@@ -63,9 +63,6 @@ class Subscription(Generic[E]):
         """
         if self._in_a_row:
             await self._check()
-            if self._events:
-                self._in_a_row -= 1
-                return self._events.popleft()
         elif self._events or self._end is not None:
             await self._loop.checkpoint()
         while not self._events:
@@ -101,4 +98,10 @@ class Subscription(Generic[E]):
     def __aiter__(self) -> Subscription[E]:
         return self
 
-    __anext__ = receive
+    async def __anext__(self) -> E:
+        if self._in_a_row:  # as in `receive`, without its call: most of the events of a burst come this way
+            await self._check()
+            if self._events:
+                self._in_a_row -= 1
+                return self._events.popleft()
+        return await self.receive()
