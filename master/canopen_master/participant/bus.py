@@ -22,7 +22,7 @@ when the bus comes back, would make a drive jump. Requests time out, and their e
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from typing import Final
 
 from canopen_proto.frame import Frame, frame_for_key
@@ -204,13 +204,15 @@ class Bus:
                 self.settle_not_sent()
         return True
 
-    async def receive(self) -> Sequence[Received | Report]:
+    def receive(self) -> Awaitable[Sequence[Received | Report]]:
+        """Wait as `_receive_one` does; the transport's own coroutine, where it returns several at once."""
+        return self._receive_one() if self._batch is None else self._batch.receive_many(MAX_BATCH)
+
+    async def _receive_one(self) -> Sequence[Received | Report]:
         """Wait until something comes; return the frames and reports that are there, at most MAX_BATCH.
 
         Raises the transport's error: it has failed then.
         """
-        if self._batch is not None:
-            return await self._batch.receive_many(MAX_BATCH)
         return (await self.transport.receive(),)
 
     def receive_nowait(self) -> Sequence[Received | Report] | None:

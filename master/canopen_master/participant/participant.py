@@ -302,7 +302,8 @@ class Participant:
         if not kinds:
             raise LocalProtocolError("events of which kinds? Event means all")
         subscription: Subscription[E] = Subscription(self._unsubscribe)
-        self._subscriptions[subscription] = self.watch(kinds, subscription.put, bus, node_id)
+        self._subscriptions[subscription] = self._dispatcher.watch(kinds, subscription.put, bus, node_id, subscription.put_all)
+        self._tell_networks()
         return subscription
 
     def _unsubscribe(self, subscription: Subscription[Any]) -> None:

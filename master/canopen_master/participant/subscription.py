@@ -7,7 +7,7 @@ queue is bounded: a slow reader loses the oldest events, which `dropped` counts,
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Generic, TypeVar
 
 from canopen_proto.machine import Event
@@ -50,6 +50,16 @@ class Subscription(Generic[E]):
             events.popleft()
             self.dropped += 1
         events.append(event)
+
+    def put_all(self, new: Sequence[E]) -> None:
+        """Add events, as `put` does one after the other. new: 1 or more."""
+        events = self._events
+        if not events:
+            self._waiting.unpark_all()
+        events.extend(new)
+        while len(events) > self._size:
+            events.popleft()
+            self.dropped += 1
 
     def end(self, reason: BaseException) -> None:
         """End the subscription: after the queued events, `reason` is raised."""
