@@ -16,12 +16,14 @@ import sys
 
 NETWORK = "import canopen_proto.network"
 HELP = "import sys; sys.argv = ['canopen', '--help']; from canopen_cli.entry import main; main()"
+READ = "import sys; sys.argv = 'canopen read 5 1000 -b demo'.split(); from canopen_cli.entry import main; main()"
 STARTS = {
     "import typing": "import typing",
     NETWORK: NETWORK,
     "from canopen_proto import RemoteNode": "from canopen_proto import RemoteNode",
     "from canopen_master import open_master": "from canopen_master import open_master",
     "canopen --help": HELP,
+    "canopen read 5 1000 -b demo": READ,
     "import canopen (2.4.1)": "import canopen",
 }
 
@@ -30,7 +32,9 @@ def _cpu_time(program: str) -> float:
     """ms of an interpreter that runs the program."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, "-c", program], stdout=subprocess.DEVNULL, env=environment, check=True)
+    subprocess.run(
+        [sys.executable, "-c", program], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment, check=True
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime) * 1000
 

@@ -135,3 +135,9 @@ def _stuff_table() -> tuple[tuple[int, int], ...]:
                 total += stuffed
             table.append((total, state))
     return tuple(table)
+
+
+MAX_DATA: Final = 64
+"""Bytes: a transport of somebody else's may hand over CAN FD, which we cannot use; it must not end the driver."""
+FRAME_BITS: Final = tuple((least_bits(length) + worst_bits(length)) // 2 for length in range(MAX_DATA + 1))
+"""By the bytes of a frame: its bits, between the least and the most stuffing. Exact counting would cost more than receiving."""

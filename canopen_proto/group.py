@@ -207,7 +207,7 @@ class Group(Machine):
     def _entrance(self, key: RoutingKey) -> Machine:
         """Return the entrance for a key; the group itself if several members share the key."""
         machines = self._members.receivers.get(key, ())
-        return _Entrance(self, machines[0]) if len(machines) == 1 else self
+        return Entrance(self, machines[0]) if len(machines) == 1 else self
 
     def handle_timeout(self, now: Time) -> None:
         if now < self.deadline:
@@ -235,11 +235,11 @@ class Group(Machine):
             mark += 1
 
 
-class _Entrance(Machine):
+class Entrance(Machine):
     """Where a group that is a member takes in the frames of one key for one machine: `Group.receive` without its look-up.
 
     The members around it keep it in their routes, and ask for another one when the group's own routes change. A frame passes one
-    for each level, so what is saved here counts.
+    for each level, so what is saved here counts. A group may have entrances of its own for its commonest frames (`_entrance`).
     """
 
     __slots__ = ("_events", "_machine", "_reactions")

@@ -148,13 +148,15 @@ class Outbox:
 
 
 class OutboxRoot:
-    """The part that all nested outboxes share. request_id: the last one given. timestamp: see `Outbox.timestamp`."""
+    """The part that all nested outboxes share. request_id: the last one given. timestamp: see `Outbox.timestamp`. quiet: nobody
+    asks for PdoReceived and HeartbeatReceived of the frame that is being handled, see `Network.receive_many`."""
 
-    __slots__ = ("request_id", "timestamp")
+    __slots__ = ("quiet", "request_id", "timestamp")
 
     def __init__(self) -> None:
         self.request_id: RequestId = 0
         self.timestamp: int | None = None
+        self.quiet = False
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)

@@ -19,6 +19,7 @@ A Network also remembers what it last heard from each node (bus_knowledge.py), s
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final, TypeVar
 
 from canopen_proto.abort import AbortCode, AbortOrigin
@@ -26,6 +27,7 @@ from canopen_proto.bus_knowledge import SLOTS, BusKnowledge, NodeHeard
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.follower import Follower
 from canopen_proto.frame import Frame, RoutingKey
+from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.group import Members, Reaction
 from canopen_proto.machine import NEVER, Event, FrameIgnored, Machine, Outbox, Outcome, RequestId, Time
 from canopen_proto.nmt import NmtCommandSent
@@ -64,11 +66,16 @@ class OutageChanged(Event):
 
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Network:
-    """All machines of one participant on one bus."""
+    """All machines of one participant on one bus.
+
+    quiet: the driver sets it while nobody asks for PdoReceived and HeartbeatReceived. `receive_many` then makes neither where a
+    node has taken all that they say (values, state, supervision), unless a procedure runs. bits: of all frames that came by
+    `receive_many`, about (FRAME_BITS).
+    """
 
     __slots__ = (
         "_back_at", "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_near", "_now", "_reactions",
-        "_routes", "_settled", "_tasks", "_times", "out", "runner",
+        "_routes", "_settled", "_tasks", "_times", "bits", "out", "quiet", "runner",
     )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
@@ -82,6 +89,8 @@ class Network:
         self._back_at: Time = -NEVER
         self._dropped = 0
         self._settled = 0
+        self.quiet = False
+        self.bits = 0
         self._reactions: dict[type[Event], Reaction] = {
             SyncSent: self._on_sync,
             SyncReceived: self._on_sync,
@@ -144,6 +153,52 @@ class Network:
             self._frames[key] = frame
         else:
             self._knowledge.other = now
+
+    def receive_many(self, received: Iterator[object], now: Time) -> object | None:
+        """Hand over received frames, as `receive` does one after the other. received: frames with their time stamps.
+
+        Stops behind the first item that is no such pair, and returns it; None if there is none. After an exception (a bug of the
+        core), `received` still has the items after the one that caused it.
+        """
+        if now < self._now:
+            now = self._now
+        self._now = now
+        out, near, times, frames, reactions = self.out, self._near, self._times, self._frames, self._reactions
+        root, events, costs = out.root, out.events, FRAME_BITS
+        root.quiet = self.quiet and not self._tasks
+        bits = 0
+        try:
+            for item in received:
+                if not isinstance(item, tuple):
+                    return item
+                frame: Frame = item[0]
+                root.timestamp = item[1]
+                bits += costs[len(frame.data)]
+                if out.rerouted:
+                    self._members.refresh()
+                key = frame.key
+                for machine in near[key] if key < SLOTS else self._routes.get(key, ()):
+                    machine.receive(frame, now)
+                settled = self._settled
+                if settled < len(events):
+                    while settled < len(events):  # as in `receive`: a call would cost as much as all of it
+                        reaction = reactions.get(type(events[settled]))
+                        if reaction is not None:
+                            reaction(events[settled], now)
+                        settled += 1
+                    self._settled = settled
+                    if settled > MAX_UNDRAINED_EVENTS:
+                        self._shed()
+                if key < SLOTS:
+                    times[key] = now
+                    frames[key] = frame
+                else:
+                    self._knowledge.other = now
+        finally:
+            self.bits += bits
+            root.timestamp = None
+            root.quiet = False
+        return None
 
     @property
     def last_heard(self) -> Time | None:

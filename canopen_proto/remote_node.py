@@ -37,13 +37,13 @@ from canopen_proto.datatypes import Codec, Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
 from canopen_proto.foreign_writes import ForeignWrites
-from canopen_proto.frame import KEY_EXTENDED, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, RoutingKey, routing_key
-from canopen_proto.group import Group
+from canopen_proto.frame import KEY_EXTENDED, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
+from canopen_proto.group import Entrance, Group
 from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
-from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Outbox, RequestId, Time, check_node_id
+from canopen_proto.machine import MILLISECOND, NEVER, LocalProtocolError, Machine, Outbox, RequestId, Time, check_node_id
 from canopen_proto.multiplexer import Mux, mux
-from canopen_proto.nmt import NmtCommand, NmtState, target_of
+from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtState, target_of
 from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.multiplexed import MpdoListener, MpdoReceived, destination_frame, suits_mpdo
@@ -506,9 +506,23 @@ class RemoteNode(Group):
         for client in self._clients:
             client.abort_all(AbortCode.NO_SDO_CONNECTION, now)
 
+    def _entrance(self, key: RoutingKey) -> Machine:
+        """Return the entrance for a key: that of the group, or one of our own for what comes most, PDOs and heartbeats."""
+        machines = self._members.receivers.get(key, ())
+        if len(machines) == 1:
+            machine = machines[0]
+            if type(machine) is PdoConsumer:
+                return _PdoEntrance(self, machine)
+            if machine is self.heartbeat:
+                return _HeartbeatEntrance(self, self.heartbeat)
+        return super()._entrance(key)
+
     def _on_heartbeat(self, report: HeartbeatReceived, now: Time) -> None:
-        if report.state is not self.nmt_state and now >= self._commanded_at + NMT_REACTION_TIME:
-            self._enter(report.state, now)
+        self._enter_heard(report.state, now)
+
+    def _enter_heard(self, state: NmtState, now: Time) -> None:
+        if state is not self.nmt_state and now >= self._commanded_at + NMT_REACTION_TIME:
+            self._enter(state, now)
 
     def _heard(self, muxes: Collection[Mux], now: Time) -> None:
         keys: Collection[Any] = muxes  # Any: compiled, a number would be put into a new object for each entry
@@ -555,3 +569,81 @@ class RemoteNode(Group):
         written, which = self._writes.pop(report.request_id, None), mux(report.index, report.subindex)
         if report.not_confirmed and which in self.commanded:
             self._in_doubt[which].add(None if written is None else written[1])
+
+
+class _PdoEntrance(Entrance):
+    """Where a node takes in the frames of one TPDO: what `PdoConsumer.receive` and the node's reaction do, in one call.
+
+    That is for the usual frame: of the right length, whose data take effect at once. All others go the long way.
+    """
+
+    __slots__ = ("_consumer", "_heard_at", "_listeners")
+
+    def __init__(self, node: RemoteNode, consumer: PdoConsumer) -> None:
+        super().__init__(node, consumer)
+        self._consumer = consumer
+        self._heard_at = node.heard_at
+        self._listeners = node._listeners
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        consumer, data = self._consumer, frame.data
+        mapping, key = consumer.mapping, consumer.key
+        layout = mapping.layout
+        if (
+            layout is None
+            or key is None
+            or len(data) != mapping.byte_length
+            or consumer.synchronous
+            or consumer.event_time
+            or not consumer.enabled
+        ):
+            super().receive(frame, now)
+            return
+        values = layout.unpack(data)
+        store, heard_at = consumer.store, self._heard_at
+        muxes: tuple[Any, ...] = mapping.muxes  # Any: compiled, a number would be put into a new object for each entry
+        time: Any = now
+        position = 0
+        for each in muxes:
+            store[each] = values[position]
+            heard_at[each] = time
+            position += 1  # noqa: SIM113 - as in `Mapping.unpack_into`
+        root = self.out.root
+        if not root.quiet:
+            self._events.append(PdoReceived(consumer.node_id, consumer.number, key, mapping, data, values, root.timestamp))
+        for listener in self._listeners:
+            listener(mapping.muxes, now)
+
+
+class _HeartbeatEntrance(Entrance):
+    """Where a node takes in its heartbeats: what `HeartbeatConsumer.receive` and the node's reaction do, in one call.
+
+    That is for the usual frame: the state is the known one, and nothing was lost. All others go the long way.
+    """
+
+    __slots__ = ("_consumer", "_node")
+
+    def __init__(self, node: RemoteNode, consumer: HeartbeatConsumer) -> None:
+        super().__init__(node, consumer)
+        self._consumer = consumer
+        self._node = node
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        consumer, data = self._consumer, frame.data
+        state = consumer.state
+        if state is None or len(data) != 1 or STATE_OF_BYTE[data[0]] is not state or consumer.lost:
+            super().receive(frame, now)
+            return
+        node = self._node
+        consumer.last_heard = now
+        consumer._begun = True
+        root = self.out.root
+        if not root.quiet:
+            self._events.append(HeartbeatReceived(consumer.node_id, state, root.timestamp))
+        timeout = consumer.timeout
+        if timeout:
+            consumer.deadline = deadline = now + timeout
+            if deadline < consumer._wake:
+                consumer._arm(deadline)
+        if state is not node.nmt_state:
+            node._enter_heard(state, now)

@@ -281,7 +281,8 @@ def events_page() -> Iterator[str]:
         yield "|---|---|---|"
         for name in named:
             fields = "; ".join(field_text(*each) for each in fields_of(name).items())
-            makers = ", ".join(f"`{each}`" for each in senders()[name]) or "base of others"
+            public = [each for each in senders()[name] if not each.startswith("_")]
+            makers = ", ".join(f"`{each}`" for each in public or senders()[name]) or "base of others"
             yield f"| `{name}` | {makers} | {cell(classes()[name].text)}<br>{fields} |"
 
 

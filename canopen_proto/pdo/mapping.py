@@ -138,7 +138,7 @@ class Mapping:
     have that name, or "6401:01#2" if the object is mapped a second time. Raises MappingError for more than 64 bits.
     """
 
-    __slots__ = ("_fields", "_layout", "_places", "bit_length", "byte_length", "components", "entries", "labels", "muxes")
+    __slots__ = ("_fields", "_places", "bit_length", "byte_length", "components", "entries", "labels", "layout", "muxes")
 
     def __init__(self, entries: Iterable[MappedEntry] = ()) -> None:
         self.entries: tuple[MappedEntry, ...] = tuple(entries)
@@ -161,7 +161,7 @@ class Mapping:
             if not entry.is_dummy:
                 self._fields.append(_field(entry, offset))
             offset += entry.bit_length
-        self._layout = _layout(self.entries)
+        self.layout = _layout(self.entries)
 
     @classmethod
     def from_description(cls, description: PdoDescription) -> Mapping:
@@ -239,15 +239,15 @@ class Mapping:
         """
         if len(data) < self.byte_length:
             raise ValueRangeError(f"the mapping of this PDO has {self.byte_length} bytes, but only {len(data)} were received")
-        if self._layout is not None:
-            return self._layout.unpack_from(data)
+        if self.layout is not None:
+            return self.layout.unpack_from(data)
         bits = int.from_bytes(data[: self.byte_length], "little")
         return tuple([field.read(bits) for field in self._fields])
 
     def unpack_into(self, store: dict[Mux, Value], data: bytes) -> tuple[Value, ...]:
         """Put the values into a store by mux, and return them. Errors are those of `unpack`; the store then stays as it was.
         data: of the frame."""
-        layout = self._layout
+        layout = self.layout
         values = self.unpack(data) if layout is None or len(data) < self.byte_length else layout.unpack_from(data)
         muxes: tuple[Any, ...] = self.muxes  # Any: compiled, a number would be taken out of its object and put into a new one
         position = 0  # counted by hand in this hottest of paths: zip takes half as long again, and twice as long with strict=
@@ -261,9 +261,9 @@ class Mapping:
 
         Raises ValueRangeError, which names the object, if a value does not fit; also for too few or too many values.
         """
-        if self._layout is not None:
+        if self.layout is not None:
             try:
-                return self._layout.pack(*values)
+                return self.layout.pack(*values)
             except (struct.error, OverflowError):
                 pass  # the fields below cut a value to its mapped width, or name the wrong one
         if len(values) != len(self._fields):

@@ -10,8 +10,6 @@ from __future__ import annotations
 from typing import Final
 
 from canopen_data.description import DeviceDescription
-from canopen_data.eds.reader import read_eds
-from canopen_data.xdd import read_xdd
 
 __all__ = ["read_description"]
 
@@ -30,5 +28,9 @@ def read_description(
     as a DictionaryError.
     """
     if data.lstrip(_BEFORE_XML).startswith(b"<"):
+        from canopen_data.xdd import read_xdd  # the reader of the file at hand, not of all kinds: each command reads one, or none
+
         return read_xdd(data, source, strict=strict)
+    from canopen_data.eds.reader import read_eds
+
     return read_eds(data, source, strict=strict, encoding=encoding, connected=connected)

@@ -8,16 +8,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from canopen_data import load_dictionary
 from canopen_data.descriptions import load_description_with_names
-from canopen_master.motion.chain import Chain, ChainSettings, ChainState
-from canopen_master.motion.chain_file import ChainDescription, on_buses, parse_chains, read_chains
 from canopen_master.motion.device import Device
 from canopen_master.motion.halting import Halt, halt_node
-from canopen_master.motion.member import Member
-from canopen_master.motion.path_motion import LONGEST_STOP
 from canopen_master.node import Node
 from canopen_master.participant.bus import Bus
 from canopen_master.participant.participant import Participant, nanoseconds
@@ -33,6 +29,11 @@ from canopen_transports import Transport
 from canopen_transports.loop import CancelScope, protected
 from canopen_transports.realtime import Measure
 
+if TYPE_CHECKING:
+    from canopen_master.motion.chain import Chain, ChainSettings
+    from canopen_master.motion.chain_file import ChainDescription
+    from canopen_master.motion.member import Member
+
 E = TypeVar("E", bound=Event)
 
 SDO_TIMEOUT = 0.5
@@ -40,9 +41,6 @@ SDO_TIMEOUT = 0.5
 
 _LOOK = 0.01
 """Seconds between two looks, on the way out, whether chains still brake along their paths."""
-
-_LEADING = (ChainState.FOLLOWING, ChainState.STOPPING)
-"""The states of a chain that sends set-points to its drives."""
 
 
 class Master(Participant):
@@ -162,6 +160,8 @@ class Master(Participant):
         Raises UnknownChainError if the description names a bus that this master does not have, LocalProtocolError for a drive
         that is in use with other settings, and for a name that another chain has.
         """
+        from canopen_master.motion.chain import Chain, ChainSettings  # only here: most commands read, and move nothing
+
         if description.name in self.chains:
             raise LocalProtocolError(f"this master has a chain {description.name!r} already")
         devices = []
@@ -190,6 +190,8 @@ class Master(Participant):
         A bus that the file names must be one of this master. If both have only one bus, its name does not matter. Raises
         ChainFileError with every problem found, DataError if the file cannot be read.
         """
+        from canopen_master.motion.chain_file import on_buses, parse_chains, read_chains
+
         chains = read_chains(path) if text is None else parse_chains(text)
         placed = on_buses(chains, {name: bus.name for name, bus in self.buses.items()})
         return {each.name: self.chain(each, settings, axes=axes, dictionary=dictionary) for each in placed}
@@ -227,8 +229,13 @@ class Master(Participant):
         Drives that no chain leads are halted meanwhile. Those of a chain that follows set-points have got their last one.
         """
         self.is_closed = True
+        if not self.chains:
+            return
+        from canopen_master.motion.member import LEADING  # imported long ago, as a chain was made
+        from canopen_master.motion.path_motion import LONGEST_STOP
+
         if self._brakes_along_paths():
-            led = [device for chain in self.chains.values() if chain.state in _LEADING for device in chain.devices]
+            led = [device for chain in self.chains.values() if chain.state in LEADING for device in chain.devices]
             others = (each for each in self._halts_needed() if each.device not in led and not each.node.bus_has_failed)
             self.launch(all_of(*(each.run() for each in others)))
         left, end = scope.deadline - self._loop.current_time(), self._loop.current_time() + LONGEST_STOP

@@ -23,11 +23,9 @@ from collections.abc import Callable, Mapping
 from contextlib import AsyncExitStack, ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
-from canopen_master.assembly import assemble
 from canopen_master.errors import HALT_NOT_CONFIRMED, REALTIME_REFUSED, BusError, HaltNotConfirmedError, RealtimeRefusedError
-from canopen_master.machine_file import MachineFile, read_machine
 from canopen_master.master import SDO_TIMEOUT, Master
 from canopen_master.plain_text import clean
 from canopen_proto.dictionary import ObjectDictionary
@@ -37,6 +35,9 @@ from canopen_proto.machine import SECOND, LocalProtocolError
 from canopen_transports import NarrowTransport, Transport, TransportError, open_transport
 from canopen_transports.loop import current_loop, protected
 from canopen_transports.realtime import Grant, Realtime
+
+if TYPE_CHECKING:
+    from canopen_master.machine_file import MachineFile
 
 LOGGER: Final = logging.getLogger("canopen_master")
 
@@ -80,6 +81,8 @@ def open_master(
     it, see this module's text.
     """
     if isinstance(machine, str | Path):
+        from canopen_master.machine_file import read_machine  # only here: most programs name their bus
+
         machine = read_machine(machine)
     named: dict[str, BusSource] = {}
     if machine is not None:
@@ -110,6 +113,8 @@ def open_master(
             watchdog=watchdog,
         )
         if machine is not None:
+            from canopen_master.assembly import assemble
+
             assemble(master, machine)
         return master
 

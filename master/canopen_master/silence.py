@@ -18,7 +18,6 @@ from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Fram
 from canopen_proto.machine import MILLISECOND, SECOND, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import SERVICES, NmtState, Service
-from canopen_proto.observer.observer import Observer
 from canopen_proto.remote_node import RemoteNode
 
 RECENT: Final = 5 * SECOND
@@ -158,6 +157,8 @@ def _other_clients(network: Network, heard: NodeHeard, node: RemoteNode, now: Ti
 
 def _said(frame: Frame, node: RemoteNode) -> str:
     """Return what an SDO frame says of an object, as ": read 6041:00 statusword"; "" if it does not name the object."""
+    from canopen_proto.observer.observer import Observer  # only here: a session without a silence is without its tables
+
     meaning = Observer({node.node_id: node.dictionary}.get).observe(frame, 0).meaning
     return f": {meaning.text}" if meaning.objects else ""
 

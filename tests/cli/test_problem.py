@@ -272,7 +272,7 @@ def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int)
     assert "Exception ignored" not in ended.stderr
 
 
-@pytest.mark.parametrize("missing", ["trio", "click", "rich", "can"])
+@pytest.mark.parametrize("missing", ["trio", "click", "rich"])
 def test_an_install_without_the_extras_says_which_one(missing: str) -> None:
     program = f"import sys; sys.modules[{missing!r}] = None; from canopen_cli.entry import main; sys.exit(main())"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
@@ -282,6 +282,18 @@ def test_an_install_without_the_extras_says_which_one(missing: str) -> None:
     assert ended.stderr == (
         f"canopen: the command line needs {missing}, which is not installed.\nTry: pip install 'canopen-proto[master]'\n"
     )
+
+
+@pytest.mark.parametrize(("bus", "status"), [("pcan:PCAN_USBBUS1", ExitCode.CANNOT_OPEN), ("demo", ExitCode.OK)])
+def test_without_python_can_only_its_own_buses_cannot_be_opened(bus: str, status: ExitCode) -> None:
+    program = "import sys; sys.modules['can'] = None; from canopen_cli.entry import main; sys.exit(main())"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
+    command = [sys.executable, "-c", program, "read", "3", "1000", "-b", bus]
+    ended = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
+    assert ended.returncode == status
+    if status is not ExitCode.OK:
+        assert ended.stderr.startswith("error CO101: the command line needs can, which is not installed\n")
+        assert "pip install 'canopen-proto[master]'" in ended.stderr
 
 
 INTERRUPTED_IMPORT = """

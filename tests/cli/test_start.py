@@ -101,6 +101,37 @@ def test_a_shell_asks_for_completion(
     assert capsys.readouterr().out.splitlines() == shown
 
 
+A_READ = """
+import sys
+from canopen_cli.entry import main
+status = main()
+print("|", *sys.modules)
+sys.exit(status)
+"""
+
+NOT_FOR_A_READ = (
+    "can",  # a quarter of the start: only for the interfaces of python-can, and for its formats of logs
+    "rich.progress",
+    "canopen_cli.shared.failures",
+    "canopen_cli.shared.text_gateway",
+    "canopen_data.eds.reader",
+    "canopen_data.xdd.reader",
+    "canopen_master.assembly",
+    "canopen_master.motion.chain",
+    "canopen_proto.manager.linking",
+    "canopen_proto.observer.observer",
+    "canopen_transports.log_files",
+)
+
+
+def test_a_read_on_a_bus_of_ours_imports_nothing_of_other_buses_of_chains_and_of_errors() -> None:
+    ended = python(A_READ, "read", "5", "1000", "-b", "demo")
+    assert ended.returncode == 0, ended.stderr
+    imported = set(ended.stdout.rpartition("|")[2].split())
+    assert "canopen_master.session" in imported
+    assert not imported & set(NOT_FOR_A_READ)
+
+
 INTERRUPTED_COMMAND = """
 import os, signal, sys
 from canopen_cli.entry import main

@@ -148,6 +148,7 @@ def test_a_network_is_imported_without_what_it_does_not_need() -> None:
         "compiling",
         "follower",
         "frame",
+        "frame_bits",
         "group",
         "lazy_names",
         "machine",

@@ -14,8 +14,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-import can
-
 from canopen_transports.errors import (
     BAD_LOCATOR,
     BUS_LOST,
@@ -185,7 +183,7 @@ def cannot_open(locator: Locator, error: BaseException) -> TransportError:
         elif type(error.__context__) in (ImportError, AttributeError):  # while python-can imported its backend
             seen = f"python-can's {locator.interface} does not run on this system ({sys.platform})"
         tries = [*_driver_steps(locator), *tries]
-    elif locator.interface == "pcan" and isinstance(error, can.CanInitializationError):
+    elif locator.interface == "pcan" and _not_initialised(error):
         cause, steps = _why_no_peak_channel(locator, attached())
         tries = [*steps, *tries]
     elif isinstance(error, LookupError | ValueError | TypeError):
@@ -302,6 +300,12 @@ def _driver_is_missing(error: BaseException) -> bool:
         return True
     # PCAN-Basic: OSError("pcanbasic library not found."); ctypes: OSError("libx.so: cannot open shared object file: ...")
     return type(error) is OSError and error.errno is None
+
+
+def _not_initialised(error: BaseException) -> bool:
+    from can import CanInitializationError  # where python-can has failed, it was imported
+
+    return isinstance(error, CanInitializationError)
 
 
 def _driver_steps(locator: Locator) -> Iterator[str]:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final, TypeVarTuple
-
-import can
+from typing import TYPE_CHECKING, Final, TypeVarTuple
 
 from canopen_transports.leftovers import shut_down
 from canopen_transports.loop import current_loop
+
+if TYPE_CHECKING:
+    import can
 
 DRIVER_TIME: Final = 2.0
 """Seconds that a driver may take to return. Drivers that wait on their own do so for about 1 s (libusb, a serial line's limit).

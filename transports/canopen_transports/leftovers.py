@@ -11,21 +11,24 @@ from __future__ import annotations
 
 import socket
 from contextlib import suppress
-from typing import Any, Final
-
-import can
+from typing import TYPE_CHECKING, Any, Final
 
 from canopen_transports.diagnosis import DRIVER_ERRORS
+
+if TYPE_CHECKING:
+    import can
 
 _SOCKETCAND_BUFFER: Final = "_SocketCanDaemonBus__receive_buffer"
 
 
 def clear_away(error: BaseException) -> None:
     """Quiet the buses whose constructor raised this error, and close their lines."""
+    from can import BusABC
+
     trace = error.__traceback__
     while trace is not None:
         bus = trace.tb_frame.f_locals.get("self")
-        if isinstance(bus, can.BusABC) and trace.tb_frame.f_code.co_name == "__init__":
+        if isinstance(bus, BusABC) and trace.tb_frame.f_code.co_name == "__init__":
             bus._is_shutdown = True
             _close_line(bus)
         trace = trace.tb_next

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import can
-
 from canopen_transports.diagnosis import bring_up
 from canopen_transports.errors import BAD_LOCATOR, TransportError
 from canopen_transports.locator import Locator
 
 LISTEN_ONLY: Final = "listen_only"
 
+_PASSIVE: Final = "PASSIVE"
+"""The name of python-can's bus state, which is looked up where python-can is used."""
+
 _BY_BACKEND: Final[dict[str, dict[str, Any]]] = {
-    "pcan": {"state": can.BusState.PASSIVE},
-    "systec": {"state": can.BusState.PASSIVE},
+    "pcan": {"state": _PASSIVE},
+    "systec": {"state": _PASSIVE},
     "slcan": {"listen_only": True},
     "vector": {"listen_only": True},
     "nixnet": {"listen_only": True},
@@ -51,7 +52,12 @@ def backend_options(locator: Locator) -> dict[str, Any]:
         return options
     if wanted not in (True, 1) or locator.interface not in _BY_BACKEND:
         raise refused(locator)
-    return {**options, **_BY_BACKEND[locator.interface]}
+    own = _BY_BACKEND[locator.interface]
+    if own.get("state") == _PASSIVE:
+        from can import BusState
+
+        own = {"state": BusState[_PASSIVE]}
+    return {**options, **own}
 
 
 def refused(locator: Locator) -> TransportError:

@@ -28,11 +28,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import Final, NamedTuple, TypeAlias
-
-from can.interfaces import VALID_INTERFACES
-from can.util import cast_from_string
 
 from canopen_transports.errors import TransportError, bad_locator
 
@@ -71,7 +68,7 @@ class Locator(NamedTuple):
     @property
     def python_can_channel(self) -> Option:
         """The channel with the type that python-can's configuration would give it: a number if it looks like one."""
-        return cast_from_string(self.channel)
+        return _typed(self.channel)
 
 
 def parse_locator(text: str) -> Locator:
@@ -97,7 +94,7 @@ def parse_locator(text: str) -> Locator:
         return Locator(text, True, interface, channel, None, {})
     if interface == "pythoncan":
         interface, _, channel = channel.partition(":")
-    if interface not in VALID_INTERFACES:
+    if interface not in _python_can_interfaces():
         raise _unknown_interface(text, interface)
     return Locator(text, False, interface, channel, bitrate, options)
 
@@ -128,9 +125,23 @@ def _options(text: str, query: str) -> Iterator[tuple[str, Option]]:
         name, equals, value = option.partition("=")
         if not (name and equals):
             raise bad_locator(text, f"the option {option!r} is not of the form NAME=VALUE", ("join several options by &",))
-        if name in _REFUSED_OPTIONS and cast_from_string(value) not in (False, 0):
+        typed = _typed(value)
+        if name in _REFUSED_OPTIONS and typed not in (False, 0):
             raise bad_locator(text, f"the option {option!r} is refused: {_REFUSED_OPTIONS[name]}", ("leave it out",))
-        yield name, cast_from_string(value)
+        yield name, typed
+
+
+def _typed(value: str) -> Option:
+    """Return an option with the type that python-can's configuration would give it."""
+    from can.util import cast_from_string  # here: python-can is a quarter of a command's start, and few buses need it
+
+    return cast_from_string(value)
+
+
+def _python_can_interfaces() -> Collection[str]:
+    from can.interfaces import VALID_INTERFACES  # here, as above
+
+    return VALID_INTERFACES
 
 
 def _split_bitrate(text: str, address: str) -> tuple[str, int | None]:
@@ -155,7 +166,7 @@ def _peak_channel(text: str, path: str) -> str:
 
 
 def _unknown_interface(text: str, interface: str) -> TransportError:
-    known = (*OUR_INTERFACES, *sorted(VALID_INTERFACES))
+    known = (*OUR_INTERFACES, *sorted(_python_can_interfaces()))
     meant = nearest(interface, known)
     tries = [text.replace(interface, meant, 1)] if meant else []
     if interface == "gw":

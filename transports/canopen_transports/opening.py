@@ -10,21 +10,21 @@ import os
 import socket
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-import can
-
 from canopen_transports import diagnosis, leftovers, listen_only
 from canopen_transports.driver_calls import open_bus
 from canopen_transports.errors import TransportError, bad_locator
 from canopen_transports.locator import Locator, parse_locator
 from canopen_transports.loop import current_loop
-from canopen_transports.python_can import PythonCanTransport
-from canopen_transports.replay import ReplayTransport, open_replay
 from canopen_transports.tcp import TcpTransport, open_tcp
 from canopen_transports.tracing import TracingTransport, traced
 from canopen_transports.virtual import VirtualTransport, has_stand_in, open_virtual
 from canopen_transports.virtual_wire import WireTransport
 
 if TYPE_CHECKING:
+    import can
+
+    from canopen_transports.python_can import PythonCanTransport
+    from canopen_transports.replay import ReplayTransport
     from canopen_transports.socketcan import SocketCanTransport
 
 OpenTransport: TypeAlias = (
@@ -65,10 +65,14 @@ async def _open(parsed: Locator) -> OpenTransport:
         if parsed.interface == "virtual":
             return await open_virtual(parsed.text, parsed.channel, parsed.bitrate, parsed.options)
         if parsed.interface == "file":
+            from canopen_transports.replay import open_replay  # only here, as python-can below
+
             return open_replay(parsed.text, parsed.channel, parsed.options)
         if parsed.interface == "tcp":
             return await open_tcp(parsed.text, parsed.channel)
         return _open_socketcan(parsed)
+    from canopen_transports.python_can import PythonCanTransport  # only here: python-can is slow to import
+
     await current_loop().checkpoint_if_cancelled()
     reopen = functools.partial(open_bus, functools.partial(_open_bus, parsed))
     return PythonCanTransport(await reopen(), locator=parsed, reopen=reopen)
@@ -103,8 +107,10 @@ def _open_bus(locator: Locator) -> can.BusABC:
             _check_server(locator)
         elif locator.interface == "pcan":
             _check_peak_bitrate(locator)
+        from can import Bus
+
         # ignore_config: else python-can adds options from ~/.canrc and the environment that the locator does not name.
-        bus = can.Bus(
+        bus = Bus(
             channel=channel if channel != "" else None,  # type: ignore[arg-type]
             interface=locator.interface,
             ignore_config=True,

@@ -15,11 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Any, Final
-
-import can
+from typing import TYPE_CHECKING, Any, Final
 
 from canopen_transports.errors import BusState
+
+if TYPE_CHECKING:
+    import can
 
 LIGHT: Final = 0x4
 HEAVY: Final = 0x8

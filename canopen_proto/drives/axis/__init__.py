@@ -35,69 +35,76 @@ StepTimeoutError.
 Source: IEC 61800-7-201 (CiA 402-2).
 """
 
-from canopen_proto.drives.axis.bounds import bounds_of as bounds_of
-from canopen_proto.drives.axis.controlword import command as command
-from canopen_proto.drives.axis.digital_io import DigitalInputsChanged as DigitalInputsChanged
-from canopen_proto.drives.axis.digital_io import Input as Input
-from canopen_proto.drives.axis.digital_io import read_encoder as read_encoder
-from canopen_proto.drives.axis.digital_io import read_inputs as read_inputs
-from canopen_proto.drives.axis.digital_io import set_outputs as set_outputs
-from canopen_proto.drives.axis.digital_io import watch_inputs as watch_inputs
-from canopen_proto.drives.axis.failures import AxisBusyError as AxisBusyError
-from canopen_proto.drives.axis.failures import DriveAccessError as DriveAccessError
-from canopen_proto.drives.axis.failures import DriveError as DriveError
-from canopen_proto.drives.axis.failures import DriveInFaultError as DriveInFaultError
-from canopen_proto.drives.axis.failures import DriveLostError as DriveLostError
-from canopen_proto.drives.axis.failures import DriveTimeoutError as DriveTimeoutError
-from canopen_proto.drives.axis.failures import HomingError as HomingError
-from canopen_proto.drives.axis.failures import LimitReachedError as LimitReachedError
-from canopen_proto.drives.axis.failures import ModeLostError as ModeLostError
-from canopen_proto.drives.axis.failures import ModeUnsupportedError as ModeUnsupportedError
-from canopen_proto.drives.axis.failures import ReferenceLostError as ReferenceLostError
-from canopen_proto.drives.axis.failures import StateLostError as StateLostError
-from canopen_proto.drives.axis.failures import TakenOverError as TakenOverError
-from canopen_proto.drives.axis.failures import fault_of as fault_of
-from canopen_proto.drives.axis.following import OutOfBoundsError as OutOfBoundsError
-from canopen_proto.drives.axis.following import watch_bounds as watch_bounds
-from canopen_proto.drives.axis.halting import halt as halt
-from canopen_proto.drives.axis.halting import halt_after as halt_after
-from canopen_proto.drives.axis.homing import HomingProgressed as HomingProgressed
-from canopen_proto.drives.axis.homing import home as home
-from canopen_proto.drives.axis.homing import home_if_needed as home_if_needed
-from canopen_proto.drives.axis.homing_parameters import read_homing_methods as read_homing_methods
-from canopen_proto.drives.axis.identity import identify as identify
-from canopen_proto.drives.axis.identity import learn_units as learn_units
-from canopen_proto.drives.axis.interpolation import InterpolationBuffer as InterpolationBuffer
-from canopen_proto.drives.axis.interpolation import start_interpolation as start_interpolation
-from canopen_proto.drives.axis.motionless_mode import select_motionless_mode as select_motionless_mode
-from canopen_proto.drives.axis.profile_position import move_to as move_to
-from canopen_proto.drives.axis.state import change_state as change_state
-from canopen_proto.drives.axis.state import enable as enable
-from canopen_proto.drives.axis.state import engage_brake as engage_brake
-from canopen_proto.drives.axis.state import quick_stop as quick_stop
-from canopen_proto.drives.axis.state import reset_fault as reset_fault
-from canopen_proto.drives.axis.state import set_mode as set_mode
-from canopen_proto.drives.axis.state import shut_down as shut_down
-from canopen_proto.drives.axis.synchronous import start_cyclic_position as start_cyclic_position
-from canopen_proto.drives.axis.synchronous import start_cyclic_torque as start_cyclic_torque
-from canopen_proto.drives.axis.synchronous import start_cyclic_velocity as start_cyclic_velocity
-from canopen_proto.drives.axis.target_sequence import ProfileTarget as ProfileTarget
-from canopen_proto.drives.axis.target_sequence import RelativeTo as RelativeTo
-from canopen_proto.drives.axis.target_sequence import RotaryDirection as RotaryDirection
-from canopen_proto.drives.axis.target_sequence import Start as Start
-from canopen_proto.drives.axis.target_sequence import move_along as move_along
-from canopen_proto.drives.axis.torque import apply_torque as apply_torque
-from canopen_proto.drives.axis.touch_probe import ProbeLatched as ProbeLatched
-from canopen_proto.drives.axis.touch_probe import ProbeReading as ProbeReading
-from canopen_proto.drives.axis.touch_probe import ProbeSource as ProbeSource
-from canopen_proto.drives.axis.touch_probe import arm_probe as arm_probe
-from canopen_proto.drives.axis.touch_probe import disarm_probe as disarm_probe
-from canopen_proto.drives.axis.touch_probe import read_probe as read_probe
-from canopen_proto.drives.axis.touch_probe import wait_for_probe as wait_for_probe
-from canopen_proto.drives.axis.touch_probe import watch_probe as watch_probe
-from canopen_proto.drives.axis.velocity import Running as Running
-from canopen_proto.drives.axis.velocity import choose_velocity_mode as choose_velocity_mode
-from canopen_proto.drives.axis.velocity import run_at as run_at
-from canopen_proto.drives.axis.watching import read_position as read_position
-from canopen_proto.drives.axis.watching import read_statusword as read_statusword
-from canopen_proto.drives.axis.watching import wait_for_statusword as wait_for_statusword
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from canopen_proto.drives.axis.bounds import bounds_of as bounds_of
+    from canopen_proto.drives.axis.controlword import command as command
+    from canopen_proto.drives.axis.digital_io import DigitalInputsChanged as DigitalInputsChanged
+    from canopen_proto.drives.axis.digital_io import Input as Input
+    from canopen_proto.drives.axis.digital_io import read_encoder as read_encoder
+    from canopen_proto.drives.axis.digital_io import read_inputs as read_inputs
+    from canopen_proto.drives.axis.digital_io import set_outputs as set_outputs
+    from canopen_proto.drives.axis.digital_io import watch_inputs as watch_inputs
+    from canopen_proto.drives.axis.failures import AxisBusyError as AxisBusyError
+    from canopen_proto.drives.axis.failures import DriveAccessError as DriveAccessError
+    from canopen_proto.drives.axis.failures import DriveError as DriveError
+    from canopen_proto.drives.axis.failures import DriveInFaultError as DriveInFaultError
+    from canopen_proto.drives.axis.failures import DriveLostError as DriveLostError
+    from canopen_proto.drives.axis.failures import DriveTimeoutError as DriveTimeoutError
+    from canopen_proto.drives.axis.failures import HomingError as HomingError
+    from canopen_proto.drives.axis.failures import LimitReachedError as LimitReachedError
+    from canopen_proto.drives.axis.failures import ModeLostError as ModeLostError
+    from canopen_proto.drives.axis.failures import ModeUnsupportedError as ModeUnsupportedError
+    from canopen_proto.drives.axis.failures import ReferenceLostError as ReferenceLostError
+    from canopen_proto.drives.axis.failures import StateLostError as StateLostError
+    from canopen_proto.drives.axis.failures import TakenOverError as TakenOverError
+    from canopen_proto.drives.axis.failures import fault_of as fault_of
+    from canopen_proto.drives.axis.following import OutOfBoundsError as OutOfBoundsError
+    from canopen_proto.drives.axis.following import watch_bounds as watch_bounds
+    from canopen_proto.drives.axis.halting import halt as halt
+    from canopen_proto.drives.axis.halting import halt_after as halt_after
+    from canopen_proto.drives.axis.homing import HomingProgressed as HomingProgressed
+    from canopen_proto.drives.axis.homing import home as home
+    from canopen_proto.drives.axis.homing import home_if_needed as home_if_needed
+    from canopen_proto.drives.axis.homing_parameters import read_homing_methods as read_homing_methods
+    from canopen_proto.drives.axis.identity import identify as identify
+    from canopen_proto.drives.axis.identity import learn_units as learn_units
+    from canopen_proto.drives.axis.interpolation import InterpolationBuffer as InterpolationBuffer
+    from canopen_proto.drives.axis.interpolation import start_interpolation as start_interpolation
+    from canopen_proto.drives.axis.motionless_mode import select_motionless_mode as select_motionless_mode
+    from canopen_proto.drives.axis.profile_position import move_to as move_to
+    from canopen_proto.drives.axis.state import change_state as change_state
+    from canopen_proto.drives.axis.state import enable as enable
+    from canopen_proto.drives.axis.state import engage_brake as engage_brake
+    from canopen_proto.drives.axis.state import quick_stop as quick_stop
+    from canopen_proto.drives.axis.state import reset_fault as reset_fault
+    from canopen_proto.drives.axis.state import set_mode as set_mode
+    from canopen_proto.drives.axis.state import shut_down as shut_down
+    from canopen_proto.drives.axis.synchronous import start_cyclic_position as start_cyclic_position
+    from canopen_proto.drives.axis.synchronous import start_cyclic_torque as start_cyclic_torque
+    from canopen_proto.drives.axis.synchronous import start_cyclic_velocity as start_cyclic_velocity
+    from canopen_proto.drives.axis.target_sequence import ProfileTarget as ProfileTarget
+    from canopen_proto.drives.axis.target_sequence import RelativeTo as RelativeTo
+    from canopen_proto.drives.axis.target_sequence import RotaryDirection as RotaryDirection
+    from canopen_proto.drives.axis.target_sequence import Start as Start
+    from canopen_proto.drives.axis.target_sequence import move_along as move_along
+    from canopen_proto.drives.axis.torque import apply_torque as apply_torque
+    from canopen_proto.drives.axis.touch_probe import ProbeLatched as ProbeLatched
+    from canopen_proto.drives.axis.touch_probe import ProbeReading as ProbeReading
+    from canopen_proto.drives.axis.touch_probe import ProbeSource as ProbeSource
+    from canopen_proto.drives.axis.touch_probe import arm_probe as arm_probe
+    from canopen_proto.drives.axis.touch_probe import disarm_probe as disarm_probe
+    from canopen_proto.drives.axis.touch_probe import read_probe as read_probe
+    from canopen_proto.drives.axis.touch_probe import wait_for_probe as wait_for_probe
+    from canopen_proto.drives.axis.touch_probe import watch_probe as watch_probe
+    from canopen_proto.drives.axis.velocity import Running as Running
+    from canopen_proto.drives.axis.velocity import choose_velocity_mode as choose_velocity_mode
+    from canopen_proto.drives.axis.velocity import run_at as run_at
+    from canopen_proto.drives.axis.watching import read_position as read_position
+    from canopen_proto.drives.axis.watching import read_statusword as read_statusword
+    from canopen_proto.drives.axis.watching import wait_for_statusword as wait_for_statusword
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__ = lazy_names(globals())

@@ -13,16 +13,23 @@
 Units: positions in the user's unit of each joint, times in seconds.
 """
 
-from canopen_proto.drives.trajectory.interpolation import cubic as cubic
-from canopen_proto.drives.trajectory.interpolation import from_function as from_function
-from canopen_proto.drives.trajectory.interpolation import linear as linear
-from canopen_proto.drives.trajectory.interpolation import quintic as quintic
-from canopen_proto.drives.trajectory.limit_check import JointLimits as JointLimits
-from canopen_proto.drives.trajectory.limit_check import LimitViolation as LimitViolation
-from canopen_proto.drives.trajectory.limit_check import first_violation as first_violation
-from canopen_proto.drives.trajectory.path import Path as Path
-from canopen_proto.drives.trajectory.path import PathError as PathError
-from canopen_proto.drives.trajectory.path import PathPoint as PathPoint
-from canopen_proto.drives.trajectory.path import Segment as Segment
-from canopen_proto.drives.trajectory.path_clock import PathClock as PathClock
-from canopen_proto.drives.trajectory.speed_change import SpeedChange as SpeedChange
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from canopen_proto.drives.trajectory.interpolation import cubic as cubic
+    from canopen_proto.drives.trajectory.interpolation import from_function as from_function
+    from canopen_proto.drives.trajectory.interpolation import linear as linear
+    from canopen_proto.drives.trajectory.interpolation import quintic as quintic
+    from canopen_proto.drives.trajectory.limit_check import JointLimits as JointLimits
+    from canopen_proto.drives.trajectory.limit_check import LimitViolation as LimitViolation
+    from canopen_proto.drives.trajectory.limit_check import first_violation as first_violation
+    from canopen_proto.drives.trajectory.path import Path as Path
+    from canopen_proto.drives.trajectory.path import PathError as PathError
+    from canopen_proto.drives.trajectory.path import PathPoint as PathPoint
+    from canopen_proto.drives.trajectory.path import Segment as Segment
+    from canopen_proto.drives.trajectory.path_clock import PathClock as PathClock
+    from canopen_proto.drives.trajectory.speed_change import SpeedChange as SpeedChange
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__ = lazy_names(globals())

@@ -1,6 +1,11 @@
 """XDD and XDC: device descriptions in XML (CiA 311)."""
 
-from canopen_data.xdd.document import XddDocument
-from canopen_data.xdd.reader import read_xdd
+from typing import TYPE_CHECKING
 
-__all__ = ["XddDocument", "read_xdd"]
+if TYPE_CHECKING:
+    from canopen_data.xdd.document import XddDocument as XddDocument
+    from canopen_data.xdd.reader import read_xdd as read_xdd
+else:
+    from canopen_proto.lazy_names import lazy_names
+
+    __getattr__, __dir__ = lazy_names(globals())

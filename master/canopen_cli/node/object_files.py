@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import IO, Any, Final
 
 import trio
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.screen import Screen, escape, node_text
@@ -134,6 +133,8 @@ def _opened(path: str) -> Iterator[IO[bytes]]:
 def progress(screen: Screen, node: Node, variable: Variable, size: int | None) -> Iterator[Callable[[int], None]]:
     """Show a bar on a terminal once the transfer lasts longer than PATIENCE. Gives a function to call with the bytes so far.
     size: bytes in all; None: not known."""
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn  # a file's alone
+
     bar = Progress(
         TextColumn(f"{node_text(node.node_id)} {escape(variable.label)}"),
         BarColumn(),

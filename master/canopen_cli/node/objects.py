@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
-from typing import IO, Any, Protocol
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -17,7 +17,6 @@ from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape, node_text
 from canopen_cli.shared.session import open_session
-from canopen_cli.shared.text_gateway import TextSession, open_text
 from canopen_cli.shared.values import (
     BYTES,
     TYPES,
@@ -35,6 +34,9 @@ from canopen_cli.shared.values import (
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
+
+if TYPE_CHECKING:
+    from canopen_cli.shared.text_gateway import TextSession
 
 _TYPE = click.option(
     "--type", "type_name", type=click.Choice(list(TYPES)), help="Of an object that the dictionary does not have, such as 2000:01."
@@ -195,6 +197,8 @@ async def _way(settings: Settings, screen: Screen, request: AccessRequest, *, wr
     """Open the way to a node's objects, over the bus or text gateway of the options. writes: else it only reads, and waits for
     its turn."""
     if is_text_gateway(settings.named_bus()):
+        from canopen_cli.shared.text_gateway import open_text  # only here: a client of its own
+
         async with open_text(settings, screen) as text:
             yield _OverText(text, request.node_id)
         return

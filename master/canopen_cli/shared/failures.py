@@ -13,6 +13,7 @@ from typing import Final
 
 import click
 
+from canopen_cli.shared.importing import library_missing
 from canopen_cli.shared.problem import NO_ROOM, CommandError, ExitCode, usage
 from canopen_gateway import errors as gateway_errors
 from canopen_master import errors
@@ -109,6 +110,8 @@ def _of_expected(error: BaseException) -> CommandError | None:
             return CommandError(
                 ExitCode.BAD_FILE, "CO341", f"cannot write: {error.strerror}", tries=("make room, or write elsewhere",)
             )
+        case ModuleNotFoundError():  # python-can is imported where a bus or a log needs it
+            return _of_missing(error)
         case PermissionError():
             return CommandError(ExitCode.PERMISSION, "CO109", str(error))
         case click.UsageError():
@@ -116,6 +119,14 @@ def _of_expected(error: BaseException) -> CommandError | None:
         case click.ClickException():
             return usage("CO001", error.format_message())
     return None
+
+
+def _of_missing(error: ModuleNotFoundError) -> CommandError | None:
+    missing = library_missing(error)
+    if missing is None:
+        return None
+    failed, _, step = str(missing).partition(".\nTry: ")
+    return CommandError(ExitCode.CANNOT_OPEN, CANNOT_OPEN, failed, tries=(step,))
 
 
 def _of_usage(error: click.UsageError) -> CommandError:

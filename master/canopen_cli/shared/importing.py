@@ -23,6 +23,12 @@ class LibraryMissingError(Exception):
         super().__init__(f"the command line needs {library}, which is not installed.\nTry: pip install 'canopen-proto[master]'")
 
 
+def library_missing(error: ModuleNotFoundError) -> LibraryMissingError | None:
+    """Return the error for a module of LIBRARIES; None for any other."""
+    library = (error.name or "").partition(".")[0]
+    return LibraryMissingError(library) if library in LIBRARIES else None
+
+
 @contextmanager
 def importing() -> Iterator[None]:
     """Import within this block. Raises LibraryMissingError in place of the ModuleNotFoundError of one of LIBRARIES."""
@@ -34,10 +40,9 @@ def importing() -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as missing:
-        library = (missing.name or "").partition(".")[0]
-        if library not in LIBRARIES:
+        if (named := library_missing(missing)) is None:
             raise
-        raise LibraryMissingError(library) from None
+        raise named from None
     finally:
         if ends:
             signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -18,7 +18,6 @@ from typing import Final, TypeAlias, TypeVar
 
 import trio
 
-from canopen_cli.shared.failures import problem_of
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.over_text import check_has_way
@@ -193,6 +192,8 @@ def _interrupted(number: int, story: Story, failure: BaseException | None) -> Co
     problem.also = story(all_stand(failure)) + notes_of(failure)
     errors = failure.split(trio.Cancelled)[1] if isinstance(failure, BaseExceptionGroup) else failure
     if errors is not None and not isinstance(errors, trio.Cancelled):
+        from canopen_cli.shared.failures import problem_of  # only here: it knows the errors of all rooms
+
         reason = problem_of(errors)
         problem.also += [f"{reason.code}: {reason.failed}", *(text for text in reason.also if text not in problem.also)]
         problem.seen, problem.cause, problem.tries = reason.seen, reason.cause, reason.tries

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 
 import trio
 
-from canopen_cli.shared.failures import advice, problem_of
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import CommandError
@@ -174,6 +173,8 @@ async def _explained(node: Node, session: BusSession, error: SdoTimeoutError | S
         with trio.move_on_after(LISTEN_ON):
             while not _is_explained(node, session.network):
                 await trio.sleep(LOOK_AGAIN)
+    from canopen_cli.shared.failures import advice, problem_of  # only here: it knows the errors of all rooms
+
     problem = problem_of(error)
     problem.seen, problem.cause, tries = sdo_silence(session.network, node.remote, session.master.now())
     problem.tries = tuple(advice(tries))

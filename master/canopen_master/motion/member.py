@@ -56,6 +56,8 @@ class ChainState(enum.Enum):
     """Stopped because a joint failed."""
 
 
+LEADING: Final = (ChainState.FOLLOWING, ChainState.STOPPING)
+"""The states of a chain that sends set-points to its drives."""
 CAN_MOVE: Final = (ChainState.READY, ChainState.FOLLOWING, ChainState.HALTED)
 """The states from which a chain can home, or follow set-points."""
 
@@ -428,7 +430,7 @@ class Member:
             self.stop_now(reason)
 
     def _on_sync(self, sync: SyncSent) -> None:
-        if self.state not in (ChainState.FOLLOWING, ChainState.STOPPING):
+        if self.state not in LEADING:
             return
         for device in self.devices:
             if device.taken_over_by:

@@ -22,11 +22,11 @@ when the bus comes back, would make a drive jump. Requests time out, and their e
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from typing import Final
 
 from canopen_proto.frame import Frame, frame_for_key
-from canopen_proto.frame_bits import least_bits, worst_bits
+from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.machine import MICROSECOND, NEVER, SECOND, Event, Time
 from canopen_proto.network import Network
 from canopen_proto.sync import SyncConsumer, SyncProducer, SyncReceived, SyncSent
@@ -60,11 +60,6 @@ SDO_GUARD: Final = 300 * MICROSECOND
 
 SAME_SYNC: Final = 10
 """SYNCs that come within this part of their period were waiting for this process, which was stalled."""
-
-MAX_DATA: Final = 64
-"""Bytes: a transport of somebody else's may hand over CAN FD, which we cannot use; it must not end the master."""
-FRAME_BITS: Final = tuple((least_bits(length) + worst_bits(length)) // 2 for length in range(MAX_DATA + 1))
-"""By the bytes of a frame: its bits, between the least and the most stuffing. Exact counting would cost more than receiving."""
 
 _SDO_FIRST, _SDO_LAST = 0x580, 0x67F
 _BUS_OFF: Final = BusState.BUS_OFF
@@ -138,7 +133,7 @@ class Bus:
         self.sync = sync
         self.consumer = consumer
         self.bitrate = transport.bitrate if isinstance(transport, RatedTransport) else None
-        self.bits = 0
+        self._own_bits = 0
         self.failed = False
         self.state = BusState.ACTIVE
         self._not_sent = 0  # beside the first, which was reported
@@ -157,6 +152,15 @@ class Bus:
         self._loop = current_loop()
         self._work = self._loop.parking_lot()  # the sender waits for frames
         self._sent = self._loop.parking_lot()  # others wait for the sender
+
+    @property
+    def bits(self) -> int:
+        """See the class."""
+        return self._own_bits + self.network.bits
+
+    def count_bits(self, frame: Frame) -> None:
+        """Count a frame that passed beside `take_in`."""
+        self._own_bits += FRAME_BITS[len(frame.data)]
 
     @property
     def pending(self) -> int:
@@ -195,18 +199,20 @@ class Bus:
         except FrameNotSentError as refusal:
             self.drop(refusal.seen)
         else:
-            self.bits += FRAME_BITS[len(frame.data)]
+            self._own_bits += FRAME_BITS[len(frame.data)]
             if self._reason:
                 self.settle_not_sent()
         return True
 
-    async def receive(self) -> Sequence[Received | Report]:
+    def receive(self) -> Awaitable[Sequence[Received | Report]]:
+        """Wait as `_receive_one` does; the transport's own coroutine, where it returns several at once."""
+        return self._receive_one() if self._batch is None else self._batch.receive_many(MAX_BATCH)
+
+    async def _receive_one(self) -> Sequence[Received | Report]:
         """Wait until something comes; return the frames and reports that are there, at most MAX_BATCH.
 
         Raises the transport's error: it has failed then.
         """
-        if self._batch is not None:
-            return await self._batch.receive_many(MAX_BATCH)
         return (await self.transport.receive(),)
 
     def receive_nowait(self) -> Sequence[Received | Report] | None:
@@ -224,12 +230,13 @@ class Bus:
         After an exception (a bug of the core), `received` still has the items after the one that caused it.
         """
         network = self.network
-        for item in received:
+        while True:
+            item = next(received, None) if self.state is _BUS_OFF else network.receive_many(received, now)
+            if item is None:
+                return
             if isinstance(item, tuple):
-                if self.state is _BUS_OFF:
-                    self.change(BusState.ACTIVE, "a frame was received")
-                self.bits += FRAME_BITS[len(item[0].data)]
-                network.receive(item[0], now, item[1])
+                self.change(BusState.ACTIVE, "a frame was received")
+                network.receive_many(iter((item,)), now)
             elif isinstance(item, ReceiveOverrun):
                 network.out.events.append(FramesLost(0, item.lost, item.seen))
             elif isinstance(item, BusStateChanged):

@@ -6,8 +6,8 @@ This happens inside the pump's turn, and nothing here blocks. If a callback rais
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeAlias
 
 from canopen_master.participant.bus import Bus
 from canopen_proto.machine import Event, Outcome, RequestId, Time
@@ -91,15 +91,27 @@ class Waiter:
 
 
 class Watcher:
-    """A callback for events of some kinds, of one bus and one node, or of all (None, 0)."""
+    """A callback for events of some kinds, of one bus and one node, or of all (None, 0). queue: takes several in a row at once,
+    and calls nobody; None: each is handed over."""
 
-    __slots__ = ("bus", "callback", "kinds", "node_id")
+    __slots__ = ("bus", "callback", "kinds", "node_id", "queue")
 
-    def __init__(self, kinds: tuple[type[Event], ...], bus: Bus | None, node_id: int, callback: Callable[[Any], None]) -> None:
+    def __init__(
+        self,
+        kinds: tuple[type[Event], ...],
+        bus: Bus | None,
+        node_id: int,
+        callback: Callable[[Any], None],
+        queue: Callable[[Sequence[Any]], None] | None = None,
+    ) -> None:
+        self.queue = queue
         self.kinds = kinds
         self.bus = bus
         self.node_id = node_id
         self.callback = callback
+
+
+_Told: TypeAlias = tuple[Callable[[Bus, Any], None] | None, tuple[Watcher, ...], bool]
 
 
 class Dispatcher:
@@ -108,8 +120,8 @@ class Dispatcher:
     def __init__(self) -> None:
         self._waiters: dict[tuple[object, RequestId], Waiter] = {}
         self._watchers: list[Watcher] = []
-        # By kind: how to tell the one whose request it is about, if it is about one; and those who watch
-        self._by_kind: dict[type[Event], tuple[Callable[[Bus, Any], None] | None, tuple[Watcher, ...]]] = {}
+        # By kind: how to tell the one whose request it is about, if it is about one; those who watch; whether these only queue it
+        self._by_kind: dict[type[Event], _Told] = {}
 
     def expect(self, root: object, request_id: RequestId, canceller: Canceller) -> Waiter:
         """Wait for the outcome of a request of the network whose `out.root` is given."""
@@ -128,10 +140,15 @@ class Dispatcher:
         self._waiters.clear()
 
     def watch(
-        self, kinds: tuple[type[Event], ...], callback: Callable[[Any], None], bus: Bus | None = None, node_id: int = 0
+        self,
+        kinds: tuple[type[Event], ...],
+        callback: Callable[[Any], None],
+        bus: Bus | None = None,
+        node_id: int = 0,
+        queue: Callable[[Sequence[Any]], None] | None = None,
     ) -> Watcher:
-        """Call `callback` with each event of these kinds (and of kinds derived from them), until `unwatch`."""
-        watcher = Watcher(kinds, bus, node_id, callback)
+        """Call `callback` with each event of these kinds, and of kinds derived from them, until `unwatch`. queue: see Watcher."""
+        watcher = Watcher(kinds, bus, node_id, callback, queue)
         self._watchers.append(watcher)
         self._by_kind.clear()
         return watcher
@@ -142,27 +159,50 @@ class Dispatcher:
             self._watchers.remove(watcher)
             self._by_kind.clear()
 
-    def dispatch(self, bus: Bus, event: Event) -> None:
-        """Hand out an event of a bus's network. Calls all callbacks, then raises the first error of one."""
-        kind = type(event)
-        told = self._by_kind.get(kind)
-        if told is None:
-            watching = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
-            told = self._by_kind[kind] = self._teller_of(kind), watching
-        tell, watchers = told
-        if tell is not None:
-            tell(bus, event)
-        if not watchers:
-            return
+    def is_asked_for(self, *kinds: type[Event]) -> bool:
+        """Return whether a callback watches one of these kinds, of any bus and node."""
+        return any(issubclass(kind, watcher.kinds) for watcher in self._watchers for kind in kinds)
+
+    def dispatch(self, bus: Bus, events: Sequence[Event]) -> None:
+        """Hand out events of a bus's network, in order. Calls all callbacks, then raises the first error of one."""
         failure: Exception | None = None
-        for watcher in watchers:
-            if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
-                try:
-                    watcher.callback(event)
-                except Exception as error:  # noqa: BLE001 - raised below, when all have been told
-                    failure = failure or error
+        by_kind = self._by_kind
+        place, count = 0, len(events)
+        while place < count:
+            event = events[place]
+            kind = type(event)
+            tell, watchers, only_queue = by_kind.get(kind) or self._told(kind)
+            place += 1
+            if only_queue:  # a burst of them is handed over at once
+                begin = place - 1
+                while place < count and type(events[place]) is kind:
+                    place += 1
+                self._queue(bus, watchers, events[begin:place])
+                continue
+            if tell is not None:
+                tell(bus, event)
+            for watcher in watchers:
+                if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
+                    try:
+                        watcher.callback(event)
+                    except Exception as error:  # noqa: BLE001 - raised below, when all have been told
+                        failure = failure or error
         if failure is not None:
             raise failure
+
+    def _queue(self, bus: Bus, watchers: tuple[Watcher, ...], events: Sequence[Event]) -> None:
+        for watcher in watchers:
+            if watcher.queue is not None and (watcher.bus is None or watcher.bus is bus):
+                number = watcher.node_id
+                wanted = [each for each in events if each.node_id == number] if number else events
+                if wanted:
+                    watcher.queue(wanted)
+
+    def _told(self, kind: type[Event]) -> _Told:
+        watching = tuple(each for each in self._watchers if issubclass(kind, each.kinds))
+        tell = self._teller_of(kind)
+        told = self._by_kind[kind] = tell, watching, tell is None and all(each.queue is not None for each in watching)
+        return told
 
     def _teller_of(self, kind: type[Event]) -> Callable[[Bus, Any], None] | None:
         if issubclass(kind, Outcome):

@@ -24,9 +24,11 @@ from canopen_master.participant.dispatch import Dispatcher, ProcedureTakenBackEr
 from canopen_master.participant.pump import Pump
 from canopen_master.participant.requests import OpenRequest
 from canopen_master.participant.subscription import Subscription
+from canopen_proto.heartbeat import HeartbeatReceived
 from canopen_proto.machine import NEVER, SECOND, Event, LocalProtocolError, Outcome, RequestId, Time
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtCommand, NmtMaster
+from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.procedures.runner import ProcedureCancelled, ProcedureFailed, ProcedureFinished
 from canopen_proto.procedures.steps import Procedure, all_of, current_time
 from canopen_proto.remote_node import RemoteNode
@@ -77,6 +79,7 @@ class Participant:
             self._add_bus(name, transport)
         self._own_buses = tuple(self.buses.values())
         self._pump = Pump(self._own_buses, self._dispatcher.dispatch, self.on_failure, before_timeouts=self._before_timeouts)
+        self._tell_networks()
         self.runner = self._own_buses[0].network.runner
         self._root = self._own_buses[0].network.out.root
         for alias, name in (aliases or {}).items():
@@ -299,7 +302,8 @@ class Participant:
         if not kinds:
             raise LocalProtocolError("events of which kinds? Event means all")
         subscription: Subscription[E] = Subscription(self._unsubscribe)
-        self._subscriptions[subscription] = self.watch(kinds, subscription.put, bus, node_id)
+        self._subscriptions[subscription] = self._dispatcher.watch(kinds, subscription.put, bus, node_id, subscription.put_all)
+        self._tell_networks()
         return subscription
 
     def _unsubscribe(self, subscription: Subscription[Any]) -> None:
@@ -312,11 +316,20 @@ class Participant:
     ) -> Watcher:
         """Call `callback` with each event of these kinds, in the pump's turn. It must not raise or block. bus: only of this one;
         None: of all. node_id: only of this one; 0: of all."""
-        return self._dispatcher.watch(kinds, callback, bus, node_id)
+        watcher = self._dispatcher.watch(kinds, callback, bus, node_id)
+        self._tell_networks()
+        return watcher
 
     def unwatch(self, watcher: Watcher) -> None:
         """End a `watch`. watcher: what `watch` returned."""
         self._dispatcher.unwatch(watcher)
+        self._tell_networks()
+
+    def _tell_networks(self) -> None:
+        """Tell the networks whether somebody asks for the events that come with each frame of the usual traffic."""
+        quiet = not self._dispatcher.is_asked_for(PdoReceived, HeartbeatReceived)
+        for bus in self._own_buses:
+            bus.network.quiet = quiet
 
     # ---- what the pump tells ----
 

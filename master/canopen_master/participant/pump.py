@@ -36,7 +36,7 @@ from functools import partial
 from typing import Final, TypeAlias
 
 from canopen_master.participant.alarm import Alarm, best_alarm
-from canopen_master.participant.bus import FRAME_BITS, MAX_BATCH, Bus
+from canopen_master.participant.bus import MAX_BATCH, Bus
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
 from canopen_transports import FrameNotSentError, Received, Report, TransportError
@@ -58,8 +58,9 @@ QUIET_TICKS: Final = 3
 _pumps: RunVar[set[Pump]] = RunVar(set)  # those of this run of the loop that run
 
 
-OnEvent: TypeAlias = Callable[[Bus, Event], None]
-"""An event came out of a bus's network. May mutate machines; must not block. `OnFailure` is told of its exceptions."""
+OnEvents: TypeAlias = Callable[[Bus, Sequence[Event]], None]
+"""Events came out of a bus's network, in order. May mutate machines; must not block. It tells all of them, whatever one raises;
+`OnFailure` is told of the exception that it raises then."""
 
 OnFailure: TypeAlias = Callable[[Bus | None, Exception], None]
 """A bus failed (TransportError), or, without a bus, something is wrong in our own code. At most once per bus."""
@@ -68,7 +69,7 @@ OnFailure: TypeAlias = Callable[[Bus | None, Exception], None]
 class Pump:
     """Runs the networks of `buses`; see this module's text. buses: at least one, all with the first one's Runner.
 
-    on_event, on_failure: called with what the networks report, and with what goes wrong.
+    on_events, on_failure: called with what the networks report, and with what goes wrong.
     quiet_ticks: after a stall, so many rounds of the loop without a frame show that all frames were taken in.
     before_timeouts: called before due timeouts are handled, with the time. May mutate machines; must not block or raise.
     """
@@ -76,13 +77,13 @@ class Pump:
     def __init__(
         self,
         buses: Sequence[Bus],
-        on_event: OnEvent,
+        on_events: OnEvents,
         on_failure: OnFailure,
         quiet_ticks: int = QUIET_TICKS,
         before_timeouts: Callable[[Time], None] | None = None,
     ) -> None:
         self.buses = tuple(buses)
-        self._on_event = on_event
+        self._on_events = on_events
         self._on_failure = on_failure
         self._quiet_ticks = quiet_ticks
         self._before_timeouts = before_timeouts
@@ -140,10 +141,10 @@ class Pump:
             self._fail(bus, error, "send")
         if bus.hears_own_sync:
             events = bus.with_own_syncs(events, now)
-        for each in events:
+        if events:
             try:
-                self._on_event(bus, each)
-            except Exception as error:  # noqa: BLE001 - it must reach the user, but the other events be told before
+                self._on_events(bus, events)
+            except Exception as error:  # noqa: BLE001 - it must reach the user
                 self._on_failure(None, error)
 
     def stop(self) -> None:
@@ -210,7 +211,7 @@ class Pump:
         if bus.failed:
             return
         self._received += 1
-        bus.bits += FRAME_BITS[len(frame.data)]
+        bus.count_bits(frame)
         try:
             bus.network.receive(frame, now, now)
             self.pump(now)
@@ -227,7 +228,9 @@ class Pump:
                     break
                 except Exception as error:  # noqa: BLE001 - as in `_turn`, but the rest of the frames shall be heard
                     self._on_failure(None, error)
-            self.pump(now)
+            out = bus.network.out
+            if out.frames or out.events or out.armed or out.rerouted:  # else the frames have changed values only
+                self.pump(now)
         except Exception as error:  # noqa: BLE001 - as in `_turn`
             self._on_failure(None, error)
 
@@ -246,7 +249,7 @@ class Pump:
             except Exception as error:  # noqa: BLE001 - as above
                 self._fail(bus, error, f"send {frame}")
             else:
-                bus.bits += FRAME_BITS[len(frame.data)]
+                bus.count_bits(frame)
                 if bus.is_dropping:
                     self._turn(bus.settle_not_sent)
 

@@ -7,7 +7,7 @@ queue is bounded: a slow reader loses the oldest events, which `dropped` counts,
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Generic, TypeVar
 
 from canopen_proto.machine import Event
@@ -37,6 +37,7 @@ class Subscription(Generic[E]):
         self._events: deque[E] = deque()
         self._loop = current_loop()
         self._waiting = self._loop.parking_lot()
+        self._check = self._loop.checkpoint_if_cancelled
         self._in_a_row = 0  # the events to take before the next checkpoint; never more than there are
         self._end: BaseException | None = None
 
@@ -50,6 +51,16 @@ class Subscription(Generic[E]):
             self.dropped += 1
         events.append(event)
 
+    def put_all(self, new: Sequence[E]) -> None:
+        """Add events, as `put` does one after the other. new: 1 or more."""
+        events = self._events
+        if not events:
+            self._waiting.unpark_all()
+        events.extend(new)
+        while len(events) > self._size:
+            events.popleft()
+            self.dropped += 1
+
     def end(self, reason: BaseException) -> None:
         """End the subscription: after the queued events, `reason` is raised."""
         self._end = reason
@@ -61,7 +72,7 @@ class Subscription(Generic[E]):
         After HANDED_OVER events without a wait, other tasks run first. Raises BusError or MasterClosedError at the end.
         """
         if self._in_a_row:
-            await self._loop.checkpoint_if_cancelled()
+            await self._check()
         elif self._events or self._end is not None:
             await self._loop.checkpoint()
         while not self._events:
@@ -98,4 +109,9 @@ class Subscription(Generic[E]):
         return self
 
     async def __anext__(self) -> E:
+        if self._in_a_row:  # as in `receive`, without its call: most of the events of a burst come this way
+            await self._check()
+            if self._events:
+                self._in_a_row -= 1
+                return self._events.popleft()
         return await self.receive()

@@ -11,7 +11,7 @@ LSS stores, as a real host would.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
@@ -125,7 +125,7 @@ class Host:
     ) -> None:
         network = Network()
         self._bus = Bus(getattr(transport, "locator", "bus"), transport, network)
-        self._pump = Pump((self._bus,), self.on_event, self.on_failure, PATIENCE)
+        self._pump = Pump((self._bus,), self._on_events, self.on_failure, PATIENCE)
         self._on_event = on_event
         self._keeper = ParameterKeeper() if keeper is None else keeper
         self._say = say
@@ -198,6 +198,13 @@ class Host:
                 hooks.on_event(event)
         if self._on_event is not None:
             self._on_event(event)
+
+    def _on_events(self, bus: Bus, events: Sequence[Event]) -> None:
+        for each in events:
+            try:
+                self.on_event(bus, each)
+            except Exception as error:  # noqa: BLE001 - the other events are told
+                self.on_failure(None, error)
 
     def _tell_bus_off(self, state: BusState) -> None:
         """Tell the devices that their controller has gone bus-off, or is back."""

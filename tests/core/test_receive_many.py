@@ -1,0 +1,147 @@
+"""`Network.receive_many`: many frames at once are the same as one after the other; and what a quiet network leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canopen_proto.datatypes import DataType
+from canopen_proto.dictionary import Object, ObjectDictionary, Variable
+from canopen_proto.frame import Frame, routing_key
+from canopen_proto.frame_bits import FRAME_BITS
+from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
+from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Machine, Time
+from canopen_proto.network import Network
+from canopen_proto.nmt import NmtState
+from canopen_proto.pdo.consumer import PdoReceived
+from canopen_proto.pdo.mapping import MappedEntry, Mapping
+from canopen_proto.procedures.steps import wait_for_event
+from canopen_proto.remote_node import RemoteNode
+
+NODE = 12
+TPDO = 0x180 + NODE
+HEARTBEAT = 0x700 + NODE
+LOW, HIGH = 0x2001, 0x2002
+TIMEOUT = 500 * MILLISECOND
+ENTRIES = tuple(MappedEntry(index, 0, 32, DataType.UNSIGNED32, "") for index in (LOW, HIGH))
+DICTIONARY = ObjectDictionary(
+    [Object.of(name, [Variable(index, 0, name, DataType.UNSIGNED32)]) for name, index in (("low", LOW), ("high", HIGH))]
+)
+
+frames = st.one_of(
+    st.builds(Frame, st.just(TPDO), st.binary(min_size=7, max_size=8)),
+    st.builds(
+        Frame, st.just(HEARTBEAT), st.sampled_from([b"\x00", b"\x04", b"\x05", b"\x7f", b"\x85", b"\x33", b"", b"\x05\x05"])
+    ),
+    st.builds(Frame, st.sampled_from([0x000, 0x080, 0x7FF]), st.just(b"\x01")),
+    st.builds(Frame, st.just(0x12345), st.just(b""), st.just(1)),
+)
+traffic = st.lists(st.tuples(frames, st.one_of(st.none(), st.integers(0, 1 << 40))), max_size=12)
+
+
+def watched_node() -> tuple[Network, RemoteNode]:
+    network = Network()
+    node = RemoteNode(network.out, NODE, DICTIONARY, heartbeat_timeout=TIMEOUT)
+    network.attach(node)
+    node.add_tpdo(1, routing_key(TPDO), Mapping(ENTRIES), 0)
+    return network, node
+
+
+def known(network: Network, node: RemoteNode) -> object:
+    """All that the frames have left behind."""
+    heartbeat = node.heartbeat
+    return (
+        dict(node.values.store), node.heard_at, node.nmt_state, node.boots, network.heard(NODE), network.last_heard,
+        heartbeat.state, heartbeat.last_heard, heartbeat.lost, heartbeat.deadline,
+    )  # fmt: skip
+
+
+@given(st.lists(traffic, max_size=5))
+def test_many_frames_at_once_are_the_same_as_one_after_the_other(bursts: list[list[tuple[Frame, int | None]]]) -> None:
+    (one, node), (many, other), (hushed, third) = watched_node(), watched_node(), watched_node()
+    hushed.quiet = True
+    for number, burst in enumerate(bursts):
+        now = number * 300 * MILLISECOND
+        for network in (one, many, hushed):
+            network.handle_timeout(now)
+        for frame, timestamp in burst:
+            one.receive(frame, now, timestamp)
+        assert many.receive_many(iter(burst), now) is None
+        assert hushed.receive_many(iter(burst), now) is None
+        assert known(one, node) == known(many, other) == known(hushed, third)
+        told = one.drain(now)[1]
+        assert told == many.drain(now)[1]
+        left = hushed.drain(now)[1]
+        assert [each for each in told if not isinstance(each, (PdoReceived, HeartbeatReceived))] == [
+            each for each in left if not isinstance(each, (PdoReceived, HeartbeatReceived))
+        ]
+    assert many.bits == sum(FRAME_BITS[len(frame.data)] for burst in bursts for frame, _ in burst)
+
+
+def burst(*payloads: bytes) -> Iterator[tuple[Frame, int | None]]:
+    return iter([*((Frame(TPDO, each), None) for each in payloads), (Frame(HEARTBEAT, b"\x05"), None)])
+
+
+def test_a_quiet_network_makes_no_events_of_the_usual_traffic_and_knows_as_much() -> None:
+    network, node = watched_node()
+    network.receive_many(burst(bytes(8)), 0)  # its first heartbeat tells a state that is new
+    network.drain(0)
+    network.quiet = True
+    network.receive_many(burst(bytes(8), bytes.fromhex("0100000002000000")), 1)
+    assert network.drain(1) == ([], [])
+    assert (node.values[LOW << 8], node.values[HIGH << 8]) == (1, 2)
+    assert node.heard_at == {LOW << 8: 1, HIGH << 8: 1}
+    network.handle_timeout(1 + TIMEOUT)
+    assert network.drain(1 + TIMEOUT)[1] == [HeartbeatLost(NODE, NmtState.OPERATIONAL, 1, TIMEOUT)]
+
+
+def test_a_quiet_network_tells_what_is_new() -> None:
+    network, _ = watched_node()
+    network.quiet = True
+    network.receive_many(iter([(Frame(HEARTBEAT, b"\x00"), None), (Frame(TPDO, bytes(3)), None)]), 0)
+    kinds = [type(each).__name__ for each in network.drain(0)[1]]
+    assert kinds == [NodeBooted.__name__, "NmtStateReported", "PdoLengthUnexpected"]
+
+
+def test_a_procedure_hears_what_nobody_else_asks_for() -> None:
+    network, node = watched_node()
+    network.quiet = True
+    request_id = network.run(wait_for_event(node, PdoReceived, SECOND, "a PDO"), 0)
+    network.receive_many(burst(bytes(8)), 0)
+    ended = [each for each in network.drain(0)[1] if getattr(each, "request_id", None) == request_id]
+    assert [type(each).__name__ for each in ended] == ["ProcedureFinished"]
+
+
+def test_what_is_no_frame_is_handed_back_at_its_place() -> None:
+    network, node = watched_node()
+    report = object()
+    left = iter([(Frame(TPDO, bytes(8)), None), report, (Frame(HEARTBEAT, b"\x05"), None)])
+    assert network.receive_many(left, 0) is report
+    assert node.nmt_state is None
+    assert network.receive_many(left, 0) is None
+    assert node.nmt_state is NmtState.OPERATIONAL
+
+
+class Broken(Machine):
+    """A machine with a bug."""
+
+    def can_ids(self) -> tuple[int, ...]:
+        return (routing_key(TPDO),)
+
+    def receive(self, frame: Frame, now: Time) -> None:
+        raise LocalProtocolError("a bug")
+
+
+def test_after_a_bug_the_frames_behind_it_are_left() -> None:
+    network = Network()
+    network.attach(Broken(network.out))
+    left = burst(bytes(8))
+    with pytest.raises(LocalProtocolError):
+        network.receive_many(left, 0)
+    assert not network.out.root.quiet
+    assert network.out.timestamp is None
+    assert network.receive_many(left, 0) is None
+    assert network.last_heard == 0
