@@ -4,33 +4,19 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import click
 import trio
 
+from canopen_cli.serve.permissions import Permissions
 from canopen_cli.serve.served import open_served
-from canopen_cli.shared.options import FiniteRange, Kind, Settings, common
+from canopen_cli.shared.options import FiniteRange, Settings, common
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
-from canopen_gateway import GatewayService, Permission, open_gateway, parse_permissions
+from canopen_gateway import GatewayService, Permission, open_gateway
 from canopen_gateway.ascii import AsciiDoor, bind_ascii_door
 from canopen_gateway.ascii.address import DEFAULT_HOST, DEFAULT_PORT
 from canopen_proto.gateway import CANOPENNODE, DIALECTS
-
-
-class Permissions(Kind):
-    """What clients may change: "write,nmt"."""
-
-    name = "kinds"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> frozenset[Permission]:
-        if isinstance(value, frozenset):
-            return value
-        try:
-            return parse_permissions(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
 
 
 @click.command(name="ascii")

@@ -13,6 +13,7 @@ COMMANDS: Final = {
         "serve.ascii:serve_ascii",
         "Serve a machine as a text gateway (CiA 309-3), until Ctrl-C.",
     ),
+    "web": ("serve.web:serve_web", "Serve a machine as a page in a browser, and by HTTP, until Ctrl-C."),
 }
 
 
