@@ -87,14 +87,13 @@ def node_data(master: Master, net: str, node_id: int) -> Plain:
 
 def device_data(device: Device) -> Plain:
     """Return a drive of the machine: its state, what it does, and why it does not move."""
-    unit = device.axis.settings.unit
     return {
         **view_data(view_of(device.axis)),
         "name": device.name,
         "axis": device.axis.number,
         "position": device.position,
         "velocity": device.velocity,
-        "unit": ("" if device.axis.scale.is_known else "counts") if unit is None else unit.value,
+        "unit": _unit_of(device),
         "homed": device.is_homed,
     }
 
@@ -120,6 +119,7 @@ def chain_data(chain: Chain) -> Plain:
             "bus": device.node.bus,
             "position": device.position,
             "velocity": device.velocity,
+            "unit": _unit_of(device),
             "state": str(device.state),
             "speed": device.limits.speed.value,
             "homed": device.is_homed,
@@ -223,6 +223,14 @@ def _is_at(node: Any, net: str, node_id: int) -> bool:
 
 def _age(master: Master, time: Time | None) -> float | None:
     return None if time is None else round((master.now() - time) / SECOND, 2)
+
+
+def _unit_of(device: Device) -> str:
+    """Return the unit of a drive's positions; "" for one that was given a scale and no name."""
+    unit = device.axis.settings.unit
+    if unit is None:
+        return "" if device.axis.scale.is_known else "counts"
+    return unit.value
 
 
 def _emergency(code: int) -> Plain:

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 import trio
+import trio.testing
 import trio_websocket
 
+from canopen_cli.demo.web import open_simulated_arm
 from canopen_cli.shared.problem import ExitCode
 from canopen_gateway import DoorError, GatewayService, open_gateway
 from canopen_gateway.web import WebDoor, bind_web_door
@@ -104,6 +106,27 @@ def test_other_computers_need_tls(run: Run, certificate: tuple[Path, Path], tmp_
     assert run(*command, "--cert", cert).status == ExitCode.USAGE
     wrong = run(*command, "--cert", cert, "--key", cert)
     assert (wrong.status, "belong together" in wrong.err) == (ExitCode.CANNOT_OPEN, True)
+
+
+def test_the_demonstration_on_a_page(run: Run) -> None:
+    told = run("demo", "--web", "--port", "0", "--seconds", "0.5", "--json").json
+    assert (told["nets"], told["allow"]) == (["virtual:demo"], ["motion", "nmt", "write"])
+    for options in (("--plot", "x.png"), ("--bus", "can0"), ("--fault", "5@1"), ("--swing", "5"), ("--eds", "x.eds")):
+        refused = run("demo", "--web", *options)
+        assert (refused.status, "--web" in refused.err) == (ExitCode.USAGE, True), refused.err
+
+
+async def arm_of_the_demonstration() -> list[str]:
+    async with open_simulated_arm() as service:
+        (arm,) = service.master.chains.values()
+        await arm.initialise()
+        await arm.follow()
+        return [f"{device.position:g} {device.axis.settings.unit}" for device in arm.devices]
+
+
+def test_its_joints_are_in_degrees() -> None:
+    clock = trio.testing.MockClock(autojump_threshold=0)
+    assert trio.run(arm_of_the_demonstration, clock=clock)[:2] == ["-14 degree", "9 degree"]
 
 
 def test_it_is_no_text_gateway_and_needs_a_bus(run: Run) -> None:

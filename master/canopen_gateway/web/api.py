@@ -44,14 +44,15 @@ from canopen_gateway.web.openapi import description
 from canopen_gateway.web.page import page_files
 from canopen_master import BusError, MasterClosedError, MasterError, Node, SdoTimeoutError
 from canopen_master.errors import NodeIsNoDriveError, UnknownChainError
-from canopen_master.plain_text import json_text
-from canopen_proto import LocalProtocolError, NmtCommand
+from canopen_master.plain_text import clean, json_text
+from canopen_proto import LocalProtocolError, NmtCommand, indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import NotInDictionaryError
 from canopen_proto.procedures import ProcedureError
 
 API: Final = "/api/v1"
 OCTETS: Final = "application/octet-stream"
+DEVICE_NAME: Final = indices.MANUFACTURER_DEVICE_NAME, 0
 EVENTS_WAITING: Final = 64
 """Events that wait for one reader of the event stream; a slow one misses the rest."""
 NMT_COMMANDS: Final = {
@@ -121,6 +122,24 @@ class WebApi:
         node = self._node(request)
         axis = find_node(request.query_params.get("axis", "0"), least=0)
         return _json(view_data(await self.service.look_at_drive(node.bus, node.node_id, axis)))
+
+    async def about(self, request: Request) -> Response:
+        """What a node says of itself: its device name (0x1008), and its drive, null if it is none. Silence is no error here."""
+        node = self._node(request)
+        name, drive, problem = "", None, ""
+        try:
+            drive = view_data(await self.service.look_at_drive(node.bus, node.node_id))
+        except NodeIsNoDriveError:
+            LOGGER.debug("%s is no drive", node.where)
+        except (MasterError, ProcedureError) as error:
+            problem = first_line(error)
+        if not problem:
+            try:
+                data = await self.session.read(node.bus, node.node_id, *DEVICE_NAME)
+                name = clean(data.decode("latin-1"))
+            except MasterError as error:
+                LOGGER.debug("%s has no name: %s", node.where, first_line(error))
+        return _json({"name": name, "drive": drive, "problem": problem})
 
     async def scan(self, request: Request) -> Response:
         """Ask all node-IDs of a net for their device type: reading, which is open to all."""
@@ -247,6 +266,7 @@ ROUTES: Final[Sequence[tuple[str, str, Handler]]] = (
     ("POST", f"{API}/{{net}}/halt", WebApi.halt),
     ("POST", f"{API}/{{net}}/scan", WebApi.scan),
     ("GET", f"{API}/{{net}}/{{node}}", WebApi.node),
+    ("GET", f"{API}/{{net}}/{{node}}/about", WebApi.about),
     ("GET", f"{API}/{{net}}/{{node}}/drive", WebApi.drive),
     ("GET", f"{API}/{{net}}/{{node}}/objects", WebApi.objects),
     ("PUT", f"{API}/{{net}}/{{node}}/nmt", WebApi.nmt),
