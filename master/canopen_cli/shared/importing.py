@@ -12,8 +12,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-LIBRARIES: Final = dict.fromkeys(("click", "rich", "trio", "can", "tomli_w"), "master") | dict.fromkeys(
-    ("starlette", "hypercorn", "prometheus_client"), "web"
+LIBRARIES: Final = (
+    dict.fromkeys(("click", "rich", "trio", "can", "tomli_w"), "master")
+    | dict.fromkeys(("starlette", "hypercorn", "prometheus_client"), "web")
+    | {"mcp": "mcp"}
 )
 """The libraries that a command may lack, and the extra that has each. The core and the data files need none of them."""
 

@@ -24,6 +24,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from canopen_gateway.errors import GatewayError, GatewayFullError, LeaseError, NoSuchPlaceError, NotAllowedError
+from canopen_gateway.nmt_words import nmt_command
 from canopen_gateway.places import find_net, find_node, find_object
 from canopen_gateway.plain_data import (
     Plain,
@@ -38,6 +39,7 @@ from canopen_gateway.plain_data import (
     view_data,
 )
 from canopen_gateway.service import GatewayService, GatewaySession
+from canopen_gateway.values_given import bytes_of
 from canopen_gateway.web.live import LiveClient, LiveHub
 from canopen_gateway.web.metrics import METRICS_TYPE, metrics_text
 from canopen_gateway.web.openapi import description
@@ -45,8 +47,7 @@ from canopen_gateway.web.page import page_files
 from canopen_master import BusError, MasterClosedError, MasterError, Node, SdoTimeoutError
 from canopen_master.errors import NodeIsNoDriveError, UnknownChainError
 from canopen_master.plain_text import clean, json_text
-from canopen_proto import LocalProtocolError, NmtCommand, indices
-from canopen_proto.datatypes import Value
+from canopen_proto import LocalProtocolError, indices
 from canopen_proto.dictionary.model import NotInDictionaryError
 from canopen_proto.procedures import ProcedureError
 
@@ -55,13 +56,6 @@ OCTETS: Final = "application/octet-stream"
 DEVICE_NAME: Final = indices.MANUFACTURER_DEVICE_NAME, 0
 EVENTS_WAITING: Final = 64
 """Events that wait for one reader of the event stream; a slow one misses the rest."""
-NMT_COMMANDS: Final = {
-    "start": NmtCommand.START,
-    "stop": NmtCommand.STOP,
-    "preoperational": NmtCommand.ENTER_PRE_OPERATIONAL,
-    "reset-node": NmtCommand.RESET_NODE,
-    "reset-communication": NmtCommand.RESET_COMMUNICATION,
-}
 LOGGER: Final = logging.getLogger("canopen_gateway")
 Handler: TypeAlias = "Callable[[WebApi, Request], Awaitable[Response]]"
 
@@ -181,7 +175,7 @@ class WebApi:
         if request.headers.get("content-type", "").partition(";")[0] == OCTETS:
             data = await request.body()
         else:
-            data = _encoded(node, index, subindex, (await _body(request)).get("value"))
+            data = bytes_of(node, index, subindex, (await _body(request)).get("value"))
         await self.session.write(node.bus, node.node_id, index, subindex, data)
         return _json({"written": data.hex(" ")})
 
@@ -192,10 +186,7 @@ class WebApi:
         net = find_net(self.service, request.path_params["net"])
         node_id = find_node(request.path_params["node"]) if "node" in request.path_params else 0
         word = (await _body(request)).get("command")
-        command = NMT_COMMANDS.get(word) if isinstance(word, str) else None
-        if command is None:
-            raise ValueError(f"{str(word)[:40]!r} is no NMT command; there are {', '.join(NMT_COMMANDS)}")
-        await self.session.nmt(net, command, node_id)
+        await self.session.nmt(net, nmt_command(word), node_id)
         return _json({"sent": word})
 
     async def halt(self, request: Request) -> Response:
@@ -322,13 +313,3 @@ async def _body(request: Request) -> Plain:
     if not isinstance(body, dict):
         raise ValueError("the body has to be a JSON object")
     return body
-
-
-def _encoded(node: Node, index: int, subindex: int, value: Value | None) -> bytes:
-    """Return the bytes of a value. Raises ValueError, LocalProtocolError: nothing was sent."""
-    variable = node.dictionary.at(index, subindex)
-    if not isinstance(value, int | float | str):
-        raise ValueError(f"{variable.label}: the value has to be a number or a text")
-    if isinstance(value, str) and isinstance(variable.codec.zero, bytes):
-        value = bytes.fromhex(value)
-    return node.remote.encode(variable, value)[2]

@@ -13,7 +13,7 @@ import os
 import secrets
 import socket
 import ssl
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -23,9 +23,9 @@ from hypercorn.trio import serve
 
 from canopen_gateway.errors import DoorError
 from canopen_gateway.listening import address_of, is_loopback, open_listeners
-from canopen_gateway.service import GatewayService
+from canopen_gateway.service import GatewayService, GatewaySession
 from canopen_gateway.web.api import WebApi, web_app
-from canopen_gateway.web.guard import WebGuard
+from canopen_gateway.web.guard import AsgiApp, WebGuard
 from canopen_gateway.web.live import MAX_MESSAGE, LiveHub
 
 DEFAULT_PORT: Final = 8402
@@ -59,15 +59,24 @@ class WebDoor:
         self.url = f"{scheme}://{self._names[0]}:{self.port}/?token={token}"
 
     async def serve(self, service: GatewayService) -> None:
-        """Serve clients until cancelled. Returns early only if the door itself fails; see `failure`."""
+        """Serve the page and its interface until cancelled. Returns early only if the door itself fails; see `failure`."""
+        hub = LiveHub(service)
+        await self.serve_app(service, lambda session: web_app(WebApi(service, hub, session)), hub.run)
+
+    async def serve_app(
+        self,
+        service: GatewayService,
+        make: Callable[[GatewaySession], AsgiApp],
+        beside: Callable[[], Awaitable[None]] = trio.sleep_forever,
+    ) -> None:
+        """Serve any application behind the guard, as `serve` does. make: returns it; is given a client of the service. beside:
+        runs meanwhile."""
         try:
-            hub = LiveHub(service)
             with service.open_session("the web door") as session:
-                app = web_app(WebApi(service, hub, session))
                 tls = self._certificate is not None
-                guarded = WebGuard(app, token=self.token, names=self._names, port=self.port, tls=tls)
+                guarded = WebGuard(make(session), token=self.token, names=self._names, port=self.port, tls=tls)
                 async with trio.open_nursery() as nursery:
-                    nursery.start_soon(hub.run)
+                    nursery.start_soon(beside)
                     await serve(guarded, self._config(), mode="asgi")  # type: ignore[arg-type] # it is an ASGI application
         except* Exception as failed:  # noqa: BLE001 - whatever it is, it ends this door alone
             self.failure = _first(failed)

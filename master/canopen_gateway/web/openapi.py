@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterable
 from typing import Any, Final
 
+from canopen_gateway.nmt_words import NMT_COMMANDS
+
 _PARAMETERS: Final = {
     "net": "A bus: its number, from 1, or its name.",
     "node": "A node-ID, 1 to 127.",
@@ -15,9 +17,8 @@ _QUERIES: Final = {
     "/objects": ("search", "Only objects whose name or place has this text."),
     "/drive": ("axis", "The number of the axis, from 0."),
 }
-_COMMANDS: Final = ("start", "stop", "preoperational", "reset-node", "reset-communication")
 _BODIES: Final = {
-    "/nmt": {"application/json": {"schema": {"type": "object", "properties": {"command": {"enum": list(_COMMANDS)}}}}},
+    "/nmt": {"application/json": {"schema": {"type": "object", "properties": {"command": {"enum": list(NMT_COMMANDS)}}}}},
     "/{object}": {
         "application/json": {
             "schema": {
