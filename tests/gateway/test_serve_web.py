@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import ssl
@@ -202,6 +203,19 @@ def test_on_a_real_socket() -> None:
             assert refused.startswith(b"HTTP/1.1 403")
             assert door.failure is None
             assert (await asked(door, get("/api/v1/state", door))).startswith(b"HTTP/1.1 200")
+
+    trio.run(main)
+
+
+def test_others_are_served_while_hundreds_of_connections_say_nothing() -> None:
+    async def main() -> None:
+        door = await bind_web_door(port=0)
+        async with served(door), contextlib.AsyncExitStack() as stack:
+            for number in range(300):
+                stream = await stack.enter_async_context(await trio.open_tcp_stream("127.0.0.1", door.port))
+                await stream.send_all(b"GET /api/v1/state HT" if number % 2 else b"")
+            assert (await asked(door, get("/api/v1/state", door))).startswith(b"HTTP/1.1 200")
+            assert door.failure is None
 
     trio.run(main)
 

@@ -8,7 +8,7 @@ import httpx
 import pytest
 import trio
 
-from canopen_gateway.web.guard import MAX_BODY, WebGuard
+from canopen_gateway.web.guard import MAX_BODY, MOST_AT_ONCE, SEND_SECONDS, WebGuard
 from tests.gateway.web_world import BEARER, COOKIE, NAMES, TOKEN, web
 from tests.master.world import virtual_time
 
@@ -157,6 +157,39 @@ async def test_the_token_becomes_a_cookie_and_leaves_the_address() -> None:
             assert (await browser.get("/api/v1/state")).status_code == 200
             assert (await browser.post("/api/v1/halt")).status_code == 403  # as a form of a foreign page would
             assert (await browser.post("/api/v1/halt", headers={"x-canopen": "1"})).status_code == 200
+
+
+@virtual_time
+async def test_a_client_that_takes_no_answer_is_cut_off() -> None:
+    async with web(3) as world:
+
+        async def ask() -> dict[str, object]:
+            await trio.lowlevel.checkpoint()
+            return {"type": "http.request", "body": b"", "more_body": False}
+
+        began = trio.current_time()
+        with pytest.raises(trio.TooSlowError):
+            await world.raw("GET", "/api/v1/1/3/objects", ask, lambda message: None, hangs=True)
+        assert trio.current_time() - began == pytest.approx(SEND_SECONDS, abs=0.1)
+
+
+@virtual_time
+async def test_so_many_requests_at_a_time_and_no_more() -> None:
+    async with web(3) as world, trio.open_nursery() as nursery:
+        asked = 0
+
+        async def ask() -> dict[str, object]:
+            nonlocal asked
+            asked += 1
+            await trio.sleep(0 if asked <= MOST_AT_ONCE else 3600)
+            return {"type": "http.request", "body": b"", "more_body": False}
+
+        for _ in range(MOST_AT_ONCE):
+            nursery.start_soon(world.raw, "GET", "/api/v1/events", ask, lambda message: None)
+        await trio.sleep(0.1)
+        assert (await world.http.get("/api/v1/state")).status_code == 503
+        nursery.cancel_scope.cancel()
+        await trio.sleep(0)
 
 
 @virtual_time

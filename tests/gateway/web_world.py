@@ -50,8 +50,11 @@ class WebWorld:
         answer = await self.http.post(f"/api/v1{path}")
         return answer.status_code, answer.json()
 
-    async def raw(self, method: str, path: str, receive: Callable[[], Any], took: Callable[[Any], None]) -> None:
-        """A request whose body comes as `receive` gives it. took: is given what the door sends."""
+    async def raw(
+        self, method: str, path: str, receive: Callable[[], Any], took: Callable[[Any], None], hangs: bool = False
+    ) -> None:
+        """A request whose body comes as `receive` gives it. took: is given what the door sends. hangs: the client takes
+        nothing of it."""
         headers = [(b"host", b"localhost:8402"), (b"authorization", BEARER["authorization"].encode())]
         scope = {
             "type": "http", "method": method, "path": path, "raw_path": path.encode(), "root_path": "", "query_string": b"",
@@ -61,7 +64,7 @@ class WebWorld:
 
         async def take(message: Any) -> None:
             took(message)
-            await trio.lowlevel.checkpoint()
+            await (trio.sleep_forever() if hangs else trio.lowlevel.checkpoint())
 
         await self.app(scope, receive, take)
 

@@ -11,6 +11,9 @@ them out, each for a reason of its own:
                   cannot set a header, and no answer here allows it (CORS)
     size          a body has MAX_BODY bytes at most; else 413, and the rest is not read
 
+Besides, one client cannot hold the door open: a body comes within BODY_SECONDS (408), an answer is taken within SEND_SECONDS (the
+connection ends), and MOST_AT_ONCE requests are served at a time (503).
+
 A WebSocket that shows only the cookie needs an Origin: a browser sends one always.
 
 The page itself, its styles and programs are open: they hold no data. `GET /?token=...` sets the cookie, and leads to `/`.
@@ -19,6 +22,7 @@ The page itself, its styles and programs are open: they hold no data. `GET /?tok
 from __future__ import annotations
 
 import hashlib
+import logging
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, Mapping, MutableMapping
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -36,6 +40,10 @@ MAX_BODY: Final = 1 << 16
 """Bytes of the body of a request."""
 BODY_SECONDS: Final = 10.0
 """Seconds that a body may take to come."""
+SEND_SECONDS: Final = 30.0
+"""Seconds that a client may take for a piece of an answer."""
+MOST_AT_ONCE: Final = 64
+"""Requests that are served at a time, event streams too. A browser has six of them at most."""
 SAFE_METHODS: Final = frozenset({"GET", "HEAD"})
 CLOSE_POLICY: Final = 1008
 """The close code of a WebSocket that is refused (RFC 6455, 7.4.1)."""
@@ -52,6 +60,9 @@ HEADERS: Final = (
 """Of every answer. no-store: a page of yesterday's version must not speak to today's door, and values are nobody else's."""
 
 
+LOGGER: Final = logging.getLogger("canopen_gateway")
+
+
 class WebRefusal(NamedTuple):
     """Why a request does not pass. status: of HTTP."""
 
@@ -59,6 +70,7 @@ class WebRefusal(NamedTuple):
     text: str
 
 
+FULL: Final = WebRefusal(503, f"this door serves {MOST_AT_ONCE} requests at a time")
 TOO_LONG: Final = WebRefusal(413, f"a body has {MAX_BODY} bytes at most")
 
 
@@ -75,6 +87,7 @@ class WebGuard:
             self.hosts |= {name.lower() for name in names}
         self.cookie = f"canopen-{port}"
         self._app = app
+        self._at_once = 0
         self._token = _digest(token)
         self._cookie_line = f"{self.cookie}={token}; Path=/; HttpOnly; SameSite=Strict{'; Secure' if tls else ''}"
         self._origins = frozenset(f"{'https' if tls else 'http'}://{host}" for host in self.hosts)
@@ -121,12 +134,21 @@ class WebGuard:
             return
         if refusal is None and _announced(headers) > MAX_BODY:
             refusal = TOO_LONG
+        if refusal is None and self._at_once >= MOST_AT_ONCE:
+            refusal = FULL
         if refusal is not None:
             await _answer(send, refusal.status, refusal.text)
         elif scope["path"] == "/" and b"token=" in scope["query_string"]:
             await self._enter(scope, send)
         else:
-            await self._pass(scope, receive, send)
+            self._at_once += 1
+            try:
+                await self._pass(scope, receive, send)
+            except trio.TooSlowError:
+                LOGGER.info("%s is cut off: it took nothing for %g s", scope.get("client"), SEND_SECONDS)
+                raise
+            finally:
+                self._at_once -= 1
 
     async def _enter(self, scope: Scope, send: Send) -> None:
         """Take the token out of the address, and put it into a cookie: an address stays in histories and screenshots."""
@@ -161,7 +183,8 @@ class WebGuard:
         async def with_headers(message: AsgiMessage) -> None:
             if message["type"] == "http.response.start":
                 message["headers"] = [*message.get("headers", ()), *HEADERS]
-            await send(message)
+            with trio.fail_after(SEND_SECONDS):
+                await send(message)
 
         await self._app(scope, replayed, with_headers)
 
