@@ -19,17 +19,86 @@ DOOR: Final = ("tests/gateway/test_ascii_door.py",)
 NETS: Final = ("tests/gateway/test_several_nets.py",)
 FLEET: Final = ("tests/gateway/test_fleet.py",)
 LEAD: Final = ("tests/gateway/test_fleet_lead.py",)
+WEB: Final = ("tests/gateway/test_web_guard.py",)
+LIVE: Final = ("tests/gateway/test_web_live.py",)
+ASSISTANT: Final = ("tests/gateway/test_assistant.py",)
 
 _GUARD: Final = "canopen_gateway/guard.py"
 _LEASE: Final = "canopen_gateway/lease.py"
 _SERVICE: Final = "canopen_gateway/service.py"
 _DOOR: Final = "canopen_gateway/ascii/door.py"
+_WEB: Final = "canopen_gateway/web/guard.py"
+_LIVE: Final = "canopen_gateway/web/live.py"
 _CONNECTION: Final = "canopen_gateway/ascii/connection.py"
 _FLEET: Final = "canopen_gateway/fleet"
 
 GATEWAY_MUTANTS: Final = tuple(
     Mutant(*each, in_corpus=False)
     for each in (
+        (
+            "any_host_is_ours",
+            _WEB,
+            "        if len(host) != 1 or host[0].lower() not in self.hosts:\n",
+            "        if len(host) != 1:\n",
+            "a page whose name means 127.0.0.1 (DNS rebinding) reads the machine",
+            WEB,
+        ),
+        (
+            "origin_null_is_ours",
+            _WEB,
+            "        if any(origin.lower() not in self._origins for origin in origins):\n",
+            '        if any(origin.lower() not in (*self._origins, "null") for origin in origins):\n',
+            "a sandboxed frame of any page speaks to the door",
+            WEB,
+        ),
+        (
+            "cookie_alone_changes",
+            _WEB,
+            '        if method not in SAFE_METHODS and headers.get("x-canopen") != ["1"]:\n',
+            '        if method == "PUT" and headers.get("x-canopen") != ["1"]:\n',
+            "a form of a foreign page gives commands by POST",
+            WEB,
+        ),
+        (
+            "websocket_needs_no_origin",
+            _WEB,
+            "            return None if origins else WebRefusal(403,",
+            "            return None if True else WebRefusal(403,",
+            "a WebSocket from anywhere that has the cookie moves the machine",
+            (*WEB, *LIVE),
+        ),
+        (
+            "any_token_will_do",
+            _WEB,
+            "        return len(given) == 1 and secrets.compare_digest(_digest(given[0]), self._token)\n",
+            "        return len(given) == 1\n",
+            "every cookie of that name opens the door",
+            WEB,
+        ),
+        (
+            "body_without_bound",
+            _WEB,
+            "                if len(body) > MAX_BODY:\n",
+            "                if len(body) > 1000 * MAX_BODY:\n",
+            "a body without a length fills the memory",
+            WEB,
+        ),
+        (
+            "hung_page_kept",
+            _LIVE,
+            "            if limit.cancelled_caught:\n",
+            "            if False:\n",
+            "a page that hangs keeps its place for ever",
+            LIVE,
+        ),
+        (
+            "page_without_lease_of_its_own",
+            _LIVE,
+            "                lease.renew(session, _sequence(message))\n",
+            "                lease.renew(lease.owner or session, _sequence(message))\n",
+            "another page keeps a lease alive whose owner is gone",
+            LIVE,
+        ),
         (
             "further_axis_unguarded",
             _GUARD,

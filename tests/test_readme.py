@@ -25,6 +25,7 @@ NAMES = (
     "flash.md",
     "network.md",
     "gateway.md",
+    "web.md",
     "master.md",
     "core.md",
     "start-no-hardware.md",

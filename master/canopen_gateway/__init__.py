@@ -1,5 +1,5 @@
-"""Doors to a machine from other programs and networks: a service on top of a master, the text protocol of CiA 309-3, and a fleet
-of many buses on many computers (`canopen_gateway.fleet`).
+"""Doors to a machine from other programs and networks: a service on top of a master, the text protocol of CiA 309-3, a page in a
+browser (web/), and a fleet of many buses on many computers (fleet/).
 
     async with open_master("socketcan:can0") as master, open_gateway(master) as service:
         async with open_ascii_door(service, tcp=("127.0.0.1", 60000)) as door:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from canopen_gateway.errors import GatewayRefusedError as GatewayRefusedError
     from canopen_gateway.errors import LeaseError as LeaseError
     from canopen_gateway.errors import NoGatewayError as NoGatewayError
+    from canopen_gateway.errors import NoSuchPlaceError as NoSuchPlaceError
     from canopen_gateway.errors import NotAllowedError as NotAllowedError
     from canopen_gateway.errors import NotOverTextError as NotOverTextError
     from canopen_gateway.errors import PdoTakenError as PdoTakenError
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from canopen_gateway.layer_settings import LayerSettings as LayerSettings
     from canopen_gateway.lease import Lease as Lease
     from canopen_gateway.limits import Limits as Limits
+    from canopen_gateway.samples import PdoSample as PdoSample
+    from canopen_gateway.samples import PdoSamples as PdoSamples
     from canopen_gateway.service import GatewayService as GatewayService
     from canopen_gateway.service import GatewaySession as GatewaySession
     from canopen_gateway.service import HeardOnNet as HeardOnNet

@@ -24,6 +24,8 @@ DOOR_REFUSED: Final = "CO155"
 NOT_OVER_TEXT: Final = "CO156"
 """A command needs a bus, and this is a text gateway."""
 
+NO_SUCH_PLACE: Final = "CO157"
+"""A request names a net, a node or an object that is not there."""
 NO_BRIDGE: Final = "CO160"
 """Nobody answers for this place in a fleet, or the fleet cannot be joined."""
 BRIDGE_REFUSED: Final = "CO161"
@@ -119,6 +121,13 @@ class NotOverTextError(GatewayError):
             cause="this command needs a bus: it listens, or sends frames of its own",
             tries=(f"what works over it: {works}", "the bus itself, on the computer that has it"),
         )
+
+
+class NoSuchPlaceError(GatewayError, LookupError):
+    """A request names a net, a node or an object that is not there; nothing was sent. For the fields see Explained."""
+
+    def __init__(self, failed: str, *, seen: str = "") -> None:
+        super().__init__(NO_SUCH_PLACE, failed, seen=seen)
 
 
 class DoorError(GatewayError):

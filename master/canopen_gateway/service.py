@@ -28,11 +28,18 @@ from canopen_gateway.guard import Guard, Permission, permission_to_write
 from canopen_gateway.layer_settings import LayerSettings
 from canopen_gateway.lease import Lease
 from canopen_gateway.limits import Limits
+from canopen_gateway.request_times import RequestTimes
+from canopen_gateway.samples import PdoSamples
 from canopen_gateway.values import ValueStream, WatchedObject
 from canopen_master import ChainState, Master, Node
+from canopen_master.motion.single_drive import look_at_drive
 from canopen_proto import LocalProtocolError, NmtCommand, NodeGuardingLost, OwnHeartbeat
+from canopen_proto.drives.axis.axis_node import node_of_axis
+from canopen_proto.drives.axis.view import DriveView
+from canopen_proto.frame import ALL_NODE_IDS
 from canopen_proto.gateway import NodeEar, NodeReport, PdoPort, PdoReport
 from canopen_proto.machine import MILLISECOND, SECOND, Machine, Time
+from canopen_proto.manager.scan import Scanner, scan
 from canopen_proto.procedures.steps import act
 from canopen_proto.sdo.client import Block
 
@@ -40,6 +47,9 @@ LOG_LENGTH: Final = 100
 """Events that a service remembers, for those who look later."""
 EVENTS_WAITING: Final = 256
 """Events that wait for one client; further ones are dropped, and counted."""
+
+SEARCH_LISTENS: Final = 100 * MILLISECOND
+"""ns for which a search for nodes listens before it asks."""
 
 
 class HeardOnNet(NamedTuple):
@@ -52,7 +62,7 @@ class HeardOnNet(NamedTuple):
 class GatewayService:
     """See this module's text; made by `open_gateway`. nets: the names of the buses, in the order in which they were opened; net n
     of a text protocol is the n-th, from 1. guard, limits: as given. lease: who moves the machine. log: the last events, oldest
-    first."""
+    first. request_times: how long requests to nodes took."""
 
     def __init__(self, master: Master, *, allow: Collection[Permission] = (), limits: Limits | None = None) -> None:
         """master: an open one. allow: what clients may change; by default nothing."""
@@ -62,9 +72,11 @@ class GatewayService:
         self.nets = tuple(dict.fromkeys(bus.name for bus in master.buses.values()))
         self.lease = Lease(master, self.guard)
         self.log: deque[HeardOnNet] = deque(maxlen=LOG_LENGTH)
+        self.request_times = RequestTimes()
         self._sessions: list[GatewaySession] = []
         self._last_number = 0
         self._under_way = 0
+        self._searching = trio.Lock()
         self._turns: dict[tuple[str, int], trio.Lock] = defaultdict(trio.Lock)
         self._settings: dict[str, LayerSettings] = {}
         self._own_ids: dict[str, int] = {}
@@ -175,9 +187,30 @@ class GatewayService:
                     client.timeout = max(MILLISECOND, round(timeout * SECOND))
                 client.max_upload = self.limits.value_bytes
                 try:
-                    yield node
+                    with self.request_times.measured(net):
+                        yield node
                 finally:
                     client.timeout, client.max_upload = before
+
+    async def find_nodes(self, net: str) -> None:
+        """Ask all node-IDs of a net that were not heard yet for their device type: reading, which everybody may. `heard_nodes` of
+        its network has those that answered. One search at a time. Raises GatewayFullError, BusError."""
+        bus = self.master.bus(net)
+        async with self._searching:
+            scanner = Scanner(bus.network.out)
+            self.attach(net, scanner)
+            try:
+                with self.under_way():
+                    silent = [each for each in ALL_NODE_IDS if each not in bus.network.heard_nodes()]  # nobody else asks these
+                    await self.master.run(scan(scanner, silent, listen=SEARCH_LISTENS))
+            finally:
+                self.detach(net, scanner)
+
+    async def look_at_drive(self, net: str, node_id: int, axis: int = 0) -> DriveView:
+        """Read what a drive shows. axis: its number. Raises NodeIsNoDriveError; SdoTransferError if it does not answer."""
+        async with self.turn(net, node_id, None) as node:
+            view: DriveView = await self.master.run(look_at_drive(node_of_axis(node.remote, axis)))
+        return view
 
     def number_ear(self) -> int:
         """Return a number that no ear has yet."""
@@ -256,14 +289,24 @@ class GatewaySession:
     def watch_values(self, objects: Sequence[WatchedObject], period: float) -> ValueStream:
         """Return the values of objects, again and again: `async with session.watch_values(...) as values: async for ...`. period:
         seconds; see values.py. Raises GatewayFullError for more than the limits allow."""
-        limits = self.service.limits
-        if self._watching + len(objects) > limits.subscriptions:
-            raise GatewayFullError("watched objects of one client", limits.subscriptions)
+        self._require_room(len(objects))
+        least_period = self.service.limits.least_period
 
         async def read(place: WatchedObject) -> bytes:
             return await self.read(place.net, place.node_id, place.index, place.subindex)
 
-        return ValueStream(tuple(objects), max(period, limits.least_period), self.service.node, read, self._count_watched)
+        return ValueStream(tuple(objects), max(period, least_period), self.service.node, read, self._count_watched)
+
+    def sample_pdos(self, objects: Sequence[WatchedObject]) -> PdoSamples:
+        """Return every value of objects that PDOs bring: `with session.sample_pdos([...]) as samples: samples.take()`; see
+        samples.py. Raises GatewayFullError for more than the limits allow."""
+        self._require_room(len(objects))
+        return PdoSamples(self.service.master, objects, self._count_watched)
+
+    def _require_room(self, more: int) -> None:
+        most = self.service.limits.subscriptions
+        if self._watching + more > most:
+            raise GatewayFullError("watched objects of one client", most)
 
     def _count_watched(self, change: int) -> None:
         self._watching += change

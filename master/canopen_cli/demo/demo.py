@@ -7,14 +7,15 @@ from functools import partial
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from canopen_cli.demo.run import ShownDemonstration
 from canopen_cli.motion.record_option import check_record, record_option, recorded
 from canopen_cli.plot.cycles import check_plot, write_plot
 from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import Breakdown, Duration, FiniteRange, Settings, common, enabling
-from canopen_cli.shared.problem import usage
+from canopen_cli.shared.options import DEMO, Breakdown, Duration, FiniteRange, Settings, common, enabling
+from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
 from canopen_data import load_dictionary
@@ -54,6 +55,8 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
     help="What real drives count in; 1000 for millidegrees.  [default: Schunk's by their vendor-ID]",
 )
 @click.option("--fault", type=Breakdown(), help="Show a breakdown: 5@2.0 lets simulated drive 5 fail after 2 s of moving.")
+@click.option("--web", is_flag=True, help="Show six simulated joints on a page in a browser, until Ctrl-C (extra `web`).")
+@click.option("--port", type=click.IntRange(0, 65535), default=8402, show_default=True, help="Of --web; 0: any free one.")
 @click.option("--defaults", is_flag=True, help="With --eds: the drives as they come, without what a DCF configures.")
 @enabling
 @common
@@ -69,6 +72,8 @@ def demo(
     record: Path | None,
     counts_per_degree: float | None,
     fault: tuple[int, float] | None,
+    web: bool,
+    port: int,
     defaults: bool,
 ) -> int:
     """A six-joint arm boots, homes itself and moves. Needs no hardware.
@@ -89,6 +94,7 @@ def demo(
 
     \b
     canopen demo
+    canopen demo --web                                        on a page in a browser
     canopen demo --plot arm.png
     canopen demo --record run.csv                             every cycle; canopen plot run.csv
     canopen demo --fault 5@2.0                                what a drive's breakdown looks like
@@ -96,6 +102,9 @@ def demo(
     canopen demo -m cell.toml                                 a machine of yours, simulated
     canopen demo --bus socketcan:can0 --chains my.csv         the same on hardware
     """
+    if web:
+        _show_in_browser(settings, port)
+        return ExitCode.OK
     # CANOPEN_BUS does not count here: a demonstration must not move an arm because a variable was set long ago.
     bus = settings.bus if settings.bus not in (None, "demo") else None
     if fault is not None and bus is not None:
@@ -139,6 +148,22 @@ def demo(
         if plot is not None and demonstration.recording.times:
             write_plot(plot, demonstration.recording, *shown.titles())
             screen.say(f"Drawn: [bold]{escape(str(plot))}[/]")
+
+
+def _show_in_browser(settings: Settings, port: int) -> None:
+    """Serve the page; of the options only --seconds counts, and only if it was given. Raises a CommandError for the others."""
+    context = click.get_current_context()
+    given = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
+    if others := given & {"chains", "chain", "cycle", "swing", "plot", "record", "counts_per_degree", "fault", "defaults"}:
+        option = f"--{min(others).replace('_', '-')}"
+        raise usage("CO123", f"{option} does not go with --web: the page moves the joints", tries=("canopen demo --web",))
+    if settings.eds or settings.bus not in (None, DEMO):
+        raise usage(
+            "CO123", "--web shows the simulated joints", tries=("canopen serve web -m cell.toml", "canopen serve web -b can0")
+        )
+    from canopen_cli.demo.web import show_in_browser  # needs the extra `web`, which no other demonstration does
+
+    show_in_browser(settings, port, context.params["seconds"] if "seconds" in given else None)
 
 
 def check_cycle(cycle: Time) -> None:

@@ -13,6 +13,8 @@ COMMANDS: Final = {
         "serve.ascii:serve_ascii",
         "Serve a machine as a text gateway (CiA 309-3), until Ctrl-C.",
     ),
+    "mcp": ("serve.assistant:serve_mcp", "Let an assistant read a machine, by the Model Context Protocol."),
+    "web": ("serve.web:serve_web", "Serve a machine as a page in a browser, and by HTTP, until Ctrl-C."),
     "zenoh": (
         "serve.zenoh:serve_zenoh",
         "Bring the buses of this computer into a fleet, on Zenoh, until Ctrl-C.",

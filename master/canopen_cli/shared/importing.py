@@ -12,15 +12,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-LIBRARIES: Final = frozenset({"click", "rich", "trio", "can", "tomli_w"})
-"""The libraries of the extra `master`. The core and the data files need none of them."""
+LIBRARIES: Final = (
+    dict.fromkeys(("click", "rich", "trio", "can", "tomli_w"), "master")
+    | dict.fromkeys(("starlette", "hypercorn", "prometheus_client"), "web")
+    | {"mcp": "mcp"}
+)
+"""The libraries that a command may lack, and the extra that has each. The core and the data files need none of them."""
 
 
 class LibraryMissingError(Exception):
     """Raised if one of LIBRARIES is not installed."""
 
     def __init__(self, library: str) -> None:
-        super().__init__(f"the command line needs {library}, which is not installed.\nTry: pip install 'canopen-proto[master]'")
+        extra = LIBRARIES[library]
+        what = "the command line" if extra == "master" else "this command"
+        super().__init__(f"{what} needs {library}, which is not installed.\nTry: pip install 'canopen-proto[{extra}]'")
 
 
 def library_missing(error: ModuleNotFoundError) -> LibraryMissingError | None:

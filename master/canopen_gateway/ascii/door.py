@@ -19,7 +19,6 @@
 from __future__ import annotations
 
 import errno
-import ipaddress
 import logging
 import os
 import re
@@ -34,19 +33,17 @@ import trio
 from canopen_gateway.ascii.connection import AsciiConnection
 from canopen_gateway.errors import DoorError, GatewayFullError
 from canopen_gateway.limits import Limits
+from canopen_gateway.listening import BACKLOG, SEND_BUFFER, address_of, is_loopback, open_listeners
 from canopen_gateway.service import GatewayService
 from canopen_proto.gateway import CANOPENNODE, Dialect, GatewayAnswer, GatewayCode, GatewayLines, print_answer
 
 READ_SIZE: Final = 4096
-SEND_BUFFER: Final = 1 << 16
-"""Bytes that the system keeps for a client that takes nothing."""
 SILENT_FIRST: Final = 1.0
 SILENT: Final = 30.0
 MAX_REFUSED: Final = 64
 """Clients that are being told that there is no room; more are closed without a word."""
 FAREWELL: Final = 1.0
 """Seconds that a client may take for its last answer."""
-BACKLOG: Final = 64
 LOGGER: Final = logging.getLogger("canopen_gateway")
 _HTTP: Final = re.compile(rb" HTTP/\d\.\d\r?\Z")
 
@@ -251,7 +248,7 @@ async def bind_ascii_door(
     try:
         if tcp is not None:
             listeners += await _tcp_listeners(*tcp, reachable)
-            addresses += [_address_of(listener) for listener in listeners]
+            addresses += [address_of(listener) for listener in listeners]
         if unix is not None:
             listeners.append(await _unix_listener(unix))
             addresses.append(str(unix))
@@ -263,25 +260,13 @@ async def bind_ascii_door(
 
 
 async def _tcp_listeners(host: str, port: int, reachable: bool) -> list[trio.SocketListener]:
-    if not reachable and not _is_loopback(host):
+    if not reachable and not is_loopback(host):
         raise DoorError(
             f"{host} can be reached from other computers, and this door has no password",
             cause="a text gateway knows no users: whoever reaches it may do what is allowed",
             tries=("--bind 127.0.0.1, and ssh -L 60000:localhost:60000 from elsewhere", "--reachable, if that is meant"),
         )
-    try:
-        listeners = await trio.open_tcp_listeners(port, host=host, backlog=BACKLOG)
-    except (OSError, UnicodeError) as error:
-        in_use = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        raise DoorError(
-            f"cannot listen at {host} port {port}",
-            seen=str(error),
-            cause="another program listens there: another gateway?" if in_use else "it is no address of this computer",
-            tries=(f"--port {port + 1 if port < 65535 else 0}",),
-        ) from error
-    for listener in listeners:
-        listener.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    return listeners
+    return await open_listeners(host, port)
 
 
 async def _unix_listener(path: Path) -> trio.SocketListener:
@@ -320,18 +305,6 @@ async def _remove_left_over(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError:
         return
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _address_of(listener: trio.SocketListener) -> str:
-    host, port = listener.socket.getsockname()[:2]
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def _name_of(stream: trio.SocketStream) -> str:

@@ -1,0 +1,81 @@
+"""`canopen serve mcp`: a machine for an assistant, by the Model Context Protocol."""
+
+from __future__ import annotations
+
+import math
+
+import click
+import trio
+
+from canopen_cli.serve.permissions import Permissions
+from canopen_cli.serve.served import open_served
+from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.problem import usage
+from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.screen import Screen, escape
+from canopen_gateway import GatewaySession, Permission, open_gateway
+from canopen_gateway.assistant import assistant_server
+from canopen_gateway.web import bind_web_door
+from canopen_gateway.web.guard import AsgiApp
+
+
+@click.command(name="mcp")
+@click.option("--http", "port", type=click.IntRange(0, 65535), metavar="PORT", help="By HTTP on this computer; 0: any free port.")
+@click.option(
+    "--allow",
+    type=Permissions(),
+    default="",
+    metavar="KINDS",
+    help="What the assistant may change: write, store, program, nmt. By default nothing.",
+)
+@click.option("--seconds", type=FiniteRange(0), help="End after this time.")
+@common
+@click.pass_obj
+def serve_mcp(settings: Settings, port: int | None, allow: frozenset[Permission], seconds: float | None) -> None:
+    """Let an assistant read a machine, by the Model Context Protocol. Needs the extra `mcp`.
+
+    It speaks on its standard input and output, as assistants start their tools; with --http on a port of this computer, with a
+    token. The assistant reads objects, lists nodes, and explains drives and codes. It moves nothing. Anybody may halt.
+
+    \b
+    canopen serve mcp -b can0                  what an assistant's configuration starts
+    canopen serve mcp -b demo --http 8403      six simulated drives, by HTTP
+    """
+    screen = settings.screen()
+    if Permission.MOTION in allow:
+        tries = ("the same without motion", "canopen serve web --allow motion")
+        raise usage("CO123", "--allow motion: an assistant cannot hold a dead man's switch", tries=tries)
+    serve = _on_streams if port is None else _by_http
+
+    async def serve_unwrapped() -> None:
+        try:
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await serve(settings, screen, allow, port or 0)
+        except ExceptionGroup as group:
+            raise first_of(group) from None
+
+    run_until_interrupted(settings, screen, serve_unwrapped)
+
+
+async def _on_streams(settings: Settings, screen: Screen, allow: frozenset[Permission], _port: int) -> None:
+    async with open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
+        with service.open_session("an assistant") as session:
+            await assistant_server(service, session).run_stdio_async()
+
+
+async def _by_http(settings: Settings, screen: Screen, allow: frozenset[Permission], port: int) -> None:
+    door = await bind_web_door(port=port)
+    async with door, open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
+
+        def make(session: GatewaySession) -> AsgiApp:
+            # The guard in front of it looks at Host and Origin
+            app: AsgiApp = assistant_server(service, session).streamable_http_app(stateless_http=True, json_response=True)
+            return app
+
+        url = f"http://127.0.0.1:{door.port}/mcp"
+        if settings.json:
+            screen.json({"url": url, "token": door.token, "nets": list(service.nets)})
+        screen.say(f"[bold]{escape(url)}[/] with the header Authorization: Bearer {escape(door.token)}")
+        await door.serve_app(service, make)
+    if door.failure is not None:
+        raise door.failure

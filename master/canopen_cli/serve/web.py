@@ -1,0 +1,96 @@
+"""`canopen serve web`: a page, an HTTP interface and a WebSocket."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+import trio
+
+from canopen_cli.serve.permissions import Permissions
+from canopen_cli.serve.served import open_served
+from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.problem import usage
+from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.screen import Screen, escape
+from canopen_gateway import GatewayService, Permission, open_gateway
+from canopen_gateway.web import WebDoor, bind_web_door
+from canopen_gateway.web.door import DEFAULT_PORT
+
+FILE = click.Path(dir_okay=False, exists=True, path_type=Path)
+
+
+@click.command(name="web")
+@click.option("--bind", default="127.0.0.1", metavar="HOST", show_default=True, help="Where to listen.")
+@click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0: any free one.")
+@click.option("--name", "names", multiple=True, metavar="NAME", help="A further name by which browsers reach it.")
+@click.option("--cert", type=FILE, metavar="FILE", help="A certificate (PEM), for TLS: other computers may then reach it.")
+@click.option("--key", type=FILE, metavar="FILE", help="Its key.")
+@click.option("--token-file", type=FILE, metavar="FILE", help="A file with the token.  [default: a new one at each start]")
+@click.option(
+    "--allow",
+    type=Permissions(),
+    default="",
+    metavar="KINDS",
+    help="What clients may change: write, motion, store, program, nmt, lss. By default nothing.",
+)
+@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@common
+@click.pass_obj
+def serve_web(
+    settings: Settings,
+    bind: str,
+    port: int,
+    names: tuple[str, ...],
+    cert: Path | None,
+    key: Path | None,
+    token_file: Path | None,
+    allow: frozenset[Permission],
+    seconds: float | None,
+) -> None:
+    """Serve a machine as a page in a browser, and by HTTP, until Ctrl-C. Needs the extra `web`.
+
+    Open the address that it prints: the token in it is the key. Reading is always allowed. Each kind of change has to be named by
+    --allow, as for `canopen serve ascii`. Anybody who has the token may halt, always.
+
+    \b
+    canopen serve web -b demo                       six simulated drives, read-only
+    canopen serve web -b can0 --allow write,nmt
+    canopen serve web -m cell.toml --allow motion   jog its chains, with a dead man's switch
+    canopen serve web -b can0 --bind 0.0.0.0 --name cell7.lan --cert cell7.pem --key cell7.key
+    """
+    screen = settings.screen()
+    if (cert is None) is not (key is None):
+        raise usage("CO123", "--cert and --key belong together", tries=("--cert FILE --key FILE",))
+    certificate = None if cert is None or key is None else (cert, key)
+    token = "" if token_file is None else token_file.read_text(encoding="utf-8").strip()
+
+    async def serve() -> None:
+        # Before anything else: a port in use is told while nothing moves yet
+        door = await bind_web_door(host=bind, port=port, names=names, certificate=certificate, token=token)
+        async with door, open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
+            tell_web_door(settings, screen, door, service)
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await door.serve(service)
+        if door.failure is not None:
+            raise door.failure
+
+    async def serve_unwrapped() -> None:
+        try:
+            await serve()
+        except ExceptionGroup as group:
+            raise first_of(group) from None
+
+    run_until_interrupted(settings, screen, serve_unwrapped)
+
+
+def tell_web_door(settings: Settings, screen: Screen, door: WebDoor, service: GatewayService) -> None:
+    """Say where the page is, and what it may do."""
+    if settings.json:
+        allowed = sorted(each.value for each in service.guard.allowed)
+        screen.json({"url": door.url, "doors": list(door.addresses), "nets": list(service.nets), "allow": allowed})
+    screen.say(f"[bold]open {escape(door.url)}[/]")
+    screen.say(f"{escape(service.guard.mode)}; whoever has this address may do that")
+    for number, net in enumerate(service.nets, 1):
+        screen.say(f"net {number} is {escape(net)}")

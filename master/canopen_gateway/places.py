@@ -1,0 +1,40 @@
+"""How requests name a net, a node and an object, in a path or a message."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Final
+
+from canopen_gateway.errors import NoSuchPlaceError
+from canopen_gateway.service import GatewayService
+from canopen_proto.dictionary import ObjectDictionary
+
+_PLACE: Final = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{4})(?:[:.](?:0[xX])?([0-9A-Fa-f]{1,2}))?")
+
+
+def find_net(service: GatewayService, text: str) -> str:
+    """Return the name of a net. text: that name, or its number, from 1. Raises NoSuchPlaceError."""
+    if text in service.nets:
+        return text
+    if text.isascii() and text.isdecimal() and len(text) < 4 and 1 <= int(text) <= len(service.nets):
+        return service.nets[int(text) - 1]
+    known = ", ".join(f"{number} ({name})" for number, name in enumerate(service.nets, 1))
+    raise NoSuchPlaceError(f"there is no net {text[:40]!r}", seen=f"the nets are {known}")
+
+
+def find_node(value: Any, *, least: int = 1) -> int:
+    """Return a node-ID, 1..127. value: a number, or its text. least: 0 if all nodes may be meant. Raises NoSuchPlaceError."""
+    text = str(value)
+    if not isinstance(value, bool) and text.isascii() and text.isdecimal() and len(text) < 4 and least <= int(text) <= 127:
+        return int(text)
+    raise NoSuchPlaceError(f"{text[:40]!r} is no node-ID", seen=f"they are {least} to 127")
+
+
+def find_object(dictionary: ObjectDictionary, text: str) -> tuple[int, int]:
+    """Return the index and subindex of an object. text: a name, or "6041:00"; a number need not be in the dictionary. Raises
+    ObjectNotFoundError for another name."""
+    number = _PLACE.fullmatch(text)
+    if number is not None:
+        return int(number[1], 16), int(number[2] or "0", 16)
+    variable = dictionary.variable(text)
+    return variable.index, variable.subindex

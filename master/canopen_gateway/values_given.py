@@ -1,0 +1,17 @@
+"""Values that a client gives in JSON, as the bytes of an object."""
+
+from __future__ import annotations
+
+from canopen_master import Node
+from canopen_proto.datatypes import Value
+
+
+def bytes_of(node: Node, index: int, subindex: int, value: Value | None) -> bytes:
+    """Return the bytes of a value. value: a number, a text, a constant by its name; bytes in hexadecimal for an object that holds
+    bytes. Raises ValueError, LocalProtocolError: nothing was sent."""
+    variable = node.dictionary.at(index, subindex)
+    if not isinstance(value, int | float | str):
+        raise ValueError(f"{variable.label}: the value has to be a number or a text")
+    if isinstance(value, str) and isinstance(variable.codec.zero, bytes):
+        value = bytes.fromhex(value)
+    return node.remote.encode(variable, value)[2]

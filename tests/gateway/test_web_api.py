@@ -1,0 +1,197 @@
+"""The HTTP interface of the web door, in virtual time."""
+
+from __future__ import annotations
+
+import re
+
+import trio
+
+from canopen_gateway import Limits
+from canopen_gateway.web.api import ROUTES
+from canopen_proto.frame import Frame
+from canopen_transports import open_transport
+from tests.gateway.web_world import web
+from tests.master.world import BUS, arm_of, virtual_time
+
+
+@virtual_time
+async def test_nodes_with_their_states_in_words() -> None:
+    async with web(3, 4, allow="nmt") as world:
+        assert [each["node"] for each in await world.get("/1/nodes")] == [3, 4]
+        assert await world.put("/1/3/nmt", command="start") == (200, {"sent": "start"})
+        await trio.sleep(1)
+        three, four = (await world.get("/buses"))[0]["nodes"]
+        assert (three["state"], four["state"]) == ("operational", "pre-operational")
+        assert three["heard"] == "heartbeat"
+        assert 0 <= three["age"] < 1
+        arm_of(world.service.master, 3, 4)
+        assert (await world.get(f"/{BUS}/4"))["name"] == "joint2"
+        assert (await world.get("/chains"))[0]["joints"][1]["name"] == "joint2"
+        assert (await world.get("/lease"))["owner"] is None
+
+
+@virtual_time
+async def test_a_search_finds_nodes_that_say_nothing_by_themselves() -> None:
+    async with web(3, 77, beats=False) as world:
+        assert await world.get("/1/nodes") == []
+        status, found = await world.post("/1/scan")
+        assert (status, [each["node"] for each in found]) == (200, [3, 77])
+        assert found[0]["state"] == "not heard"
+        assert [each["node"] for each in await world.get("/1/nodes")] == [3, 77]
+
+
+@virtual_time
+async def test_objects_are_found_read_and_written() -> None:
+    async with web(3, allow="write") as world:
+        found = await world.get("/1/3/objects?search=HEARTBEAT")
+        assert {"1017:00", "1016:01"} <= {each["path"] for each in found}
+        assert len(await world.get("/1/3/objects")) > 50
+        word = await world.get("/1/3/objects/statusword")
+        assert (word["value"], word["constants"], word["hex"]) == (576, ["switch_on_disabled", "remote"], "40 02")
+        assert await world.put("/1/3/objects/0x1017", value=300) == (200, {"written": "2c 01"})
+        assert (await world.get("/1/3/objects/1017:00"))["value"] == 300
+        raw = await world.http.get("/api/v1/1/3/objects/1017", headers={"accept": "application/octet-stream"})
+        assert raw.content == b"\x2c\x01"
+        path = "/api/v1/1/3/objects/1017"
+        written = await world.http.put(path, content=b"\xc8\x00", headers={"content-type": "application/octet-stream"})
+        assert written.status_code == 200
+        assert (await world.get("/1/3/objects/1017"))["value"] == 200
+
+
+@virtual_time
+async def test_what_is_wrong_silent_or_refused_says_so() -> None:
+    async with web(3, allow="write") as world:
+
+        async def refused(path: str) -> tuple[int, str]:
+            answer = await world.http.get(f"/api/v1{path}")
+            return answer.status_code, answer.json()["error"]["code"]
+
+        assert await refused("/7/nodes") == (404, "CO157")
+        assert await refused("/1/128/objects/1000") == (404, "CO157")
+        assert await refused("/1/3/objects/no_such_thing") == (404, "")
+        assert await refused("/1/3/objects/2FFF:00") == (409, "CO202")
+        assert (await world.http.get("/api/v1/1/3/objects/2FFF")).json()["error"]["abort"] == "0x06020000"
+        assert (await refused("/1/99/objects/1000"))[0] == 504
+        assert await refused("/1/99/drive") == (504, "")
+        assert await refused("/nothing") == (404, "")
+        for body in ({"value": 70_000}, {"value": None}, {"value": "no_constant"}, {}, {"value": [1]}, {"value": 1.5}):
+            status, answer = await world.put("/1/3/objects/1017", **body)
+            assert status in (400, 404), (body, answer)
+        assert (await world.put("/1/3/objects/1008", value="x"))[0] == 400  # read-only
+        for text in ("", "[]", "{", "[" * 40_000, "nul"):
+            assert (await world.http.put("/api/v1/1/3/objects/1017", content=text)).status_code == 400
+        assert (await world.http.delete("/api/v1/1/3/objects/1017")).status_code == 405
+        assert (await world.put("/1/3/nmt", command="start"))[0] == 403
+
+
+@virtual_time
+async def test_a_drive_and_why_it_does_not_move() -> None:
+    async with web(3) as world:
+        drive = await world.get("/1/3/drive")
+        assert drive["state"] == "switch on disabled"
+        assert drive["reasons"][0] == {"what": "it is not enabled: switch on disabled", "remedy": "enable it"}
+        assert (await world.http.get("/api/v1/1/3/drive?axis=300")).status_code == 404
+
+
+@virtual_time
+async def test_a_gateway_that_is_full_says_503() -> None:
+    async with web(3, limits=Limits(requests=1)) as world, trio.open_nursery() as nursery:
+        nursery.start_soon(world.http.get, "/api/v1/1/99/objects/1000")
+        await trio.sleep(0.01)
+        answer = await world.http.get("/api/v1/1/3/objects/1000")
+        assert (answer.status_code, answer.json()["error"]["code"]) == (503, "CO151")
+
+
+@virtual_time
+async def test_an_error_that_nobody_foresaw_ends_one_request_alone() -> None:
+    async with web(3) as world:
+
+        def broken() -> None:
+            raise ZeroDivisionError("secret")
+
+        world.hub.state = broken  # type: ignore[assignment,method-assign]
+        answer = await world.http.get("/api/v1/state")
+        assert answer.status_code == 500
+        assert "secret" not in answer.text
+        assert await world.get("/1/nodes")
+
+
+@virtual_time
+async def test_the_description_has_all_paths_and_each_is_served() -> None:
+    async with web(3, allow="write,nmt") as world:
+        about = await world.get("/openapi.json")
+        assert about["openapi"].startswith("3.1")
+        described = {(method.upper(), path) for path, methods in about["paths"].items() for method in methods}
+        assert described == {(method, path) for method, path, _ in ROUTES}
+        for path, methods in about["paths"].items():
+            for method, operation in methods.items():
+                assert operation["summary"]
+                names = {each["name"] for each in operation["parameters"] if each["in"] == "path"}
+                assert names == set(re.findall(r"{(\w+)}", path))
+                if "events" in path:
+                    continue  # it never ends
+                real = path.replace("{net}", "1").replace("{node}", "3").replace("{object}", "1017")
+                body = {"value": 300, "command": "start"} if method == "put" else None
+                answer = await world.http.request(method, real, json=body)
+                assert answer.status_code == 200, (path, answer.text)
+
+
+@virtual_time
+async def test_events_as_a_stream() -> None:
+    """Server-sent events: `curl -N`. The last ones come first."""
+    async with web(3) as world, trio.open_nursery() as nursery:
+        got: list[str] = []
+        wire = await open_transport(BUS)
+        await wire.send(Frame(0x83, b"\x10\x23\x03\0\0\0\0\0"))
+        await trio.sleep(0.1)
+
+        asked = False
+
+        async def ask() -> dict[str, object]:
+            nonlocal asked
+            if asked:
+                await trio.sleep_forever()
+            asked = True
+            return {"type": "http.request", "body": b"", "more_body": False}
+
+        nursery.start_soon(
+            world.raw, "GET", "/api/v1/events", ask, lambda message: got.append(bytes(message.get("body", b"")).decode())
+        )
+        await trio.sleep(0.1)
+        assert '"code": "0x2310"' in "".join(got)
+        got.clear()
+        await wire.send(Frame(0x703, b"\0"))
+        await trio.sleep(0.1)
+        assert '"kind": "boot-up"' in "".join(got)
+        await wire.aclose()
+        nursery.cancel_scope.cancel()
+
+
+@virtual_time
+async def test_metrics_for_prometheus() -> None:
+    from prometheus_client.parser import text_string_to_metric_families
+
+    async with web(3, 4, allow="write") as world:
+        arm_of(world.service.master, 3, 4)
+        await world.get("/1/3/objects/1000")
+        await world.http.get("/api/v1/1/99/objects/1000")
+        wire = await open_transport(BUS)
+        await wire.send(Frame(0x83, b"\x10\x23\x03\0\0\0\0\0"))
+        await wire.aclose()
+        await trio.sleep(0.1)
+        answer = await world.http.get("/metrics")
+        assert answer.headers["content-type"].startswith("text/plain")
+        found = {}
+        for family in text_string_to_metric_families(answer.text):
+            for sample in family.samples:
+                found[sample.name, *(value for _, value in sorted(sample.labels.items()))] = sample.value
+        assert found["canopen_bus_bits_total", BUS] > 0
+        assert found["canopen_bus_state", BUS, "error-active"] == 1
+        assert found["canopen_node_state", BUS, "3", "pre-operational"] == 1
+        assert found["canopen_node_emergency", BUS, "3"] == 0x2310
+        assert found["canopen_events_total", "emergency", BUS, "3"] == 1
+        assert found["canopen_request_failures_total", BUS] == 1
+        assert found["canopen_request_seconds_count", BUS] == 2
+        assert found["canopen_request_seconds_bucket", "0.5", BUS] <= found["canopen_request_seconds_bucket", "+Inf", BUS]
+        assert found["canopen_chain_missed_cycles_total", "arm"] == 0
+        assert (await world.http.get("/metrics", headers={"authorization": ""})).status_code == 401

@@ -1,0 +1,350 @@
+"""The page in a real browser: headless Chromium, led by selenium. Real time, so nothing here is judged by how long it takes.
+
+Skipped where there is no chromium with its driver, and `selenium`. Accessibility is judged by axe-core, if CANOPEN_AXE names its
+axe.min.js (`npm pack axe-core` has it).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import trio
+
+from canopen_data.configured import configure
+from canopen_gateway import GatewayService, open_gateway
+from canopen_gateway.web import WebDoor, bind_web_door
+from canopen_master import open_master
+from canopen_master.simulation.serving import SimulatedDevices, drive_maker, simulated_drives
+from canopen_proto.dictionary.standard import standard_object
+from canopen_proto.multiplexer import mux
+from canopen_proto.simulation.drive.dictionary import drive_dictionary
+from canopen_proto.simulation.drive.settings import Shape
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+if CHROMIUM is None or DRIVER is None:
+    pytest.skip("no chromium with chromium-driver here", allow_module_level=True)
+webdriver = pytest.importorskip("selenium.webdriver")
+from selenium.webdriver.chrome.options import Options  # noqa: E402 - only where it is
+from selenium.webdriver.chrome.service import Service  # noqa: E402
+from selenium.webdriver.common.by import By  # noqa: E402
+
+LOCATOR = "virtual:behind a page"
+EVIL = "<img src=x onerror=\"document.title='taken over'\">"
+PATIENCE = 60
+"""Seconds until a condition that does not come is a failure."""
+
+
+def until(fits: Callable[[], Any]) -> Any:
+    """Wait until something is there, and return it."""
+    end = time.monotonic() + PATIENCE
+    while not (found := fits()):
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(0.05)
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    options = Options()
+    options.binary_location = CHROMIUM
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1400,1600", "--disable-gpu"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    driver.set_script_timeout(PATIENCE)
+    yield driver
+    driver.quit()
+
+
+def visit(browser: Any, url: str) -> None:
+    """Open a page; what the page before left in the console is forgotten."""
+    browser.get("about:blank")
+    browser.get_log("browser")
+    browser.get(url)
+
+
+def silent(browser: Any) -> None:
+    """Nothing stands in the browser's console."""
+    assert [each for each in browser.get_log("browser") if each["level"] in ("SEVERE", "WARNING")] == []
+
+
+def one(browser: Any, selector: str) -> Any:
+    return until(lambda: browser.find_elements(By.CSS_SELECTOR, selector))[0]
+
+
+def text(browser: Any, selector: str) -> str:
+    """What an element says, read in the page: an element may be another one a moment later."""
+    found = browser.execute_script("return document.querySelector(arguments[0])?.innerText ?? ''", selector)
+    return str(found)
+
+
+def labelled(browser: Any, label: str) -> Any:
+    return one(browser, f'[aria-label="{label}"]')
+
+
+def click(browser: Any, element: Any) -> None:
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'}); arguments[0].click()", element)
+
+
+class ReadOnlyDoor:
+    """A door over two drives, in a thread of its own. The name of drive 4 is markup."""
+
+    def __init__(self) -> None:
+        self.door: WebDoor
+        self.service: GatewayService
+        self.drives: SimulatedDevices
+        self._started = threading.Event()
+        self._thread = threading.Thread(target=trio.run, args=(self._serve,))
+
+    async def _serve(self) -> None:
+        self._token, self._over = trio.lowlevel.current_trio_token(), trio.Event()
+        self.door = await bind_web_door(port=0)
+
+        def make(number: int, node_id: int) -> Any:
+            if node_id == 3:
+                return drive_maker(number, node_id)
+            named = drive_dictionary(Shape.SCHUNK_POWERBALL).with_objects([standard_object(0x1017, 500)])
+            return drive_maker(number, node_id, dictionary=configure(named, {mux(0x1008, 0): EVIL}, node_id))
+
+        async with (
+            self.door,
+            simulated_drives([(LOCATOR, 3), (LOCATOR, 4)], make=make) as self.drives,
+            open_master(LOCATOR) as master,
+            open_gateway(master) as self.service,
+            trio.open_nursery() as nursery,
+        ):
+            nursery.start_soon(self.door.serve, self.service)
+            self._started.set()
+            await self._over.wait()
+            nursery.cancel_scope.cancel()
+
+    def call(self, function: Callable[[], object]) -> None:
+        """Call something in the thread of the door."""
+        trio.from_thread.run_sync(function, trio_token=self._token)
+
+    @contextmanager
+    def running(self) -> Iterator[ReadOnlyDoor]:
+        self._thread.start()
+        assert self._started.wait(30)
+        try:
+            yield self
+        finally:
+            self.call(self._over.set)
+            self._thread.join(30)
+
+
+def test_a_page_that_may_only_read(browser: Any) -> None:
+    """Nodes, objects, emergencies; what a device says is text; a write is refused; and nothing stands in the console."""
+    with ReadOnlyDoor().running() as machine:
+        visit(browser, machine.door.url)
+        assert "token" not in browser.current_url
+        until(lambda: text(browser, "#link") == "live")
+        assert text(browser, "#mode") == "read-only"
+        until(lambda: "switch on disabled" in text(browser, "#nodes"))
+        # A device whose name is markup
+        until(lambda: EVIL in text(browser, "#nodes"))
+        assert browser.execute_script("return document.querySelectorAll('img').length") == 0
+        assert browser.title == "CANopen"
+        assert "it is not enabled" in text(browser, "#drive")
+        # The object browser
+        search = one(browser, "#search")
+        search.send_keys("device_name")
+        read = labelled(browser, "Read manufacturer_device_name (1008:00)")
+        click(browser, read)
+        until(lambda: "Simulated Schunk Powerball joint" in text(browser, "#objects"))
+        click(browser, labelled(browser, "Show node 4"))
+        until(lambda: not browser.find_elements(By.CSS_SELECTOR, "td.shown:not(:empty)"))
+        click(browser, labelled(browser, "Read manufacturer_device_name (1008:00)"))
+        until(lambda: EVIL in text(browser, "#objects"))
+        search.clear()
+        search.send_keys("1017")
+        labelled(browser, "Watch producer_heartbeat_time (1017:00)")
+        assert browser.find_elements(By.CSS_SELECTOR, '[aria-label^="Write"]') == []
+        # An emergency, with its text
+        machine.call(lambda: machine.drives.raise_fault(4, 0x2310))
+        until(lambda: "0x2310" in text(browser, "#events"))
+        assert "current" in text(browser, "#events").lower()
+        until(lambda: "emergency" in text(browser, "#nodes"))
+        silent(browser)
+        # Whoever writes in spite of that is refused, and the console says so
+        written = browser.execute_async_script(
+            """const done = arguments[0];
+            fetch("/api/v1/1/3/objects/1017", {method: "PUT", headers: {"x-canopen": "1"}, body: '{"value": 7}'})
+              .then((answer) => answer.json().then((body) => done([answer.status, body.error.code])));"""
+        )
+        assert written == [403, "CO150"]
+        browser.get_log("browser")
+        assert browser.execute_script("return document.title") == "CANopen"
+
+
+AXE = os.environ.get("CANOPEN_AXE")
+
+
+def faults(browser: Any, source: str) -> list[str]:
+    """What axe-core finds, by the rules of WCAG 2.2 AA and good practice."""
+    # By the protocol of the developer tools: the page's own policy lets no foreign program in
+    browser.execute_cdp_cmd("Runtime.evaluate", {"expression": source})
+    found = browser.execute_async_script("const done = arguments[0]; axe.run().then((result) => done(result.violations))")
+    return [f"{each['id']}: {[node['html'][:90] for node in each['nodes']][:3]}" for each in found]
+
+
+@contextmanager
+def demonstration(browser: Any) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`canopen demo --web` in a process of its own, and the address of its page."""
+    start = "import sys; from canopen_cli.entry import main; sys.exit(main())"
+    command = [sys.executable, "-c", start, "demo", "--web", "--port", "0", "--json"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment) as process:
+        try:
+            assert process.stdout is not None
+            document = ""
+            while not document.endswith("\n}\n"):
+                line = process.stdout.readline()
+                assert line, document
+                document += line
+            yield process, json.loads(document)["url"]
+        except AssertionError as failed:
+            failed.add_note(f"the page says: {text(browser, 'body')[:600]}")
+            raise
+        finally:
+            process.send_signal(signal.SIGCONT)
+            process.terminate()
+            process.wait(30)
+
+
+POSITION = ".joint .number"
+
+
+def position(browser: Any) -> float:
+    return float(text(browser, POSITION).removesuffix("°"))
+
+
+def stands(browser: Any) -> bool:
+    """Whether the joint stands: ten pulses later it is where it was."""
+    before = position(browser)
+    time.sleep(1)
+    return position(browser) == before
+
+
+def press(browser: Any, kind: str) -> None:
+    """Let a finger go down on the first joint's `+`, or up again, as the browser itself would."""
+    where = """const button = document.querySelector('[aria-label="Hold to move joint1 forward"]');
+        button.scrollIntoView({block: "center"}); const box = button.getBoundingClientRect();
+        const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+        return !button.disabled && document.elementFromPoint(x, y) === button ? [x, y] : null;"""
+    box = browser.execute_script(where) or (5, 5)
+    event = {"type": kind, "x": box[0], "y": box[1], "button": "left", "clickCount": 1}
+    browser.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+
+
+def take(browser: Any) -> None:
+    until(lambda: "Take the machine" in text(browser, "#jog"))
+    click(browser, one(browser, "#jog .row button"))
+    until(lambda: browser.find_elements(By.CSS_SELECTOR, ".joint button:enabled"))
+
+
+def key(browser: Any, kind: str) -> None:
+    """The space bar on the first joint's `+` goes down, or up."""
+    browser.execute_script("arguments[0].focus()", labelled(browser, "Hold to move joint1 forward"))
+    browser.execute_cdp_cmd("Input.dispatchKeyEvent", {"type": kind, "key": " ", "code": "Space"})
+
+
+def hold(browser: Any, begin: Callable[[], None]) -> None:
+    """Take the machine if need be, begin to move the first joint, and wait until it moves. A computer that is so busy that the
+    lease ends meanwhile has halted the machine, rightly; then it is taken again."""
+    for _ in range(10):
+        if "Let go" in text(browser, "#jog") and "halted" in text(browser, "#jog"):
+            click(browser, one(browser, "#jog .row button"))
+        if not browser.find_elements(By.CSS_SELECTOR, ".joint button:enabled"):
+            take(browser)
+        goal = position(browser) + 0.5
+        begin()
+        until(lambda goal=goal: position(browser) > goal or "Take the machine" in text(browser, "#jog"))
+        if position(browser) > goal:
+            return
+    raise AssertionError("the lease never lasts")
+
+
+def test_a_hand_on_the_machine(browser: Any) -> None:
+    """Samples arrive, a joint moves while it is held, and stands when it is let go, the page is hidden, or all is halted."""
+    with demonstration(browser) as (process, url):
+        visit(browser, url)
+        take(browser)
+        one(browser, "#search").send_keys("6064")
+        click(browser, labelled(browser, "Watch position_actual_value (6064:00)"))
+        until(lambda: browser.execute_script("return canopenPage.samples") > 0)
+        counted = browser.execute_async_script(
+            """const done = arguments[0]; const begun = performance.now(); const samples = canopenPage.samples;
+            setTimeout(() => done([canopenPage.samples - samples, (performance.now() - begun) / 1000]), 1500);"""
+        )
+        assert counted[0] / counted[1] > 50  # of 100 a second, on a computer that does much else
+        assert browser.execute_script("return canopenPage.frames") > 10
+
+        hold(browser, lambda: press(browser, "mousePressed"))
+        press(browser, "mouseReleased")
+        until(lambda: stands(browser))
+        hold(browser, lambda: key(browser, "keyDown"))
+        key(browser, "keyUp")
+        until(lambda: stands(browser))
+        # "Halt all", while it is held
+        hold(browser, lambda: press(browser, "mousePressed"))
+        click(browser, one(browser, "#halt"))
+        until(lambda: "halted" in text(browser, "#jog"))
+        until(lambda: stands(browser))
+        press(browser, "mouseReleased")
+        # A page that is hidden lets go of the machine
+        hold(browser, lambda: press(browser, "mousePressed"))
+        browser.execute_script(
+            "Object.defineProperty(document, 'hidden', {get: () => true}); document.dispatchEvent(new Event('visibilitychange'))"
+        )
+        until(lambda: "halted" in text(browser, "#jog") and "Take the machine" in text(browser, "#jog"))
+        until(lambda: stands(browser))
+        silent(browser)
+        # A server that hangs: the page says so; one that is gone, too
+        process.send_signal(signal.SIGSTOP)
+        until(lambda: text(browser, "#link") == "no news")
+        assert "last value" in text(browser, "#age")
+        process.send_signal(signal.SIGCONT)
+        until(lambda: text(browser, "#link") == "live")
+        process.kill()
+        until(lambda: text(browser, "#link") == "connection lost")
+        browser.get_log("browser")
+
+
+@pytest.mark.skipif(AXE is None, reason="no axe-core here: CANOPEN_AXE names none")
+def test_axe_finds_no_fault(browser: Any) -> None:
+    """On a wide window and a phone, light and dark, with a curve, a drive, reasons, and events."""
+    assert AXE is not None
+    source = Path(AXE).read_text(encoding="utf-8")
+    with demonstration(browser) as (_, url):
+        visit(browser, url)
+        until(lambda: "it is not enabled" in text(browser, "#drive"))
+        one(browser, "#search").send_keys("6064")
+        click(browser, labelled(browser, "Watch position_actual_value (6064:00)"))
+        until(lambda: "position_actual_value" in text(browser, "#legend"))
+        until(lambda: browser.find_elements(By.CSS_SELECTOR, "#events li"))
+        for scheme in ("light", "dark"):
+            features = [{"name": "prefers-color-scheme", "value": scheme}]
+            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+            assert faults(browser, source) == [], scheme
+        phone = {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+        assert faults(browser, source) == []
+        width, inner = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+        assert width <= inner  # nothing sticks out, so "Halt all" stays where it is
+        browser.execute_script("scrollTo(0, document.documentElement.scrollHeight)")
+        top = browser.execute_script("return document.getElementById('halt').getBoundingClientRect().top")
+        assert 0 <= top < 100
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
