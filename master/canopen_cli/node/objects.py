@@ -11,7 +11,7 @@ import click
 
 from canopen_cli.node.object_files import FileTransfer, read_into_file, write_from_file
 from canopen_cli.shared.new_files import check_new_file, new_file
-from canopen_cli.shared.options import NodeId, Settings, common, enabling
+from canopen_cli.shared.options import NodeId, Settings, commanding, common, enabling
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
@@ -32,6 +32,7 @@ from canopen_cli.shared.values import (
     place_text,
     value_text,
 )
+from canopen_cli.shared.withholding import show_unsent
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
@@ -250,6 +251,7 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
 @click.option("--file", "path", metavar="FILE", help="Write what a file holds, instead of a VALUE.")
 @click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
 @enabling
+@commanding
 @common
 @click.pass_obj
 def write(
@@ -273,13 +275,19 @@ def write(
     canopen write 5 1F50:01 --file firmware.bin
     """
     screen, request = settings.screen(), AccessRequest(node_id, type_name, block, verify)
-    refuse_over_text(settings, file=path, block=block)
+    refuse_over_text(settings, file=path, block=block, dry_run=settings.dry_run)
     if path is not None and text is None:
+        if settings.dry_run:
+            show_unsent(settings, screen, lambda: _write_file(settings, screen, request, key, path))
+            return
         written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
         return
     if path is not None or text is None:
         raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
+    if settings.dry_run:
+        show_unsent(settings, screen, lambda: _write(settings, screen, request, key, text))
+        return
     before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text), over_text=True)
     if settings.json:
         previous = None if before is None else as_json(before.variable, before.value)

@@ -309,8 +309,8 @@ def enabling(command: F) -> F:
 
 
 def commanding(command: F) -> F:
-    """Add the option of commands that command drives: see rehearsal.py."""
-    added: F = _option("--dry-run", is_flag=True, help="Only read the drive, and show the frames that would be sent.")(command)
+    """Add the option of commands that change something on the bus: see withholding.py, and rehearsal.py for those of drives."""
+    added: F = _option("--dry-run", is_flag=True, help="Only read, and show the frames that would be sent.")(command)
     return added
 
 
