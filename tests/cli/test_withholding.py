@@ -35,6 +35,9 @@ WAYS: list[tuple[str, ...]] = [
     ("sync", "-b", "demo", *TRACE, "--yes", "--period", "10ms", "--count", "3"),
     ("time", "-b", "demo", *TRACE),
     ("store", *OBJECT, "--group", "all", "--yes"),
+    ("emcy", "clear", *OBJECT),
+    ("pdo", "map", *OBJECT, "tpdo2", "2000", "--type", "254", "--event", "100ms", "--yes"),
+    ("pdo", "map", *OBJECT, "tpdo2", "--off", "--yes"),
     ("reset-defaults", *OBJECT, "--reset", "--yes"),
     ("restore", "5", "changed.dcf", "-b", "demo", *TRACE, "--verify", "--store", "--yes"),
 ]
