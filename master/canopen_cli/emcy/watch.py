@@ -13,14 +13,13 @@ from canopen_cli.live.frame_lines import Buses
 from canopen_cli.live.line_writer import open_line_writer
 from canopen_cli.live.source import FILE_OR_INPUT, open_live_source, require_frames, tell_skipped
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, NodeIds, Settings, common
+from canopen_cli.shared.options import NodeIds, Settings, common, lasting
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
 from canopen_cli.shared.session import read_dictionary
 from canopen_master.plain_text import json_text
 from canopen_proto.emcy import NO_ERROR
 from canopen_proto.error_codes import error_text, register_names
-from canopen_proto.machine import SECOND, Time
 from canopen_transports.record import Record
 
 _LEAST: Final = 2
@@ -30,10 +29,10 @@ _LEAST: Final = 2
 @click.command()
 @click.option("--node", "nodes", type=NodeIds(), help="Only from these nodes: 5, or 3-8.")
 @click.option("--from", "source", metavar="FILE", type=FILE_OR_INPUT, help="A log file in place of the bus; - is standard input.")
-@click.option("--for", "duration", type=Duration(), help="End after this time, instead of by Ctrl-C: 10s.")
+@lasting()
 @common
 @click.pass_obj
-def watch(settings: Settings, nodes: tuple[int, ...] | None, source: Path | None, duration: Time | None) -> None:
+def watch(settings: Settings, nodes: tuple[int, ...] | None, source: Path | None, seconds: float | None) -> None:
     """Show emergencies in words as they come, until Ctrl-C. Nothing is sent.
 
     Each line has the error code, what it means, the error register and the maker's bytes. An emergency with the code 0 says that
@@ -50,7 +49,7 @@ def watch(settings: Settings, nodes: tuple[int, ...] | None, source: Path | None
 
     async def show() -> None:
         try:
-            with trio.move_on_after(math.inf if duration is None else duration / SECOND):
+            with trio.move_on_after(math.inf if seconds is None else seconds):
                 await _show(settings, screen, files, frozenset(nodes or ()), source, told)
         finally:
             screen.say(counted(len(told), "emergency").replace("emergencys", "emergencies"))
