@@ -77,6 +77,11 @@ COMMANDS: Final = {
     "machine": ("machine.group", "The machine file: one file with the buses, devices, joints and chains of a machine."),
     "ros": ("machine.ros", "ROS: write a package with launch files for a machine."),
     "data": ("machine.data", "The object dictionary and the chain files."),
+    "run": ("scripting.run:run_script", "Run a Python script on a bus that is open already, with `await` at its top level."),
+    "shell": (
+        "scripting.shell",
+        "A Python prompt on an open bus, with `await`, completion of nodes, objects and constants, and history.",
+    ),
     "completion": (
         "completion.completion",
         "Write the script by which a shell completes commands, nodes, objects and constants.",

@@ -234,6 +234,8 @@ COMMANDS = [
     ("log", "check", "odd.log", "-e", "5=device.eds"),
     ("log", "convert", "odd.log", "new.trc"),
     ("log", "record", EVIL, *DEMO),
+    ("run", "odd.py", *DEMO),
+    ("shell", EVIL, *DEMO),
     ("log", "export", "odd.log", "-o", f"{EVIL[:-3]}.csv", "-e", "5=device.eds"),
     ("log", "plot", "odd.log", EVIL),
     ("log", "diff", "good.log", "odd.log", "-e", "5=device.eds"),

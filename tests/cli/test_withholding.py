@@ -101,6 +101,7 @@ def test_what_is_shown_is_what_would_be_sent_and_nothing_is_sent(run: Run, world
 
 OTHERS: list[tuple[str, ...]] = [
     ("flash", "5", "text.bin", "--expect", "7"),
+    ("run", "script.py", "--node", "3"),
     ("lss", "set-id", "5", "12"),
     ("lss", "store", "5"),
     ("lss", "set-bitrate", "250k", "--from", "500k", "--interface-command", "true"),
@@ -118,6 +119,7 @@ OTHERS: list[tuple[str, ...]] = [
 @pytest.mark.parametrize("way", OTHERS, ids=name)
 def test_no_frame_leaves_but_what_reads(run: Run, way: tuple[str, ...]) -> None:
     Path("text.bin").write_bytes(b"no program")
+    Path("script.py").write_text("await node.read('6081')\nawait node.write('6081', 5)\nawait master.send_sync()\n")
     outcome = run(*way, *DRIVE)
     assert outcome.status != ExitCode.INTERNAL, outcome.err
     assert [str(frame) for frame in sent() if not reads(frame)] == []

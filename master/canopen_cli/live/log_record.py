@@ -86,7 +86,7 @@ def record(
     screen.say(f"{counted(files.frames, 'frame')}: [bold]{escape(names)}[/]")
     if files.left_out:
         raise CommandError(
-            ExitCode.PARTIAL, "CO343", f"{counted(files.left_out, 'frame')} could not be kept in {target.suffix}",
+            ExitCode.BAD_FILE, "CO343", f"{counted(files.left_out, 'frame')} could not be kept in {target.suffix}",
             seen=LOSSES.get(target.suffix.lower(), ""), tries=("a file that ends in .log holds all",),
         )  # fmt: skip
 
