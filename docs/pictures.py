@@ -346,7 +346,7 @@ def draw_live(folder: Path) -> None:
 SCREENS: Final = {
     "scan": "canopen scan -b demo",
     "info": "canopen info 3 -b demo",
-    "state": "canopen drive 3 state -b demo",
+    "state": "canopen drive state 3 -b demo",
     "check": "canopen log check customer.log",
 }
 """Commands by the names of their pictures. customer.log is a demonstration in which a drive breaks down."""

@@ -24,7 +24,7 @@ DOOR_REFUSED: Final = "CO155"
 NOT_OVER_TEXT: Final = "CO156"
 """A command needs a bus, and this is a text gateway."""
 
-NO_SUCH_PLACE: Final = "CO157"
+NO_SUCH_PLACE: Final = "CO162"
 """A request names a net, a node or an object that is not there."""
 NO_BRIDGE: Final = "CO160"
 """Nobody answers for this place in a fleet, or the fleet cannot be joined."""

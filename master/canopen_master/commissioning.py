@@ -1,4 +1,4 @@
-"""Commission a new drive: from the box to the first move, in the order of docs/first-move.md. `canopen drive NODE commission`
+"""Commission a new drive: from the box to the first move, in the order of docs/first-move.md. `canopen drive commission NODE`
 asks a person between the steps; a program decides them itself.
 
     work = DriveCommissioning(master, master.node(5))

@@ -184,7 +184,8 @@ def test_a_dry_run_writes_nothing(run: Run, world: Lasting) -> None:
     change(run, world)
     outcome = run("restore", *NODE, "before.dcf", "--dry-run", "-v")
     assert outcome.status == 0
-    assert len(outcome.out.splitlines()) == 4
+    assert sum("→" in line for line in outcome.out.splitlines()) == 4
+    assert outcome.out.splitlines()[4].startswith("000#8005")  # the frames, from Pre-operational on
     assert "4 writes to do; nothing was written (--dry-run)" in outcome.err
     assert "left out: 1000:00, read-only" in outcome.err
     assert world.writes == []

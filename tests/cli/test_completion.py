@@ -52,7 +52,7 @@ def complete(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 
 def test_commands_subcommands_and_options_are_those_of_the_commands(complete) -> None:  # type: ignore[no-untyped-def]
     assert complete("canopen com") == ["compare", "completion"]
-    assert complete("canopen drive 3 fau") == ["fault-reset"]
+    assert complete("canopen drive fau") == ["fault-reset"]
     assert complete("canopen read 3 --js") == ["--json"]
     assert complete("canopen nmt rese") == ["reset", "reset-comm"]
 
@@ -76,8 +76,9 @@ def test_nodes_are_those_that_the_files_name(complete, tmp_path: Path) -> None: 
     assert complete("canopen read ") == []
     assert complete("canopen info -b demo ") == ["3", "4", "5", "6", "7", "8"]
     assert complete("canopen read -e 12=sample_io.eds ") == ["12"]
-    assert complete(f"canopen drive -m {tmp_path}/cell.toml ") == ["elbow", "lift", "lamp"]
-    assert complete("canopen drive -m nowhere.toml ") == []
+    assert complete(f"canopen drive state -m {tmp_path}/cell.toml ") == ["elbow", "lift", "lamp"]
+    assert complete("canopen drive move -m nowhere.toml ") == []
+    assert complete("canopen pdo show -b demo ") == ["3", "4", "5", "6", "7", "8"]
 
 
 def test_objects_are_those_of_the_nodes_file_and_constants_those_of_the_object(complete, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]

@@ -233,7 +233,7 @@ def test_a_fault_wants_a_simulated_drive_of_the_chain(run: Run) -> None:
     assert run("demo", "--fault", "5@1", "-b", "can0").status == ExitCode.USAGE
     outcome = run("demo", "--fault", "5@9")
     assert outcome.status == ExitCode.USAGE
-    assert "--seconds 11" in outcome.err
+    assert "--for 11s" in outcome.err
     outcome = run("demo", "--fault", "99@1")
     assert outcome.status == ExitCode.USAGE
     assert "3, 4, 5, 6, 7, 8" in outcome.err

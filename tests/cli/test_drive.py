@@ -180,7 +180,7 @@ def test_the_mode_of_a_drive_with_power_stays(run: Run, monkeypatch: pytest.Monk
     outcome = run("drive", "3", "mode", "pp", *DEMO)
     assert outcome.status == ExitCode.DRIVE_FAULT
     assert "has power (operation enabled)" in outcome.err
-    assert "canopen drive 3 disable" in outcome.err
+    assert "canopen drive disable 3" in outcome.err
 
 
 def test_move(run: Run, simulations: list[SimulatedDevices]) -> None:
@@ -218,13 +218,13 @@ def test_a_position_is_a_finite_number(run: Run, simulations: list[SimulatedDevi
 
 
 @pytest.mark.parametrize("number", ["nan", "inf"])
-@pytest.mark.parametrize("command", ["enable --seconds", "velocity 5 --acceleration", "torque 5 --any-speed --seconds"])
+@pytest.mark.parametrize("command", ["enable --seconds", "velocity 5 --acceleration", "torque 5 --any-speed --for"])
 def test_an_option_that_is_no_finite_number_is_refused_before_a_drive_is_enabled(
     run: Run, simulations: list[SimulatedDevices], command: str, number: str
 ) -> None:
     outcome = run("drive", "3", *command.split(), number, *DEMO)
     assert outcome.status == ExitCode.USAGE
-    assert f"'{number}' is not a finite number" in outcome.err
+    assert f"'{number}' is not a" in outcome.err  # finite number, or time
     assert not simulations
 
 
@@ -314,11 +314,9 @@ def test_who_only_looks_changes_nothing(run: Run, monkeypatch: pytest.MonkeyPatc
 
 
 def test_wrong_words(run: Run) -> None:
-    outcome = run("drive", "state", "3", *DEMO)
+    outcome = run("drive", "3", "dance", *DEMO)
     assert outcome.status == ExitCode.USAGE
-    assert "the node comes before 'state'" in outcome.err
-    assert "canopen drive 3 state" in outcome.err
-    assert run("drive", "3", "dance", *DEMO).status == ExitCode.USAGE
+    assert "there is no command 'dance'" in outcome.err
     assert run("drive", "200", "state", *DEMO).status == ExitCode.USAGE
     assert run("drive", "99", "state", *DEMO).status == ExitCode.NO_ANSWER
 

@@ -62,9 +62,10 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: Shape) -> str:
     open_master = session.open_master
 
     @asynccontextmanager
-    async def with_drives(bus: str, **options: Any) -> AsyncIterator[Any]:
+    async def with_drives(bus: Any, **options: Any) -> AsyncIterator[Any]:
         drives = (("virtual:left", 3), ("virtual:right", 4))
-        simulation = simulated_drives([each for each in drives if each[0] == bus], shape)
+        locator = bus if isinstance(bus, str) else bus.locator
+        simulation = simulated_drives([each for each in drives if each[0] == locator], shape)
         async with simulation, open_master(bus, **options) as master:
             yield master
 

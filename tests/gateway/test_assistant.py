@@ -83,8 +83,8 @@ async def test_each_tool_that_reads() -> None:
 @virtual_time
 async def test_wrong_arguments_refusals_and_silence() -> None:
     async with assistant(3) as (_, asked):
-        assert "CO157" in await asked.refused("read_object", node=300, object="1000")
-        assert "CO157" in await asked.refused("read_object", node=3, object="1000", net="can7")
+        assert "CO162" in await asked.refused("read_object", node=300, object="1000")
+        assert "CO162" in await asked.refused("read_object", node=3, object="1000", net="can7")
         assert "not in the dictionary" in await asked.refused("read_object", node=3, object="nothing_such")
         assert "0x06020000" in await asked.refused("read_object", node=3, object="2FFF:00")
         assert "CO201" in await asked.refused("read_object", node=99, object="1000")

@@ -66,8 +66,8 @@ async def test_what_is_wrong_silent_or_refused_says_so() -> None:
             answer = await world.http.get(f"/api/v1{path}")
             return answer.status_code, answer.json()["error"]["code"]
 
-        assert await refused("/7/nodes") == (404, "CO157")
-        assert await refused("/1/128/objects/1000") == (404, "CO157")
+        assert await refused("/7/nodes") == (404, "CO162")
+        assert await refused("/1/128/objects/1000") == (404, "CO162")
         assert await refused("/1/3/objects/no_such_thing") == (404, "")
         assert await refused("/1/3/objects/2FFF:00") == (409, "CO202")
         assert (await world.http.get("/api/v1/1/3/objects/2FFF")).json()["error"]["abort"] == "0x06020000"

@@ -7,7 +7,7 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, commanding, common
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
@@ -15,6 +15,7 @@ from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import open_session
 from canopen_cli.shared.text_gateway import open_text
+from canopen_cli.shared.withholding import show_unsent
 from canopen_master.errors import SdoError
 from canopen_master.node import Node
 from canopen_master.silence import missing_frame
@@ -41,6 +42,7 @@ WAIT_TIME: Final = 5.0
 @click.option("--all", "everyone", is_flag=True, help="All nodes of the bus.")
 @click.option("--wait", is_flag=True, help="Until the node's heartbeat or boot-up frame shows that it is done.")
 @click.option("--yes", is_flag=True, help="Do not ask: for all nodes, and for resets.")
+@commanding
 @common
 @click.pass_obj
 def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait: bool, yes: bool) -> None:
@@ -56,10 +58,13 @@ def nmt(settings: Settings, word: str, node_id: int | None, everyone: bool, wait
         )
     if wait and everyone:
         raise usage("CO001", "--wait waits for one node, not for --all")
-    refuse_over_text(settings, wait=wait)
+    refuse_over_text(settings, wait=wait, dry_run=settings.dry_run)
     command = COMMANDS[word]
     screen = settings.screen()
-    confirm(screen, _question(command, word, node_id), yes, needed=everyone or command in RESETS)
+    confirm(screen, _question(command, word, node_id), yes, needed=not settings.dry_run and (everyone or command in RESETS))
+    if settings.dry_run:
+        show_unsent(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait))
+        return
     state = run(settings, screen, lambda: _nmt(settings, screen, command, node_id, wait), over_text=True)
     target = "all nodes" if node_id is None else node_text(node_id)
     if settings.json:

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import click
 import trio
 
-from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.lazy import NamingGroup
+from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import escape
@@ -19,7 +20,7 @@ from canopen_transports.tcp.address import DEFAULT_HOST, DEFAULT_PORT, is_loopba
 from canopen_transports.tracing import current_trace
 
 
-@click.group()
+@click.group(cls=NamingGroup)
 def bus() -> None:
     """Run a bus in software, for several terminals or programs."""
 
@@ -30,7 +31,7 @@ def bus() -> None:
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=DEFAULT_PORT, show_default=True, help="0 for any free one.")
 @click.option("--yes", is_flag=True, help="Do not ask whether other computers may join.")
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @common
 @click.pass_obj
 def serve(settings: Settings, bind: str, port: int, yes: bool, seconds: float | None) -> None:

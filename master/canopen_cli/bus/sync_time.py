@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import datetime
+from typing import Final
 
 import click
 
-from canopen_cli.shared.options import Duration, Settings, common
+from canopen_cli.shared.options import Duration, Settings, commanding, common
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import open_session
-from canopen_proto.machine import MICROSECOND, SECOND, Time
+from canopen_cli.shared.withholding import show_unsent
+from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND, Time
 from canopen_proto.procedures.steps import act
 from canopen_proto.sync import SyncSent
 from canopen_proto.time_stamp import TimeProducer
+
+SHOWN: Final = 3
+"""SYNCs that a dry run shows: all of them are alike."""
 
 
 @click.command()
 @click.option("--period", type=Duration(low=100 * MICROSECOND), help="One each so often, until Ctrl-C or --count: 10ms, 1s.")
 @click.option("--count", type=click.IntRange(min=1), help="How many.  [default: 1, or no end with --period]")
 @click.option("--yes", is_flag=True, help="Do not ask.")
+@commanding
 @common
 @click.pass_obj
 def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) -> None:
@@ -36,7 +42,15 @@ def sync(settings: Settings, period: Time | None, count: int | None, yes: bool) 
     if period is None and count is not None and count > 1:
         raise usage("CO001", "--count needs a --period", tries=(f"canopen sync --period 10ms --count {count}",))
     screen = settings.screen()
-    confirm(screen, "send SYNC: drives act on the set-points that they have", yes, needed=True)
+    confirm(screen, "send SYNC: drives act on the set-points that they have", yes, needed=not settings.dry_run)
+    if settings.dry_run:
+        shown = min(count or SHOWN, SHOWN)
+        show_unsent(settings, screen, lambda: _sync(settings, screen, period, shown))
+        if period is not None and shown != count:
+            screen.say(
+                f"and so on, one each {period / MILLISECOND:g} ms, {'until Ctrl-C' if count is None else f'{count} in all'}"
+            )
+        return
     sent = run(settings, screen, lambda: _sync(settings, screen, period, count))
     if settings.json:
         screen.json({"sent": sent, "period": None if period is None else period / SECOND})
@@ -62,6 +76,7 @@ async def _sync(settings: Settings, screen: Screen, period: Time | None, count: 
 
 
 @click.command("time")
+@commanding
 @common
 @click.pass_obj
 def time(settings: Settings) -> None:
@@ -71,6 +86,9 @@ def time(settings: Settings) -> None:
     canopen time -b demo
     """
     screen = settings.screen()
+    if settings.dry_run:
+        show_unsent(settings, screen, lambda: _time(settings, screen))
+        return
     sent = run(settings, screen, lambda: _time(settings, screen))
     if settings.json:
         screen.json({"time": sent.isoformat()})

@@ -42,7 +42,24 @@ DEMO_NODES: Final = range(3, 9)
 OF_FILES: Final = ("-e", "--eds", "-m", "--machine", "--overlay", "--trace", "-o", "--output")
 WITH_VALUE: Final = (*OF_FILES, "-b", "--bus", "--encoding", "--timeout")
 """Common options that take a value. Commands have others, whose values may be taken for words: then click answers."""
-NODE_FIRST: Final = ("info", "read", "write", "watch", "dump", "backup", "restore", "store", "reset-defaults", "flash", "drive")
+NODE_FIRST: Final = (
+    "info",
+    "read",
+    "write",
+    "watch",
+    "dump",
+    "backup",
+    "restore",
+    "store",
+    "reset-defaults",
+    "flash",
+    "drive",
+    "pdo",
+    "emcy",
+    "nmt",
+)
+VERB_FIRST: Final = ("drive", "pdo", "emcy", "nmt")
+"""Groups whose commands have the node behind the verb."""
 OBJECTS: Final = {"read": None, "watch": None, "write": 2}
 """Commands that take objects behind the node; and how many words `write` has before its value."""
 
@@ -81,6 +98,8 @@ def known_words(words: Sequence[str], begun: str) -> Iterator[CompletionItem[str
     line = [
         word for place, word in enumerate(words) if not word.startswith("-") and (not place or words[place - 1] not in WITH_VALUE)
     ]
+    if line and line[0] in VERB_FIRST:
+        return _items(nodes(words), begun) if len(line) == 2 else None
     if not line or line[0] not in NODE_FIRST:
         return None
     if len(line) == 1:

@@ -14,7 +14,7 @@ from canopen_cli.motion.record_option import check_record, record_option, record
 from canopen_cli.plot.cycles import check_plot, write_plot
 from canopen_cli.shared.device_files import read_device_files
 from canopen_cli.shared.new_files import check_new_file
-from canopen_cli.shared.options import DEMO, Breakdown, Duration, FiniteRange, Settings, common, enabling
+from canopen_cli.shared.options import DEMO, Breakdown, Duration, FiniteRange, Settings, common, enabling, lasting
 from canopen_cli.shared.problem import ExitCode, usage
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import escape
@@ -33,7 +33,7 @@ PICTURE = click.Path(dir_okay=False, path_type=Path)
 @click.command()
 @click.option("--chains", metavar="FILE", help=f"A chain file, yours or an installed one.  [default: {CHAINS}]")
 @click.option("--chain", metavar="NAME", help="Which chain of that file.  [default: the first]")
-@click.option("--seconds", type=FiniteRange(0.5, 3600), default=5.0, show_default=True, help="How long to move.")
+@lasting("How long to move.  [default: 5s]", low=0.5, high=3600, default=5.0)
 @click.option("--cycle", type=CYCLE, help="Time between two SYNCs.  [default: that of the machine file, else 10ms]")
 @click.option(
     "--swing",
@@ -84,7 +84,7 @@ def demo(
     Simulated joints then move out and back by a plan, as fast as their limits allow, if ruckig is there.
 
     With --eds the drives have the objects and PDOs of that file. It also decides the mode: csp, else ip, else profile position,
-    which is slow. Real drives whose PDOs differ are set up accordingly: `canopen drive NODE plan` shows how. Simulated ones
+    which is slow. Real drives whose PDOs differ are set up accordingly: `canopen drive plan NODE` shows how. Simulated ones
     home where they stand.
 
     With a machine file (-m; CANOPEN_MACHINE does not count) its chain moves: simulated, or for real with -b NAME of one of its
@@ -110,7 +110,7 @@ def demo(
     if fault is not None and bus is not None:
         raise usage("CO123", "--fault breaks a simulated drive; those on a bus are real", tries=("canopen demo --fault 5@2.0",))
     if fault is not None and fault[1] > seconds:
-        tries = (f"--fault {fault[0]}@{seconds / 2:g}", f"--seconds {fault[1] + 2:g}")
+        tries = (f"--fault {fault[0]}@{seconds / 2:g}", f"--for {fault[1] + 2:g}s")
         raise usage(
             "CO123", f"--fault: after {fault[1]:g} s the arm has stopped", seen=f"it moves for {seconds:g} s", tries=tries
         )

@@ -1,4 +1,4 @@
-"""`canopen drive NODE commission`: a new drive, from its identity to the first move; its machine file and its DCF."""
+"""`canopen drive commission NODE`: a new drive, from its identity to the first move; its machine file and its DCF."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def commission(settings: Settings, output: str | None, dcf: str | None, name: st
     Exit status 7: it was not moved, or the move was not confirmed, so there is no machine file.
 
     \b
-    canopen drive 5 commission -e drive.eds -b socketcan:can0
-    canopen drive 3 commission -b demo --yes                   with a simulated drive
+    canopen drive commission 5 -e drive.eds -b socketcan:can0
+    canopen drive commission 3 -b demo --yes                   with a simulated drive
     """
     screen, node_id, bus = settings.screen(), node_of_command(), settings.required_bus()
     if axis := axis_of_command(settings):

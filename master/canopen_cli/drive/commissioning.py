@@ -1,4 +1,4 @@
-"""The dialogue of `canopen drive NODE commission`: what is shown and asked between the steps of `DriveCommissioning`.
+"""The dialogue of `canopen drive commission NODE`: what is shown and asked between the steps of `DriveCommissioning`.
 
 Nothing has power while a question waits.
 """

@@ -42,24 +42,42 @@ COMMANDS: Final = {
 _FIRST_AXIS: Final = ("commission",)
 """Commands that know the first axis only."""
 _AXIS: Final = "axis_number"
+_NODE: Final = "node_of_command"
 
 
-class _NodeBeforeCommand(DriveId):
-    """A node-ID or a name before a command: an exchange of the two is noticed."""
+class _NodeName(DriveId):
+    """The node of a command: its number is checked at once, a name once the command has read its machine file."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if str(value) in COMMANDS:
-            raise usage("CO120", f"the node comes before {value!r}", tries=(f"canopen drive 3 {value}",))
-        # The machine file of a name may be named behind it
         return super().convert(value, param, ctx) if NUMBER.fullmatch(str(value)) else str(value)
 
 
 class _Drives(LazyGroup):
-    """The commands, each of which can be about a further axis of the node."""
+    """The commands. Each is about a node, and most can be about a further axis of it.
+
+    The command comes before the node: `drive move 5 2000`. `drive 5 move 2000`, the order of old, is understood as well.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        is_old = len(args) > 1 and args[0] not in self.table and not args[0].startswith("-")
+        if is_old and (args[1] in self.table or (_is_node(args[0]) and not args[1].startswith("-"))):
+            args[:2] = [args[1], args[0]]
+        elif len(args) == 1 and _is_node(args[0]) and not ctx.resilient_parsing:
+            raise usage(
+                "CO001", f"what is drive {args[0]} to do?", tries=(f"canopen drive state {args[0]}", "canopen drive --help")
+            )
+        return super().parse_args(ctx, args)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         command = super().get_command(ctx, cmd_name)
-        if command is None or cmd_name in _FIRST_AXIS or any(each.name == _AXIS for each in command.params):
+        if command is None or any(each.name == _NODE for each in command.params):
+            return command
+
+        def name(context: click.Context, param: click.Parameter, node_id: int | str) -> None:
+            context.meta[NODE] = node_id
+
+        command.params.insert(0, click.Argument((_NODE,), metavar="NODE", type=_NodeName(), expose_value=False, callback=name))
+        if cmd_name in _FIRST_AXIS:
             return command
 
         def choose(context: click.Context, param: click.Parameter, axis: int | None) -> None:
@@ -76,28 +94,29 @@ class _Drives(LazyGroup):
         return command
 
 
+def _is_node(word: str) -> bool:
+    return NUMBER.fullmatch(word) is not None
+
+
 @click.group(cls=_Drives, table=COMMANDS)
-@click.argument("node_id", metavar="NODE", type=_NodeBeforeCommand())
-@click.pass_context
-def drive(ctx: click.Context, node_id: int | str) -> None:
+def drive() -> None:
     """One drive (CiA 402): what it shows, why it does not move, what its numbers mean.
 
     \b
-    canopen drive 3 state -b demo      and what keeps it from moving
-    canopen drive 3 units -b demo      what a count is, and where that stands
-    canopen drive 3 fault-reset -b demo
-    canopen drive 3 mode -b demo       the modes that it has; with a mode: select it
-    canopen drive 3 plan -e FILE ...   how it would follow set-points: mode and PDOs; nothing is written
-    canopen drive 3 home 19 -b demo    IT MOVES, to its reference; --list: the homing methods
-    canopen drive 3 move 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
-    canopen drive 3 velocity 500 --in rpm -b demo   IT MOVES, as long as the command runs
-    canopen drive 3 torque 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --seconds
-    canopen drive 3 inputs -b demo     digital inputs; outputs: the outputs, 16=1 sets one
-    canopen drive 3 probe -b demo      the position at the edge of a touch probe
-    canopen drive 3 enable -b demo     power until Ctrl-C
-    canopen drive 3 disable -b demo    no power, from any state
-    canopen drive 3 commission ...     IT MOVES: a new drive, from its identity to the first move; asks before each motion
-    canopen drive 3 stop -b demo       a quick stop
-    canopen drive 3 state --axis 1 ... the second of several drives behind one node-ID (0x6840, 0x6841 ...)
+    canopen drive state 3 -b demo      and what keeps it from moving
+    canopen drive units 3 -b demo      what a count is, and where that stands
+    canopen drive fault-reset 3 -b demo
+    canopen drive mode 3 -b demo       the modes that it has; with a mode: select it
+    canopen drive plan 3 -e FILE ...   how it would follow set-points: mode and PDOs; nothing is written
+    canopen drive home 3 19 -b demo    IT MOVES, to its reference; --list: the homing methods
+    canopen drive move 3 2000 -b demo  IT MOVES, in counts or --in degree; Ctrl-C halts it
+    canopen drive velocity 3 500 --in rpm -b demo   IT MOVES, as long as the command runs
+    canopen drive torque 3 50 ...      IT MOVES, pushed by 50 per mille of its rated torque for --for
+    canopen drive inputs 3 -b demo     digital inputs; outputs: the outputs, 16=1 sets one
+    canopen drive probe 3 -b demo      the position at the edge of a touch probe
+    canopen drive enable 3 -b demo     power until Ctrl-C
+    canopen drive disable 3 -b demo    no power, from any state
+    canopen drive commission 3 ...     IT MOVES: a new drive, from its identity to the first move; asks before each motion
+    canopen drive stop 3 -b demo       a quick stop
+    canopen drive state 3 --axis 1 ... the second of several drives behind one node-ID (0x6840, 0x6841 ...)
     """
-    ctx.meta[NODE] = node_id

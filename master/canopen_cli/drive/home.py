@@ -1,4 +1,4 @@
-"""`canopen home`: home drives at the same time, and disable them afterwards. `canopen drive NODE home`: the same for one."""
+"""`canopen home`: home drives at the same time, and disable them afterwards. `canopen drive home NODE`: the same for one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`canopen drive NODE inputs|outputs|probe`: digital inputs and outputs, touch probes. None of them moves the drive."""
+"""`canopen drive inputs NODE|outputs|probe`: digital inputs and outputs, touch probes. None of them moves the drive."""
 
 from __future__ import annotations
 

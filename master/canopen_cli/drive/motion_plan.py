@@ -1,4 +1,4 @@
-"""`canopen drive NODE plan`: the mode in which a drive would follow set-points, and its PDOs. The drive is only read."""
+"""`canopen drive plan NODE`: the mode in which a drive would follow set-points, and its PDOs. The drive is only read."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def plan(settings: Settings, wish: str | None, cycle: Time | None, feed_forward:
     its modes. So does a chain with ChainSettings(mode=None), and `canopen demo --eds`.
 
     \b
-    canopen drive 3 plan -e drive.eds -b socketcan:can0
-    canopen drive 3 plan -e drive.eds -b socketcan:can0 --mode pp
+    canopen drive plan 3 -e drive.eds -b socketcan:can0
+    canopen drive plan 3 -e drive.eds -b socketcan:can0 --mode pp
     """
     if not settings.has_file(node_of_command()):
         raise usage(

@@ -1,11 +1,11 @@
-"""`canopen drive NODE enable|move`: what gives a drive power, for as long as the command runs."""
+"""`canopen drive enable NODE|move`: what gives a drive power, for as long as the command runs."""
 
 from __future__ import annotations
 
 import click
 
 from canopen_cli.drive.session import command_drive, show_drive, unit_of_command
-from canopen_cli.shared.options import Duration, FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.shared.options import Duration, Settings, commanding, common, enabling, lasting
 from canopen_cli.shared.problem import usage
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
@@ -21,7 +21,7 @@ from canopen_proto.procedures.steps import Procedure, current_time
 
 
 @click.command()
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @enabling
 @commanding
 @common
@@ -64,7 +64,7 @@ def move(settings: Settings, position: float, relative: bool, unit: str | None, 
     """Move a drive to POSITION by its own profile (profile position). IT MOVES. At its target it has no power. Ctrl-C halts it.
 
     The speed is that of 0x6081, the ramps those of 0x6083 and 0x6084: `canopen write NODE 0x6081 ...` changes them. Units other
-    than counts need a drive that tells its scale: `canopen drive NODE units`. A joint of a machine file moves in the unit, and
+    than counts need a drive that tells its scale: `canopen drive units NODE`. A joint of a machine file moves in the unit, and
     within the limits, that stand there.
     """
     screen = settings.screen()

@@ -1,4 +1,4 @@
-"""The drive that `canopen drive NODE ...` names: run a procedure on it, and show what it shows."""
+"""The drive that a command of `canopen drive` names: run a procedure on it, and show what it shows."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run_on_node(
 
 
 def node_of_command() -> int:
-    """Return the node-ID that stands before the command, or that of the name there."""
+    """Return the node-ID that the command names, or that of the name that stands there."""
     context = click.get_current_context()
     return DriveId().convert(context.meta[NODE], None, context)
 
@@ -187,7 +187,7 @@ def counts_per(node: AxisNode, unit: Unit) -> Procedure[float]:
             "CO321",
             f"drive {node.node_id} does not tell how many counts a {unit} has",
             tries=(
-                f"canopen drive {node.node_id} units    what it tells",
+                f"canopen drive units {node.node_id}    what it tells",
                 "the same in counts, without --in",
                 "counts_per_turn, or counts_per_unit, of its joint in a machine file (-m), by its manual",
             ),

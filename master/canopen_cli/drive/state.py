@@ -1,4 +1,4 @@
-"""`canopen drive NODE state|units|mode|fault-reset`: what gives a drive no power."""
+"""`canopen drive state NODE|units|mode|fault-reset`: what gives a drive no power."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def mode(settings: Settings, name: str | None) -> None:
                 ExitCode.DRIVE_FAULT,
                 "CO409",
                 f"{axis.title} has power ({view.state}): in another mode it could obey an old target at once",
-                tries=(f"canopen drive {axis.node.node_id} disable{_option(axis)}",),
+                tries=(f"canopen drive disable {axis.node.node_id}{_option(axis)}",),
             )
         yield from procedures.set_mode(axis, number)
         return (yield from look_at_drive(axis.node))

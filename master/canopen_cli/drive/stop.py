@@ -1,4 +1,4 @@
-"""`canopen drive NODE stop|disable`: the first frame that is sent is one that stops; only then is anything read.
+"""`canopen drive stop NODE|disable`: the first frame that is sent is one that stops; only then is anything read.
 
 The controlword goes by SDO to each axis of the node, at once, and again without an answer. A node that does not answer may be in
 NMT state Stopped, where it takes no SDO: it is made pre-operational, and told again. The last way is NMT `stop`, to which a drive
@@ -241,8 +241,8 @@ def _not_confirmed(axis: Axis, failed: str, last: SdoTransferError) -> CommandEr
         cause=cause,
         tries=(
             "press the emergency stop if it moves",
-            f"canopen drive {number} stop    again",
-            f"canopen drive {number} state    what it shows; after NMT 'stop' first: canopen nmt preop {number}",
+            f"canopen drive stop {number}    again",
+            f"canopen drive state {number}    what it shows; after NMT 'stop' first: canopen nmt preop {number}",
         ),
         node=number,
     )

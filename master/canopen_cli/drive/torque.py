@@ -1,4 +1,4 @@
-"""`canopen drive NODE torque`: let a drive push with a torque for a time."""
+"""`canopen drive torque NODE`: let a drive push with a torque for a time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import click
 
 from canopen_cli.drive.session import command_drive
-from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
@@ -31,7 +31,7 @@ NEWTON_METRE: Final = "newton-metre"
     show_default=True,
     help="The unit of VALUE: thousandths of the rated torque, or N·m.",
 )
-@click.option("--seconds", type=FiniteRange(0, min_open=True), required=True, help="For how long; then it stands.")
+@lasting("For how long: 2s; then it stands.", low_open=True, required=True)
 @click.option("--slope", type=FiniteRange(0, min_open=True), help="Per second, in the unit of VALUE, into 0x6087.")
 @click.option(
     "--max-speed",

@@ -1,4 +1,4 @@
-"""`canopen drive NODE velocity`: run a drive at a velocity, for as long as the command runs."""
+"""`canopen drive velocity NODE`: run a drive at a velocity, for as long as the command runs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 import click
 
 from canopen_cli.drive.session import command_drive, unit_of_command
-from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling
+from canopen_cli.shared.options import FiniteRange, Settings, commanding, common, enabling, lasting
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.motion.single_drive import ends_unpowered, look_at_drive
 from canopen_proto.drives import axis as procedures
@@ -32,7 +32,7 @@ _ABOVE_0: Final = FiniteRange(0, min_open=True)
     type=click.Choice([COUNTS, RPM, *(each.value for each in Unit)]),
     help=f"VALUE is so many of it per second; rpm: turns of the motor.  [default: that of the joint, else {COUNTS}]",
 )
-@click.option("--seconds", type=_ABOVE_0, help="End after this time, instead of by Ctrl-C.")
+@lasting(low_open=True)
 @click.option("--mode", "mode_name_", type=click.Choice(list(_MODES)), help="By default pv, else vl, whichever it has.")
 @click.option("--acceleration", type=_ABOVE_0, help="Per second, in the unit of VALUE; by default the drive's own ramp.")
 @click.option("--deceleration", type=_ABOVE_0, help="In the same way.")
@@ -123,7 +123,7 @@ def _set_scale(axis: Axis, unit: str, mode: Mode) -> Procedure[None]:
             ExitCode.USAGE,
             "CO321",
             f"drive {node_id} does not tell how many counts a turn of its motor has (0x608F)",
-            tries=(f"canopen drive {node_id} units    what it tells", f"--in {RPM if mode is Mode.VELOCITY else COUNTS}"),
+            tries=(f"canopen drive units {node_id}    what it tells", f"--in {RPM if mode is Mode.VELOCITY else COUNTS}"),
         )
     elif unit == RPM:
         axis.settings = replace(axis.settings, counts_per_unit=turn / 60)

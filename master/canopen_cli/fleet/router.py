@@ -9,7 +9,7 @@ import click
 import trio
 
 from canopen_cli.fleet.joining import Endpoint, zenoh_file
-from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import escape
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, close_zenoh, open_zenoh
@@ -22,7 +22,7 @@ from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT, close_zenoh, open_ze
 @click.option("--connect", type=Endpoint(), multiple=True, metavar="ENDPOINT", help="A router above this one; may be repeated.")
 @zenoh_file
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @common
 @click.pass_obj
 def router(

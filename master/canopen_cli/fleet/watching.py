@@ -11,7 +11,7 @@ import click
 import trio
 
 from canopen_cli.fleet.joining import PlaceText, joined, joining
-from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import counted
 from canopen_gateway.fleet import FleetEmcy, FleetNews, FleetPdo, FleetPlace, FleetState, PlaceAppeared, PlaceGone
@@ -22,7 +22,7 @@ from canopen_proto.error_codes import error_text
 @click.command()
 @click.argument("place", type=PlaceText(), default="*/*")
 @click.option("--pdos", is_flag=True, help="The PDOs, too: many lines.")
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @joining
 @common
 @click.pass_obj

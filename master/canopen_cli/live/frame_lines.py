@@ -151,11 +151,13 @@ class FrameChoice:
             return False
         if self._services and not any(_is_of(meaning.service.lower(), word) for word in self._services):
             return False
-        if (self._numbers or self._names) and not any(
-            self._wants(shown.node_id, shown.index, shown.subindex) for shown in meaning.objects
-        ):
+        if (self._numbers or self._names) and not any(self.wants(shown) for shown in meaning.objects):
             return False
         return self._last is None or self._has_changed(self._last, record, observation)
+
+    def wants(self, shown: ShownObject) -> bool:
+        """Return whether an object of a frame is one of those that were named; all are, if none was."""
+        return not (self._numbers or self._names) or self._wants(shown.node_id, shown.index, shown.subindex)
 
     def warns(self, finding: BusFinding) -> bool:
         """Return whether a finding is shown that belongs to no frame."""

@@ -109,7 +109,7 @@ class LineWriter:
             sys.stdout.flush()
             await trio.lowlevel.checkpoint()
             return
-        descriptor, data = self._descriptor, text.encode(sys.stdout.encoding, "replace")
+        descriptor, data = self._descriptor, text.encode(sys.stdout.encoding, sys.stdout.errors or "replace")
         is_done, failures = trio.Event(), list[OSError]()
         token = trio.lowlevel.current_trio_token()
 

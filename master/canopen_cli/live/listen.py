@@ -9,7 +9,7 @@ from canopen_cli.bus.doctor import hear, heard_as_json, show_heard, status_of, t
 from canopen_cli.live.clocks import StampClock
 from canopen_cli.live.top_view import BusShown, TopView, as_json, plain
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import DEMO, FiniteRange, Settings, common
+from canopen_cli.shared.options import DEMO, Settings, common, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, escape
@@ -26,13 +26,7 @@ from canopen_transports.receive_test import NO_WIRE
 
 @click.command()
 @click.option("--bitrates", is_flag=True, help="Find the bit rate: listen at each in turn. Only with adapters that listen only.")
-@click.option(
-    "--seconds",
-    type=FiniteRange(0.1, 3600),
-    default=2.0,
-    show_default=True,
-    help="How long to listen; with --bitrates, also at each of them.",
-)
+@lasting("How long to listen; with --bitrates, also at each of them.  [default: 2s]", low=0.1, high=3600, default=2.0)
 @common
 @click.pass_obj
 def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
@@ -43,7 +37,7 @@ def listen(settings: Settings, bitrates: bool, seconds: float) -> int:
 
     \b
     canopen listen -b pcan:PCAN_USBBUS1 --bitrates
-    canopen listen -b socketcan:can0 --seconds 10
+    canopen listen -b socketcan:can0 --for 10s
     """
     screen = settings.screen()
     bus = settings.required_bus()

@@ -1,4 +1,4 @@
-"""`canopen log`: convert, replay, count and decode log files of CAN buses. `--trace FILE` of any command records one."""
+"""`canopen log`: record, convert, replay, count and decode log files of CAN buses. `--trace FILE` of any command records one."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Final
 import click
 import trio
 
+from canopen_cli.live import log_diff, log_export, log_plot, log_record
 from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing, event_text, finding_text
 from canopen_cli.live.monitor import FrameMonitor
 from canopen_cli.live.source import FILE_OR_INPUT, rate_of, reader_of, require_frames, tell_skipped
+from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file
 from canopen_cli.shared.node_files import NodeFiles
 from canopen_cli.shared.options import Settings, common
@@ -38,12 +40,16 @@ MAX_LINES: Final = 10_000
 """Findings that wait for the end of the story. Further ones are counted only."""
 
 
-@click.group()
+@click.group(cls=NamingGroup)
 def log() -> None:
     """Log files of CAN buses: .log and .txt (candump's), .asc, .blf, .trc, .pcap, .pcapng.
 
-    Any command records one by --trace FILE.
+    `canopen log record` makes one; so does any command, by --trace FILE.
     """
+
+
+for each in (log_record.record, log_export.export, log_plot.plot, log_diff.diff):
+    log.add_command(each)
 
 
 @log.command()

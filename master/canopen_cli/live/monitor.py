@@ -13,7 +13,7 @@ from canopen_cli.live.frame_lines import Buses, FrameChoice, FrameLines, choosin
 from canopen_cli.live.line_writer import LineWriter, open_line_writer
 from canopen_cli.live.source import FILE_OR_INPUT, Heard, LiveSource, open_live_source, require_frames, tell_skipped
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.problem import ExitCode
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape
@@ -31,7 +31,7 @@ LATE: Final = SECOND // 4
 @click.command()
 @click.argument("source", metavar="[FILE]", type=FILE_OR_INPUT, required=False)
 @choosing
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @common
 @click.pass_obj
 def monitor(

@@ -23,7 +23,7 @@ from canopen_cli.live.watch_view import Around, picture, plain
 from canopen_cli.live.watched import View, Watched, WatchedSample
 from canopen_cli.shared.new_files import check_new_file, check_writable
 from canopen_cli.shared.node_files import NodeFiles
-from canopen_cli.shared.options import Duration, FiniteRange, NodeId, Settings, common
+from canopen_cli.shared.options import Duration, NodeOfObject, Settings, common, lasting, with_named_object
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
@@ -55,7 +55,7 @@ STALE_AFTER: Final = 3
 
 
 @click.command()
-@click.argument("node_id", metavar="NODE", type=NodeId())
+@click.argument("node_id", metavar="NODE", type=NodeOfObject())
 @click.argument("keys", metavar="OBJECT...", nargs=-1)
 @click.option("--402", "drive", is_flag=True, help="What a drive shows: state, mode, position, velocity, torque, errors.")
 @click.option(
@@ -70,7 +70,7 @@ STALE_AFTER: Final = 3
 @click.option("--channel", metavar="NAME", help="Of a file with several buses: the one of the node.")
 @click.option("--csv", "csv_path", metavar="FILE", help="Write each value into a CSV file too.")
 @click.option("--plot", is_flag=True, help=f"Draw the last {SPAN:g} s of each number below the table.")
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by q or Ctrl-C.")
+@lasting("End after this time, instead of by q or Ctrl-C: 10s.")
 @click.option("--type", "type_name", type=click.Choice(list(TYPES)), help="Of objects that the dictionary does not have.")
 @common
 @click.pass_obj
@@ -103,10 +103,7 @@ def watch(
     ssh gateway candump -L can0 | canopen watch 5 6041 --from -
     """
     screen = settings.screen()
-    if not keys and not drive:
-        raise usage(
-            "CO001", "no object was named", tries=(f"canopen watch {node_id} statusword", f"canopen watch {node_id} --402")
-        )
+    keys = keys if drive and not keys else with_named_object(keys)
     if csv_path is not None:
         check_new_file(settings, screen, csv_path)
         check_writable(csv_path)

@@ -15,7 +15,7 @@ import click
 import trio
 
 from canopen_cli.lss.support import Lss, address_text, open_lss, windowed
-from canopen_cli.shared.options import DEMO, Duration, Settings, common
+from canopen_cli.shared.options import DEMO, Duration, Settings, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm, require_somebody
 from canopen_cli.shared.running import run
@@ -81,14 +81,13 @@ class RateChange:
     help="Switches our interface; {bitrate} stands for the new one in bit/s.",
 )  # fmt: skip
 @click.option("--no-store", is_flag=True, help="Only until the power goes off.")
-@click.option("--dry-run", is_flag=True, help="Find the devices and show the order; nothing is written.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
+@commanding
 @common
 @click.pass_obj
 def set_bitrate(
-    settings: Settings, rate: int, present: int | None, delay: Time, command: str, no_store: bool, dry_run: bool, yes: bool,
-    window: Time,
+    settings: Settings, rate: int, present: int | None, delay: Time, command: str, no_store: bool, yes: bool, window: Time,
 ) -> None:  # fmt: skip
     """Change the bit rate of all devices of a bus.
 
@@ -102,7 +101,7 @@ def set_bitrate(
     """
     screen = settings.screen()
     change = _change(settings, rate, present, delay, command, not no_store)
-    require_somebody(screen, "change the bit rate of all devices", yes or dry_run)
+    require_somebody(screen, "change the bit rate of all devices", yes or settings.dry_run)
 
     async def prepare_all() -> list[LssAddress]:
         async with open_lss(settings, screen, window) as lss:
@@ -110,7 +109,7 @@ def set_bitrate(
 
     addresses = run(settings, screen, prepare_all)
     _show(screen, change, addresses)
-    if dry_run:
+    if settings.dry_run:
         screen.say("dry run: nothing was written")
         return
     confirm(screen, f"change the bit rate of {counted(len(addresses), 'device')}; no drive may move meanwhile", yes, needed=True)

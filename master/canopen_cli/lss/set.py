@@ -25,11 +25,12 @@ from canopen_cli.lss.support import (
     selected,
     windowed,
 )
-from canopen_cli.shared.options import NodeId, NodeIds, Settings, common, node_id_of
+from canopen_cli.shared.options import NodeId, NodeIds, Settings, commanding, common, node_id_of
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import Questions, confirm, require_somebody
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.withholding import show_unsent
 from canopen_data.named_files import read_text
 from canopen_proto.lss.assign import (
     NOBODY_AGREED,
@@ -56,6 +57,7 @@ TABLE_COLUMNS: Final = ("node_id", "vendor", "product", "revision", "serial")
 @click.option("--no-store", is_flag=True, help="Only until the power goes off.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @windowed
+@commanding
 @common
 @click.pass_obj
 def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, yes: bool, window: Time) -> None:
@@ -70,7 +72,10 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
     """
     screen = settings.screen()
     confirm(
-        screen, f"give a device the node-ID {node_id}; one that has a node-ID now is reset, and a drive stops", yes, needed=True
+        screen,
+        f"give a device the node-ID {node_id}; one that has a node-ID now is reset, and a drive stops",
+        yes,
+        needed=not settings.dry_run,
     )
 
     async def change() -> Given:
@@ -86,12 +91,16 @@ def set_id(settings: Settings, device: LssTarget, node_id: int, no_store: bool, 
             given: Given = await lss.run(give(lss.tool, lss.pace, address, node_id, present=present, store=not no_store))
             return given
 
+    if settings.dry_run:
+        show_unsent(settings, screen, change)
+        return
     _show(settings, screen, [run(settings, screen, change)])
 
 
 @click.command()
 @click.argument("device", metavar="DEVICE", type=TargetKind())
 @windowed
+@commanding
 @common
 @click.pass_obj
 def store(settings: Settings, device: LssTarget, window: Time) -> None:
@@ -108,6 +117,9 @@ def store(settings: Settings, device: LssTarget, window: Time) -> None:
                 )
             screen.say(f"{escape(address_text(address))}: stored, node-ID {node_id_text(node_id)}")
 
+    if settings.dry_run:
+        show_unsent(settings, screen, keep)
+        return
     run(settings, screen, keep)
 
 

@@ -7,13 +7,14 @@ from pathlib import Path
 import click
 
 import canopen_data
+from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.screen import escape
 
 _STYLES = {"created": "green", "replaced": "yellow", "kept": "yellow", "unchanged": "dim"}
 
 
-@click.group()
+@click.group(cls=NamingGroup)
 def data() -> None:
     """The object dictionary and the chain files."""
 

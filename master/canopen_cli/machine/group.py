@@ -10,6 +10,7 @@ import click
 
 from canopen_cli.machine.from_ros import import_
 from canopen_cli.machine.limits import limits_as_json, show_limits
+from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import check_new_file, write_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import ExitCode, usage
@@ -30,7 +31,7 @@ from canopen_master.machine_file.links import linked_buses, plan_bus
 from canopen_master.motion.chain_file import read_chains
 
 
-@click.group()
+@click.group(cls=NamingGroup)
 def machine() -> None:
     """The machine file: one file with the buses, devices, joints and chains of a machine."""
 

@@ -84,7 +84,7 @@ def plan(
     TPDOs at each SYNC, the others once per inhibit time or event timer.
 
     With a machine file (-m) the devices are all of its nodes, and cycle and bit rates are those of the file unless options say
-    otherwise. Joints of a chain with `own_pdos` have the PDOs that the chain would plan: see `canopen drive NODE plan`. The links
+    otherwise. Joints of a chain with `own_pdos` have the PDOs that the chain would plan: see `canopen drive plan NODE`. The links
     of the file have those of `canopen net links`.
 
     Exit status: 0 it fits, 1 it does not.

@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 
 import click
 
+from canopen_cli.shared.lazy import NamingGroup
 from canopen_cli.shared.new_files import write_file
 from canopen_cli.shared.options import Settings, common
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
@@ -38,7 +39,7 @@ _LONGEST_LINE = 127
 """Of a script's first line, which names its interpreter; older kernels cut it there."""
 
 
-@click.group()
+@click.group(cls=NamingGroup)
 def ros() -> None:
     """ROS: write a package with launch files for a machine."""
 

@@ -132,4 +132,4 @@ class _Jogging:
     def story(self, confirmed: bool) -> list[str]:
         """Tell what was done if it was interrupted."""
         halted = "halted" if confirmed else "told to halt"
-        return [f"the joints braked and were {halted}; `canopen drive NODE disable` takes the power"]
+        return [f"the joints braked and were {halted}; `canopen drive disable NODE` takes the power"]

@@ -229,7 +229,7 @@ class _Move:
     def story(self, confirmed: bool) -> list[str]:
         """Tell what was done if it did not come to its end."""
         halted = "halted" if confirmed else "told to halt"
-        return [self._told, f"the joints were {halted}; `canopen drive NODE disable` takes the power"]
+        return [self._told, f"the joints were {halted}; `canopen drive disable NODE` takes the power"]
 
     def show(self) -> None:
         """Show where the joints are."""

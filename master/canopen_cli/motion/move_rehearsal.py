@@ -11,8 +11,9 @@ import trio.testing
 
 from canopen_cli.motion.chain_session import ChosenChains, open_chains
 from canopen_cli.motion.move_legs import legs_of, show_legs
+from canopen_cli.shared.frames_shown import show_frames
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.rehearsal import Frames, Likeness, likeness_of, prepare, show_frames
+from canopen_cli.shared.rehearsal import Frames, Likeness, likeness_of, prepare
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen
 from canopen_data.path_file import PathFile

@@ -15,7 +15,7 @@ from rich.progress import DownloadColumn, TimeRemainingColumn, TransferSpeedColu
 
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.shared.failures import problem_of
-from canopen_cli.shared.options import Duration, Kind, NodeId, Settings, common
+from canopen_cli.shared.options import Duration, Kind, NodeId, Settings, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import Questions, require_somebody
 from canopen_cli.shared.running import run
@@ -110,8 +110,8 @@ class ProgramToFlash:
 )
 @click.option("--confirm", is_flag=True, help="Zephyr with MCUboot: keep the new program beyond the next reset (0x80 in 1F51).")
 @click.option("--limit", type=Duration(SECOND), help="For one operation of its flash, and for its boot.  [default: 30s, 20s]")
-@click.option("--dry-run", is_flag=True, help="Only read, and show what would be done.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
+@commanding
 @common
 @click.pass_obj
 def flash(
@@ -122,7 +122,6 @@ def flash(
     expect: int | str | None,
     confirm: bool,
     limit: Time | None,
-    dry_run: bool,
     yes: bool,
 ) -> int:
     """Write a new program (firmware) into a device that takes it by CiA 302-3, and start it.
@@ -143,11 +142,11 @@ def flash(
     expected = crc32(image) if expect == CRC32 else expect
     assert not isinstance(expected, str)
     wanted = ProgramToFlash(node_id, program, path, image, expected, confirm, limits)
-    require_somebody(screen, f"write a program into {node_text(node_id)}: its old one is erased", yes or dry_run)
+    require_somebody(screen, f"write a program into {node_text(node_id)}: its old one is erased", yes or settings.dry_run)
     so_far = ProgramDownload(len(image))
     questions = Questions(screen, agrees=yes)
     try:
-        run(settings, screen, lambda: _flash(settings, screen, questions, wanted, so_far, dry_run), story=lambda _: story(so_far))
+        run(settings, screen, lambda: _flash(settings, screen, questions, wanted, so_far), story=lambda _: story(so_far))
     except ProgramDownloadError as failed:
         problem = problem_of(failed)
         if failed.so_far.step is not ProgramStep.LOOK and not failed.is_mismatch:
@@ -186,14 +185,14 @@ def story(so_far: ProgramDownload) -> list[str]:
 
 
 async def _flash(
-    settings: Settings, screen: Screen, questions: Questions, wanted: ProgramToFlash, so_far: ProgramDownload, dry_run: bool
+    settings: Settings, screen: Screen, questions: Questions, wanted: ProgramToFlash, so_far: ProgramDownload
 ) -> None:
     async with open_session(settings, screen) as session, session.claim_to_write(wanted.node_id):
         node, nmt = session.node(wanted.node_id).remote, session.master.nmt_master(session.master.bus())
         found = await session.master.run(look(node, wanted.program))
         if not settings.json:
             _show_plan(settings, screen, wanted, found)
-        if dry_run:
+        if settings.dry_run:
             screen.say("nothing was written (--dry-run)")
             if settings.json:
                 screen.json(_as_json(wanted, found, None))

@@ -11,7 +11,7 @@ import click
 
 from canopen_cli.node.object_files import FileTransfer, read_into_file, write_from_file
 from canopen_cli.shared.new_files import check_new_file, new_file
-from canopen_cli.shared.options import NodeId, Settings, common, enabling
+from canopen_cli.shared.options import NodeOfObject, Settings, commanding, common, enabling, with_named_object
 from canopen_cli.shared.over_text import is_text_gateway, refuse_over_text
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.running import run
@@ -31,6 +31,7 @@ from canopen_cli.shared.values import (
     place_text,
     value_text,
 )
+from canopen_cli.shared.withholding import show_unsent
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
@@ -102,8 +103,8 @@ async def read_object(node: Node, variable: Variable, block: bool | None = None)
 
 
 @click.command()
-@click.argument("node_id", metavar="NODE", type=NodeId())
-@click.argument("keys", metavar="OBJECT...", nargs=-1, required=True)
+@click.argument("node_id", metavar="NODE", type=NodeOfObject())
+@click.argument("keys", metavar="OBJECT...", nargs=-1)
 @_TYPE
 @_BLOCK
 @click.option("-o", "--output", metavar="FILE", help="Write the bytes of the object, as they come, into a file.")
@@ -118,10 +119,12 @@ def read(
 
     \b
     canopen read 3 statusword -b demo
+    canopen read 3:statusword -b demo
     canopen read 3 6041 6064 --json -b demo
     canopen read 3 1008 -o name.bin -b demo
     """
     screen, request = settings.screen(), AccessRequest(node_id, type_name, block)
+    keys = with_named_object(keys)
     refuse_over_text(settings, output=output, block=block)
     if output is not None:
         if len(keys) > 1:
@@ -246,21 +249,20 @@ def _tell_file(settings: Settings, screen: Screen, transfer: FileTransfer, arrow
 
 
 @click.command()
-@click.argument("node_id", metavar="NODE", type=NodeId())
-@click.argument("key", metavar="OBJECT")
-@click.argument("text", metavar="[VALUE]", required=False)
+@click.argument("node_id", metavar="NODE", type=NodeOfObject())
+@click.argument("words", metavar="OBJECT [VALUE]", nargs=-1)
 @_TYPE
 @_BLOCK
 @click.option("--file", "path", metavar="FILE", help="Write what a file holds, instead of a VALUE.")
 @click.option("--verify", is_flag=True, help="Read it back; exit status 13 where it is not what was written.")
 @enabling
+@commanding
 @common
 @click.pass_obj
 def write(
     settings: Settings,
     node_id: int,
-    key: str,
-    text: str | None,
+    words: tuple[str, ...],
     type_name: str | None,
     block: bool | None,
     path: str | None,
@@ -277,13 +279,23 @@ def write(
     canopen write 5 1F50:01 --file firmware.bin
     """
     screen, request = settings.screen(), AccessRequest(node_id, type_name, block, verify)
-    refuse_over_text(settings, file=path, block=block)
+    key, *values = with_named_object(words)
+    if len(values) > 1:
+        raise usage("CO001", f"one VALUE is written, not {len(values)}", tries=("a text with blanks in quotes",))
+    text = values[0] if values else None
+    refuse_over_text(settings, file=path, block=block, dry_run=settings.dry_run)
     if path is not None and text is None:
+        if settings.dry_run:
+            show_unsent(settings, screen, lambda: _write_file(settings, screen, request, key, path))
+            return
         written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
         return
     if path is not None or text is None:
         raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
+    if settings.dry_run:
+        show_unsent(settings, screen, lambda: _write(settings, screen, request, key, text))
+        return
     before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text), over_text=True)
     if settings.json:
         previous = None if before is None else as_json(before.variable, before.value)

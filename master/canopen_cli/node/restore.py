@@ -11,12 +11,13 @@ import click
 
 from canopen_cli.node.backup_reading import shown
 from canopen_cli.node.restore_output import show, story, tell_unread, told
-from canopen_cli.shared.options import NodeId, Settings, common
+from canopen_cli.shared.options import NodeId, Settings, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode, usage
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import BusSession, open_session
+from canopen_cli.shared.withholding import kept_back
 from canopen_data.configured import moved_to
 from canopen_proto import indices
 from canopen_proto.abort import AbortOrigin
@@ -51,7 +52,6 @@ class SettingsToRestore:
 @click.command()
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @click.argument("path", metavar="FILE")
-@click.option("--dry-run", is_flag=True, help="Only read, and show what would be written, in its order.")
 @click.option("--verify", is_flag=True, help="Read each object back; exit status 13 where it is not what was written.")
 @click.option("--store", is_flag=True, help="Have the device keep its parameters over power-off (1010:01), at the end.")
 @click.option("--all", "everything", is_flag=True, help="Write also what the device has already, if it could be read.")
@@ -60,13 +60,13 @@ class SettingsToRestore:
 @click.option("--to", metavar="NODE", type=NodeId(), help="Write another node than the file's; its COB-IDs move along.")
 @click.option("--any-device", is_flag=True, help="Also to a node, or a type of device, that the file is not of.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
+@commanding
 @common
 @click.pass_obj
 def restore(
     settings: Settings,
     node_id: int,
     path: str,
-    dry_run: bool,
     verify: bool,
     store: bool,
     everything: bool,
@@ -95,17 +95,18 @@ def restore(
         dictionary, node_id = moved_to(dictionary, node_id, to), to
     values = settings_of(dictionary, node_id)
     options = {"everything": everything, "process_data": process_data, "skip": {dictionary.variable(key).mux for key in skip}}
-    wanted = SettingsToRestore(node_id, path, dictionary, values, options, any_device, verify, store, dry_run)
+    wanted = SettingsToRestore(node_id, path, dictionary, values, options, any_device, verify, store, settings.dry_run)
     question = f"restore {node_text(node_id)} from {path}: it becomes Pre-operational (a drive stops, or coasts), and is written"
-    confirm(screen, question, yes, needed=not dry_run)
+    confirm(screen, question, yes, needed=not settings.dry_run)
     so_far: list[Restoration] = []
     failure: Exception | None = None
-    try:
-        run(settings, screen, lambda: _restore(settings, screen, wanted, so_far), story=lambda confirmed: story(so_far))
-    except Exception as error:  # noqa: BLE001 - raised below, after the list of what was written
-        failure = error
+    with kept_back() as unsent:
+        try:
+            run(settings, screen, lambda: _restore(settings, screen, wanted, so_far), story=lambda confirmed: story(so_far))
+        except Exception as error:  # noqa: BLE001 - raised below, after the list of what was written
+            failure = error
     if so_far:
-        show(screen, so_far[0], path, dry_run=dry_run)
+        show(screen, so_far[0], path, unsent=unsent if settings.dry_run else None)
     if failure is not None:
         raise told(failure, so_far, path) from failure
     return ExitCode.PARTIAL if tell_unread(screen, dictionary, so_far[0]) else ExitCode.OK
@@ -165,8 +166,6 @@ async def _restore(settings: Settings, screen: Screen, wanted: SettingsToRestore
         planning = plan_restore(node, wanted.dictionary, wanted.values, **wanted.options)
         plan = await shown(session, screen, f"reading {node_text(wanted.node_id)}", planning, ObjectRead)
         so_far.append(Restoration(plan))
-        if wanted.dry_run:
-            return
         nmt = session.master.nmt_master(session.master.bus())
         writing = carry_out(node, nmt, plan, so_far[0], verify=wanted.verify, store=wanted.store)
         await shown(session, screen, f"writing {node_text(wanted.node_id)}", writing, ObjectRestored)

@@ -6,12 +6,13 @@ from typing import Any, Final
 
 import click
 
-from canopen_cli.shared.options import Kind, NodeId, Settings, common
+from canopen_cli.shared.options import Kind, NodeId, Settings, commanding, common
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.questions import confirm
 from canopen_cli.shared.running import run
 from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import open_session
+from canopen_cli.shared.withholding import show_unsent
 from canopen_proto.manager.parameters.restore import STORE_TIMEOUT
 from canopen_proto.parameter_storage import ON_COMMAND, RESTORE, SIGNATURES, STORE
 
@@ -49,6 +50,7 @@ _YES = click.option("--yes", is_flag=True, help="Do not ask.")
 @click.argument("node_id", metavar="NODE", type=NodeId())
 @_GROUP
 @_YES
+@commanding
 @common
 @click.pass_obj
 def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
@@ -62,7 +64,10 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
     canopen store 5 --group communication --yes
     """
     screen = settings.screen()
-    confirm(screen, f"store parameters of {node_text(node_id)}: they stay over power-off", yes, needed=True)
+    confirm(screen, f"store parameters of {node_text(node_id)}: they stay over power-off", yes, needed=not settings.dry_run)
+    if settings.dry_run:
+        show_unsent(settings, screen, lambda: _sign(settings, screen, node_id, STORE, group, resets=False))
+        return
     run(settings, screen, lambda: _sign(settings, screen, node_id, STORE, group, resets=False))
     if settings.json:
         screen.json({"node": node_id, "index": STORE, "subindex": group, "stored": True})
@@ -75,6 +80,7 @@ def store(settings: Settings, node_id: int, group: int, yes: bool) -> None:
 @_GROUP
 @click.option("--reset", is_flag=True, help="Reset the node then, so that the defaults count at once: IT STOPS, or coasts.")
 @_YES
+@commanding
 @common
 @click.pass_obj
 def reset_defaults(settings: Settings, node_id: int, group: int, reset: bool, yes: bool) -> None:
@@ -86,7 +92,12 @@ def reset_defaults(settings: Settings, node_id: int, group: int, reset: bool, ye
     """
     screen = settings.screen()
     then = "it is reset, and a drive stops, or coasts" if reset else "it takes them at its next reset"
-    confirm(screen, f"forget stored parameters of {node_text(node_id)} for the defaults: {then}", yes, needed=True)
+    confirm(
+        screen, f"forget stored parameters of {node_text(node_id)} for the defaults: {then}", yes, needed=not settings.dry_run
+    )
+    if settings.dry_run:
+        show_unsent(settings, screen, lambda: _sign(settings, screen, node_id, RESTORE, group, resets=reset))
+        return
     run(settings, screen, lambda: _sign(settings, screen, node_id, RESTORE, group, resets=reset))
     if settings.json:
         screen.json({"node": node_id, "index": RESTORE, "subindex": group, "reset": reset})

@@ -10,7 +10,7 @@ import trio
 
 from canopen_cli.serve.permissions import Permissions
 from canopen_cli.serve.served import open_served
-from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission, open_gateway
@@ -46,7 +46,7 @@ from canopen_proto.gateway import CANOPENNODE, DIALECTS
     help="How answers are written: for cocomm, or for what was written for Lely's coctl.",
 )
 @click.option("--reachable", is_flag=True, help="Other computers may reach it, though it has no password.")
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @common
 @click.pass_obj
 def serve_ascii(

@@ -9,7 +9,7 @@ import trio
 
 from canopen_cli.serve.permissions import Permissions
 from canopen_cli.serve.served import open_served
-from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
@@ -28,7 +28,7 @@ from canopen_gateway.web.guard import AsgiApp
     metavar="KINDS",
     help="What the assistant may change: write, store, program, nmt. By default nothing.",
 )
-@click.option("--seconds", type=FiniteRange(0), help="End after this time.")
+@lasting("End after this time.")
 @common
 @click.pass_obj
 def serve_mcp(settings: Settings, port: int | None, allow: frozenset[Permission], seconds: float | None) -> None:

@@ -10,7 +10,7 @@ import trio
 
 from canopen_cli.serve.permissions import Permissions
 from canopen_cli.serve.served import open_served
-from canopen_cli.shared.options import FiniteRange, Settings, common
+from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
@@ -35,7 +35,7 @@ FILE = click.Path(dir_okay=False, exists=True, path_type=Path)
     metavar="KINDS",
     help="What clients may change: write, motion, store, program, nmt, lss. By default nothing.",
 )
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @common
 @click.pass_obj
 def serve_web(

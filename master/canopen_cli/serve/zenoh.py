@@ -12,7 +12,7 @@ import trio
 from canopen_cli.fleet.joining import Endpoint, zenoh_file
 from canopen_cli.serve.permissions import Permissions
 from canopen_cli.serve.served import open_served
-from canopen_cli.shared.options import FiniteRange, Kind, Settings, common
+from canopen_cli.shared.options import Kind, Settings, common, lasting
 from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
 from canopen_gateway import GatewayService, Permission, open_gateway
@@ -54,7 +54,7 @@ class SiteName(Kind):
     help="What clients may change: write, motion, store, program, nmt, lss. By default nothing.",
 )
 @click.option("--reachable", is_flag=True, help="Other computers may come in, though nobody proves who he is.")
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @common
 @click.pass_obj
 def serve_zenoh(

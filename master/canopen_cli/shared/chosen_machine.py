@@ -64,7 +64,7 @@ class ChosenMachine:
         joint = machine.joints.get(name)
         if joint is not None and joint.axis and not any_axis:
             failed = f"{name} is axis {joint.axis} of node {node.name}, and this command is about whole nodes"
-            tries = (f"canopen drive {name} ...", f"the node: {node.node_id}, and objects as controlword_axis_{joint.axis}")
+            tries = (f"canopen drive state {name}", f"the node: {node.node_id}, and objects as controlword_axis_{joint.axis}")
             raise usage("CO120", failed, tries=tries)
         self.choose(machine, node.bus, name)
         return node.node_id

@@ -14,9 +14,27 @@ import click
 from click.shell_completion import CompletionItem
 
 from canopen_cli.shared.importing import importing
+from canopen_cli.shared.problem import usage
 
 
-class LazyGroup(click.Group):
+class NamingGroup(click.Group):
+    """A group that names the commands that were perhaps meant, if a word is none of them."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        is_word = bool(args) and not args[0].startswith("-")
+        if is_word and args[0] not in self.list_commands(ctx) and not ctx.resilient_parsing:
+            near = [f"{ctx.command_path} {name}" for name in self.meant_by(ctx, args[0])]
+            raise usage("CO001", f"there is no command {args[0]!r}", tries=(*near, f"{ctx.command_path} --help"))
+        return super().resolve_command(ctx, args)
+
+    def meant_by(self, ctx: click.Context, word: str) -> list[str]:
+        """Return the commands that a word is near to."""
+        from difflib import get_close_matches
+
+        return get_close_matches(word.lower(), self.list_commands(ctx))
+
+
+class LazyGroup(NamingGroup):
     """A group with a table: by the name of a command, its module in canopen_cli and its line. The table gives the order, too.
 
     "drive.home:home_one" is a command that has another name in its module.
@@ -38,6 +56,15 @@ class LazyGroup(click.Group):
         command = getattr(module, function or cmd_name.replace("-", "_"))
         assert isinstance(command, click.Command)
         return command
+
+    def meant_by(self, ctx: click.Context, word: str) -> list[str]:
+        """Return the commands that a word is near to; and those of a group below that are called so."""
+        found = super().meant_by(ctx, word)
+        for name, (module, _) in self.table.items():
+            group = self.get_command(ctx, name) if module.endswith(".group") else None
+            if isinstance(group, click.Group) and word in group.list_commands(ctx):
+                found.append(f"{name} {word}")
+        return found
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         limit = formatter.width - 6 - max(map(len, self.table))  # as click.Group has it

@@ -37,6 +37,10 @@ else:
 F = TypeVar("F", bound=Callable[..., Any])
 
 BUS_VARIABLE: Final = "CANOPEN_BUS"
+_PLAIN: Final = re.compile(r"[0-9]*\.?[0-9]+")
+_COMMON_FLAGS: Final = "-b, -m, -e, --json, -v ..."
+_OBJECT: Final = "canopen.object"
+"""The key, in `click.Context.meta`, of an object that stands at its node."""
 _NODE_ID: Final = re.compile(r"0[xX][0-9A-Fa-f]+|[0-9]+")
 DEMO: Final = "demo"
 """The bus on which six simulated drives live, in the same process."""
@@ -183,6 +187,27 @@ class DriveId(NodeId):
     any_axis = True
 
 
+class NodeOfObject(NodeId):
+    """A node, perhaps with an object of it: "5", "5:6041", "lift:statusword". `with_named_object` has the object."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        node, colon, key = str(value).partition(":")
+        if colon and ctx is not None:
+            ctx.meta[_OBJECT] = key
+        return super().convert(node if colon else value, param, ctx)
+
+
+def with_named_object(words: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the words behind the node, the first of which may stand at the node. Raises a CommandError if there is none."""
+    context = click.get_current_context()
+    key = context.meta.get(_OBJECT)
+    found = words if key is None else (key, *words)
+    if not found:
+        node = context.params.get("node_id")
+        raise usage("CO001", "no object was named", tries=(f"{context.command_path} {node} statusword",))
+    return found
+
+
 class NodeIds(Kind):
     """Several node-IDs: "1-32,40"."""
 
@@ -223,6 +248,34 @@ class Duration(Kind):
         if not self.low <= time <= self.high:
             self.fail(f"{value} is outside {_time_text(self.low)} to {_time_text(self.high)}", param, ctx)
         return time
+
+
+class Seconds(Kind):
+    """How long something goes on: "10s", "500ms"; a number alone is seconds. In seconds, within a range."""
+
+    name = "time"
+
+    def __init__(self, low: float = 0.0, high: float = math.inf, *, low_open: bool = False) -> None:
+        self.low = low
+        self.high = high
+        self.low_open = low_open
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, float):
+            return value
+        from canopen_data.durations import parse_duration
+
+        text = str(value).strip()
+        try:
+            seconds = float(text) if _PLAIN.fullmatch(text) else parse_duration(text) / SECOND
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        if not self.low <= seconds <= self.high or (self.low_open and seconds == self.low):
+            least = "above" if self.low_open else "at least"
+            self.fail(
+                f"{value} is not {least} {self.low:g} s" + (f" and at most {self.high:g} s" * (self.high < math.inf)), param, ctx
+            )
+        return seconds
 
 
 class FiniteRange(click.FloatRange):
@@ -298,6 +351,24 @@ def _option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
     return click.option(*names, callback=_store, expose_value=False, **attributes)
 
 
+class CommonOption(click.Option):
+    """An option that every command has. The page of `canopen` itself explains it; the others have one line for all of them."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        if ctx.parent is None:
+            return super().get_help_record(ctx)
+        return (_COMMON_FLAGS, "Common options: see `canopen --help`.") if self.name == "bus" else None
+
+
+def lasting(help_text: str = "End after this time, instead of by Ctrl-C: 10s.", **attributes: Any) -> Callable[[F], F]:
+    """Add the option by which all commands take how long they go on. The command takes `seconds`.
+
+    attributes: `low`, `high` and `low_open` of the time, in seconds; and what click.option takes.
+    """
+    bounds = {name: attributes.pop(name) for name in ("low", "high", "low_open") if name in attributes}
+    return click.option("--for", "--seconds", "seconds", type=Seconds(**bounds), help=help_text, **attributes)
+
+
 def enabling(command: F) -> F:
     """Add the option that commands have which enable drives."""
     from canopen_proto.drives.axis.watchdog import DEFAULT_WATCHDOG
@@ -309,54 +380,60 @@ def enabling(command: F) -> F:
 
 
 def commanding(command: F) -> F:
-    """Add the option of commands that command drives: see rehearsal.py."""
-    added: F = _option("--dry-run", is_flag=True, help="Only read the drive, and show the frames that would be sent.")(command)
+    """Add the option of commands that change something on the bus: see withholding.py, and rehearsal.py for those of drives."""
+    added: F = _option("--dry-run", is_flag=True, help="Only read, and show the frames that would be sent.")(command)
     return added
+
+
+def _common_option(*names: str, **attributes: Any) -> Callable[[Any], Any]:
+    return _option(*names, cls=CommonOption, **attributes)
 
 
 def common(command: F) -> F:
     """Add the options that every command has. The command takes `settings` by `@click.pass_obj`."""
     options: list[Callable[[F], F]] = [
-        _option(
+        _common_option(
             "-b",
             "--bus",
             metavar="BUS",
             help=f"The bus: demo, socketcan:can0, pcan:PCAN_USBBUS1@500k, slcan:/dev/ttyACM0@250k ...  [env: {BUS_VARIABLE}]",
         ),
-        _option(
+        _common_option(
             "-m",
             "--machine",
             type=click.Path(dir_okay=False, path_type=Path),
             metavar="FILE.toml",
             help=f"The machine file: buses, devices, joints, chains, by their names.  [env: {MACHINE_VARIABLE}]",
         ),
-        _option(
+        _common_option(
             "-e",
             "--eds",
             multiple=True,
             metavar="[NODE=]FILE",
             help="The device's own file (EDS, DCF, XDD, XDC), which names its objects; once for each device.",
         ),
-        _option(
+        _common_option(
             "--overlay",
             "overlays",
             multiple=True,
             metavar="FILE.toml",
             help="Units and factors, names of values and bits, aliases, laid over what describes the device.",
         ),
-        _option("--encoding", type=Encoding(), help="Of device files that are not UTF-8: gbk, cp932 ... By default a guess."),
-        _option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
-        _option(
+        _common_option(
+            "--encoding", type=Encoding(), help="Of device files that are not UTF-8: gbk, cp932 ... By default a guess."
+        ),
+        _common_option("--timeout", type=Duration(), help="For one answer of a node: 500ms, 2s."),
+        _common_option(
             "--trace",
             type=click.Path(dir_okay=False, path_type=Path),
             metavar="FILE",
             help="Record all traffic on the bus meanwhile: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.",
         ),
-        _option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
-        _option("--json", is_flag=True, help="Results and errors as JSON."),
-        _option("-q", "--quiet", is_flag=True, help="Only results and errors."),
-        _option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
-        _option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
+        _common_option("--force", is_flag=True, help="Overwrite files that are there already (-o, --trace ...)."),
+        _common_option("--json", is_flag=True, help="Results and errors as JSON."),
+        _common_option("-q", "--quiet", is_flag=True, help="Only results and errors."),
+        _common_option("-v", "--verbose", "verbosity", count=True, help="Tell more; -vv with tracebacks."),
+        _common_option("--no-color", is_flag=True, help="No colours (as NO_COLOR)."),
     ]
     for option in reversed(options):
         command = option(command)

@@ -18,10 +18,11 @@ from typing import Final, NamedTuple
 import trio
 import trio.testing
 
+from canopen_cli.shared.frames_shown import show_frames
 from canopen_cli.shared.options import Settings
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_cli.shared.running import run
-from canopen_cli.shared.screen import Screen, counted, escape, node_text
+from canopen_cli.shared.screen import Screen, node_text
 from canopen_cli.shared.session import BusSession, open_session
 from canopen_data.configured import configure
 from canopen_data.drive_from_file import drive_dictionary_of, drive_obstacle
@@ -32,8 +33,7 @@ from canopen_master.simulation.serving import SimulatedDevices, simulated_device
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.axes import axes_of, swapped
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
-from canopen_proto.frame import Frame
-from canopen_proto.machine import MILLISECOND, Time
+from canopen_proto.machine import Time
 from canopen_proto.manager.parameters.walk import walk
 from canopen_proto.multiplexer import Mux, index_of, mux, split_mux
 from canopen_proto.nmt import NmtCommand, NmtState
@@ -123,7 +123,7 @@ def rehearse(
     session = run(settings, screen, look)
     frames = Frames()
     clock = trio.testing.MockClock(autojump_threshold=0)
-    apart = replace(settings, bus=LOCATOR, trace=None, clock=clock)
+    apart = replace(settings, bus=LOCATOR, trace=None, clock=clock, dry_run=False)
 
     async def perform() -> None:
         async with simulated_devices({LOCATOR: [each.make for each in likenesses]}) as served:
@@ -181,32 +181,3 @@ def likeness_of(node: Node) -> Procedure[Likeness]:
     settings = replace(drives[0], further_axes=tuple(drives[1:]))
     made = partial(DriveNode, node_id=node.node_id, settings=settings, dictionary=dictionary)
     return Likeness(node.node_id, made, tuple(shown), node.nmt_state is NmtState.OPERATIONAL)
-
-
-def show_frames(settings: Settings, screen: Screen, records: Sequence[Record], observer: Observer) -> None:
-    """Show the frames that we would send. Reads are counted, or shown with -v; a repeated heartbeat is shown once."""
-    rows: list[tuple[Time, Frame, str, str]] = []
-    reads = 0
-    heartbeats: set[Frame] = set()
-    for record in records:
-        frame = record.frame
-        meaning = observer.observe(frame, record.time).meaning
-        if not record.sent or frame in heartbeats:
-            continue
-        if meaning.service == "heartbeat":
-            heartbeats.add(frame)
-        if meaning.service == "SDO" and meaning.text.startswith("read "):  # that changes nothing in the device
-            reads += 1
-            if screen.verbosity <= 0:
-                continue
-        rows.append((record.time - records[0].time, frame, meaning.service, meaning.text))
-    if settings.json:
-        names = ("ms", "frame", "service", "text")
-        screen.json([dict(zip(names, (time / MILLISECOND, str(frame), *words), strict=True)) for time, frame, *words in rows])
-        return
-    if rows:
-        cells = [(f"{time / MILLISECOND:.1f}", str(frame), *map(escape, words)) for time, frame, *words in rows]
-        screen.table(("ms", "frame", "", "meaning"), cells, right=("ms",))
-    else:
-        screen.data("no frames, except those that read")
-    screen.say(f"[dim]and {counted(reads, 'read')}{' (-v shows them)' * (screen.verbosity <= 0)}[/]")

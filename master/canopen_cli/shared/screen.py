@@ -25,6 +25,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from canopen_cli.shared.marks import put_marks
 from canopen_cli.shared.problem import CommandError, ExitCode
 from canopen_master.plain_text import clean, clean_lines, json_text
 
@@ -246,8 +247,7 @@ class _Console(Console):
 
 
 def _console(stream: IO[str], color: bool) -> Console:
-    if hasattr(stream, "reconfigure"):
-        stream.reconfigure(errors="replace")  # a pipe with another encoding must not end a command
+    put_marks(stream)
     console = _Console(file=stream, no_color=not color, highlight=False, emoji=False)
     if not console.is_terminal:
         columns = os.environ.get("COLUMNS", "")

@@ -37,6 +37,7 @@ from canopen_proto.procedures.steps import SdoTransferError
 from canopen_transports import open_transport
 from canopen_transports.record import Record
 from canopen_transports.tracing import tapped
+from canopen_transports.transport import Transport
 
 if TYPE_CHECKING:
     from canopen_master.simulation.serving import SimulatedDevices
@@ -141,7 +142,13 @@ async def open_session(
 
             await stack.enter_async_context(simulated_drives((DEMO_LOCATOR, node_id) for node_id in DEMO_NODES))
             bus = DEMO_LOCATOR
-        opened = bus if heard is None else tapped(await open_transport(bus), heard)
+        opened: str | Transport = bus
+        if settings.dry_run:
+            from canopen_cli.shared.withholding import withheld
+
+            opened = withheld(await open_transport(bus), files.dictionary_of)
+        elif heard is not None:
+            opened = tapped(await open_transport(bus), heard)
         master = await stack.enter_async_context(
             open_master(opened, sdo_timeout=settings.sdo_timeout, dictionary=files.dictionary, watchdog=settings.watchdog)
         )

@@ -13,7 +13,7 @@ from typing import Final
 import click
 import trio
 
-from canopen_cli.shared.options import DEMO, Duration, FiniteRange, Settings, common
+from canopen_cli.shared.options import DEMO, Duration, Settings, common, lasting
 from canopen_cli.shared.problem import usage
 from canopen_cli.shared.running import run_until_interrupted
 from canopen_cli.shared.screen import Screen, counted, escape, node_text
@@ -77,7 +77,7 @@ DEFAULT_IDS: Final = DEMO_NODES
     help='Boot loaders answer "clear" (1F51 = 3) when they have erased, for masters that do not poll 1F57.',
 )
 @click.option("--erase-time", type=Duration(MILLISECOND), help="Of boot loaders.  [default: 300ms]")
-@click.option("--seconds", type=FiniteRange(0), help="End after this time, instead of by Ctrl-C.")
+@lasting()
 @common
 @click.pass_obj
 def sim(

@@ -100,6 +100,6 @@ class DemonstrationTask:
         if axis.unit is Unit.MILLIMETRE or (axis.unit is None and axis.counts_per_unit is not None):
             seen = "its unit is not known" if axis.unit is None else f"its unit is the {axis.unit}"
             raise DemonstrationRefusedError(
-                f"{joint.name} cannot swing by an angle", seen=seen, tries=("canopen drive NODE move",)
+                f"{joint.name} cannot swing by an angle", seen=seen, tries=("canopen drive move NODE",)
             )
         return axis

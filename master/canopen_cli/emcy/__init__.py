@@ -1,0 +1,1 @@
+"""`canopen emcy`: emergencies of a bus, and the error history of a node."""

@@ -1,0 +1,114 @@
+"""`canopen emcy watch`: the emergencies of a bus or of a recording, each as a line of words."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Final
+
+import click
+import trio
+
+from canopen_cli.live.frame_lines import Buses
+from canopen_cli.live.line_writer import open_line_writer
+from canopen_cli.live.source import FILE_OR_INPUT, open_live_source, require_frames, tell_skipped
+from canopen_cli.shared.node_files import NodeFiles
+from canopen_cli.shared.options import NodeIds, Settings, common, lasting
+from canopen_cli.shared.running import first_of, run_until_interrupted
+from canopen_cli.shared.screen import Screen, counted, escape, node_text
+from canopen_cli.shared.session import read_dictionary
+from canopen_master.plain_text import json_text
+from canopen_proto.emcy import NO_ERROR
+from canopen_proto.error_codes import error_text, register_names
+from canopen_transports.record import Record
+
+_LEAST: Final = 2
+"""Bytes of an emergency that say what it is. Missing ones count as 0, as in EmcyConsumer."""
+
+
+@click.command()
+@click.option("--node", "nodes", type=NodeIds(), help="Only from these nodes: 5, or 3-8.")
+@click.option("--from", "source", metavar="FILE", type=FILE_OR_INPUT, help="A log file in place of the bus; - is standard input.")
+@lasting()
+@common
+@click.pass_obj
+def watch(settings: Settings, nodes: tuple[int, ...] | None, source: Path | None, seconds: float | None) -> None:
+    """Show emergencies in words as they come, until Ctrl-C. Nothing is sent.
+
+    Each line has the error code, what it means, the error register and the maker's bytes. An emergency with the code 0 says that
+    errors are gone.
+
+    \b
+    canopen emcy watch -b demo
+    canopen emcy watch --node 5 --for 10s -b can0
+    canopen emcy watch --from trace.log --json
+    """
+    screen = settings.screen()
+    files = NodeFiles(settings, screen, read_dictionary(screen))
+    told: list[int] = []
+
+    async def show() -> None:
+        try:
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await _show(settings, screen, files, frozenset(nodes or ()), source, told)
+        finally:
+            screen.say(counted(len(told), "emergency").replace("emergencys", "emergencies"))
+
+    run_until_interrupted(settings, screen, show, reads=source)
+
+
+async def _show(
+    settings: Settings, screen: Screen, files: NodeFiles, nodes: frozenset[int], source: Path | None, told: list[int]
+) -> None:
+    try:
+        async with (
+            open_live_source(settings, source) as live,
+            open_line_writer(screen, _gap, waits=not live.is_live) as writer,
+        ):
+            if live.is_live:
+                screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; nothing is sent")
+            buses, frames = Buses(files), 0
+            async for heard in live:
+                if not isinstance(heard, Record):
+                    continue
+                frames += 1
+                seconds, observation = buses.observe(heard)
+                meaning = observation.meaning
+                wanted = meaning.service == "EMCY" and len(heard.frame.data) >= _LEAST
+                if wanted and (not nodes or meaning.node_id in nodes):
+                    told.append(meaning.node_id)
+                    await writer.put(_line(screen, seconds, heard, meaning.node_id))
+            require_frames(live, live.name, frames)
+            tell_skipped(screen, live)
+    except ExceptionGroup as group:
+        raise first_of(group) from None
+
+
+def _gap(number: int) -> str:
+    return f"! {number} emergencies are left out here\n"
+
+
+def _line(screen: Screen, seconds: float, record: Record, node_id: int) -> str:
+    data = record.frame.data[:8].ljust(8, b"\0")
+    code, register, own = int.from_bytes(data[:2], "little"), data[2], data[3:]
+    names = register_names(register)
+    if screen.json_output:
+        return (
+            json_text(
+                {
+                    "time": record.time,
+                    "channel": record.channel,
+                    "node": node_id,
+                    "code": code,
+                    "text": error_text(code),
+                    "register": register,
+                    "register_names": list(names),
+                    "vendor": own.hex(),
+                }
+            )
+            + "\n"
+        )
+    bits = f"register 0x{register:02X} ({', '.join(names)})" if register else "register 0x00"
+    vendor = f", maker's bytes {own.hex(' ')}" if any(own) else ""
+    mark = " " if code >> 8 == NO_ERROR else "!"
+    return f"{mark} {seconds:10.3f} {node_text(node_id)}: 0x{code:04X} {error_text(code)}; {bits}{vendor}\n"

@@ -1,0 +1,148 @@
+"""`canopen log record`: write what passes on a bus into a file, or into one file after the other. Nothing is sent."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import click
+import trio
+
+from canopen_cli.live.frame_lines import Buses, FrameChoice, choosing
+from canopen_cli.live.source import open_live_source
+from canopen_cli.shared.new_files import check_new_file
+from canopen_cli.shared.node_files import NodeFiles
+from canopen_cli.shared.options import Duration, Settings, common, lasting
+from canopen_cli.shared.problem import CommandError, ExitCode, usage
+from canopen_cli.shared.running import run_until_interrupted
+from canopen_cli.shared.screen import Screen, counted, escape
+from canopen_cli.shared.session import read_dictionary
+from canopen_proto.machine import SECOND, Time
+from canopen_transports.log_files import LOSSES, log_writer
+from canopen_transports.record import LogWriter, Record
+
+NAMED: Final = "%Y%m%d-%H%M%S"
+"""Of the time in the name of each file, with --rotate."""
+
+
+@click.command("record")
+@click.argument("target", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path))
+@choosing
+@click.option(
+    "--rotate", type=Duration(SECOND), help="Begin a new file each time: 1h. Its name has the time: trace-20260301-120000.log."
+)
+@click.option("--keep", type=click.IntRange(1), help="With --rotate: how many files stay; the oldest is deleted.")
+@lasting()
+@common
+@click.pass_obj
+def record(
+    settings: Settings,
+    target: Path,
+    nodes: tuple[int, ...] | None,
+    services: tuple[str, ...],
+    objects: tuple[str, ...],
+    changes: bool,
+    rotate: Time | None,
+    keep: int | None,
+    seconds: float | None,
+) -> None:
+    """Write what passes on a bus into a file, until Ctrl-C. Nothing is sent.
+
+    The ending tells the kind: .log (candump's), .asc, .blf, .trc, .pcap, .pcapng.
+
+    \b
+    canopen log record trace.log -b can0
+    canopen log record trace.log -b can0 --node 5 --service emcy,sdo
+    canopen log record trace.log -b can0 --rotate 1h --keep 24
+    """
+    screen = settings.screen()
+    if target.suffix.lower() not in LOSSES and target.suffix.lower() != ".txt":
+        raise usage(
+            "CO123",
+            f"{target} has no ending of a log file",
+            tries=(f"{target.with_suffix('.log')}", f"one of {', '.join(LOSSES)}"),
+        )
+    if keep is not None and rotate is None:
+        raise usage("CO001", "--keep goes with --rotate", tries=("--rotate 1h --keep 24",))
+    if rotate is None:
+        check_new_file(settings, screen, target)
+    choice = FrameChoice(NodeFiles(settings, screen, read_dictionary(screen)), nodes, services, objects, changes)
+    files = _Files(target, rotate, keep)
+
+    async def listen() -> None:
+        try:
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await _record(settings, screen, choice, files)
+        finally:
+            files.close()
+
+    run_until_interrupted(settings, screen, listen)
+    if settings.json:
+        screen.json({"files": [str(each) for each in files.written], "frames": files.frames, "left_out": files.left_out})
+    names = ", ".join(str(each) for each in files.written) or "no file"
+    screen.say(f"{counted(files.frames, 'frame')}: [bold]{escape(names)}[/]")
+    if files.left_out:
+        raise CommandError(
+            ExitCode.BAD_FILE, "CO343", f"{counted(files.left_out, 'frame')} could not be kept in {target.suffix}",
+            seen=LOSSES.get(target.suffix.lower(), ""), tries=("a file that ends in .log holds all",),
+        )  # fmt: skip
+
+
+class _Files:
+    """The file, or one after the other. written: those that are there. frames: in all of them."""
+
+    def __init__(self, target: Path, rotate: Time | None, keep: int | None) -> None:
+        self.written: list[Path] = []
+        self.frames = 0
+        self.left_out = 0
+        self._target = target
+        self._rotate = rotate
+        self._keep = keep
+        self._writer: LogWriter | None = None
+        self._ends: float = math.inf
+
+    def write(self, record: Record) -> None:
+        """Write a frame into the file whose time it is. Raises OSError."""
+        if self._writer is None or record.time >= self._ends:
+            self._begin(record.time)
+        assert self._writer is not None
+        self._writer.write(record)
+        self.frames += 1
+
+    def _begin(self, time: Time) -> None:
+        self.close()
+        path = self._target
+        if self._rotate is not None:
+            moment = datetime.datetime.fromtimestamp(time / SECOND)
+            path = self._target.with_stem(f"{self._target.stem}-{moment.strftime(NAMED)}")
+            self._ends = time + self._rotate
+        self._writer = log_writer(path)
+        self.written.append(path)
+        while self._keep is not None and len(self.written) > self._keep:
+            with suppress(OSError):  # somebody else has taken it away
+                self.written[0].unlink()
+            del self.written[0]
+
+    def close(self) -> None:
+        """End the present file."""
+        if self._writer is not None:
+            writer, self._writer = self._writer, None
+            self.left_out += writer.left_out
+            self.frames -= writer.left_out
+            writer.close()
+
+
+async def _record(settings: Settings, screen: Screen, choice: FrameChoice, files: _Files) -> None:
+    async with open_live_source(settings, None) as live:
+        screen.say(f"[bold]{escape(live.name)}[/], until Ctrl-C; nothing is sent")
+        buses = Buses(choice.files)
+        async for heard in live:
+            if not isinstance(heard, Record):
+                screen.say(f"[yellow]{escape(heard.failed)}: {escape(heard.seen)}[/]")
+                continue
+            _, observation = buses.observe(heard)
+            if choice.shows(heard, observation):
+                files.write(heard)

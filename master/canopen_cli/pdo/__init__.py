@@ -1,0 +1,1 @@
+"""`canopen pdo`: the PDOs of nodes: shown, mapped, compared."""

@@ -1,0 +1,1 @@
+"""Python on an open bus: `canopen run` and `canopen shell`."""
