@@ -101,6 +101,7 @@ def test_a_script_for_the_master() -> None:
     assert told == ["Simulated Schunk Powerball joint", "joint1 at 0.01"]
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(600)  # without its cache, mypy reads everything
 def test_what_a_user_writes_passes_mypy_strict_and_mistakes_do_not(pytestconfig: pytest.Config, tmp_path: Path) -> None:
     """As a user checks it: outside this tree, against the installed packages."""

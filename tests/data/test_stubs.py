@@ -222,6 +222,7 @@ def wrong_steps(node: RemoteNode) -> Procedure[str]:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(600)  # without its cache, mypy reads everything
 def test_mypy_strict_takes_what_is_right_and_refuses_each_mistake(pytestconfig: pytest.Config, tmp_path: Path) -> None:
     """Each ignore is a mistake; one without a mistake is reported too. The cache is that of the other test with mypy."""
