@@ -92,7 +92,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
     Leave the assertions of the packages as they are. Where a wheel is installed, pytest takes all their modules for parts of a
     plugin, and each worker compiles them once more. It has their fronts, as a pytest that a test runs in this process wants."""
-    config.addinivalue_line("markers", "thorough(n): every day each n-th of its cases, or none: see tests/examples.py")
+    config.addinivalue_line("markers", "thorough(n): every day an n-th of its cases, or none: see tests/examples.py")
     hook = getattr(config.pluginmanager, "rewrite_hook", None)
     if hasattr(hook, "_must_rewrite"):  # there is no setting for it
         ours = {name for name in hook._must_rewrite if name.startswith("canopen_")}

@@ -9,8 +9,6 @@ import pytest
 
 from tests.examples import of_every_day
 
-NAMES = ["some[0-a]", "some[1-b]", "some[3-a]", "each[0]", "each[1]"]
-
 
 class Item:
     """What is read of pytest's."""
@@ -22,9 +20,23 @@ class Item:
         return next((mark.mark for mark in self._marks if mark.mark.name == name), None)
 
 
-def test_of_a_thorough_test_each_nth_case_runs_every_day_and_of_one_without_a_number_none() -> None:
-    third = pytest.mark.thorough(3)
-    items: list[Any] = [Item(f"some[{number}-{other}]", third) for number in range(4) for other in "ab"]
+def chosen(items: list[Any]) -> list[str]:
+    return [item.nodeid.removeprefix("test_it.py::test_") for item in of_every_day(items)]
+
+
+def test_of_a_thorough_test_an_nth_of_the_cases_runs_every_day_and_of_one_without_a_number_none() -> None:
+    items: list[Any] = [Item(f"some[{number}]", pytest.mark.thorough(3)) for number in range(300)]
     items.insert(3, Item("never", pytest.mark.thorough))
-    items += [Item("each[0]"), Item("each[1]")]
-    assert [item.nodeid.partition("test_it.py::test_")[2] for item in of_every_day(items)] == NAMES
+    names = chosen(items)
+    assert names[0] == "some[0]"
+    assert 99 <= len(names) <= 101
+    assert chosen([Item("each[0]"), Item("each[1]")]) == ["each[0]", "each[1]"]
+
+
+@pytest.mark.parametrize("part", [2, 3, 4])
+def test_each_value_of_a_parameter_comes_with_each_of_another(part: int) -> None:
+    for count in (2, 3, 4, 6, 12):
+        cases = [(number, value) for number in range(10 * part) for value in range(count)]
+        names = chosen([Item(f"some[{number}-{value}]", pytest.mark.thorough(part)) for number, value in cases])
+        taken = [int(name.partition("-")[2][:-1]) for name in names]
+        assert min(map(taken.count, range(count))) >= 5

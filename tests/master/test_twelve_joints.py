@@ -46,7 +46,7 @@ def test_twelve_joints_follow_a_path_within_the_bound_and_the_bus_has_the_planne
     SYNC n - 1, where the demand was at the set-point sent behind SYNC n - 3) are four cycles apart, so |s - y| <= v (4 CYCLE +
     LAG).
     """
-    duration = 60.0 if takes_all() else 1.0
+    duration = 60.0 if takes_all() else 2.0
 
     def positions(time: float) -> list[float]:
         swell = 0.5 * (1 - math.cos(2 * math.pi * time / duration))  # from rest to rest

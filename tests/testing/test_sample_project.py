@@ -21,7 +21,7 @@ import pytest
 from tests.examples import takes_all
 
 PROJECT = Path(__file__).parents[1] / "sample_project"
-SEEDS = 50 if takes_all() else 1
+SEEDS = 50 if takes_all() else 2
 pytestmark = [
     pytest.mark.timeout(7200 if takes_all() else 600),  # the first test waits for all runs
     pytest.mark.skipif(not hasattr(os, "fork"), reason="copies a process, which this system does not"),
