@@ -401,6 +401,7 @@ def recordings_drawn(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     return drawn
 
 
+@pytest.mark.thorough
 def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = recordings_drawn(monkeypatch)
     picture = tmp_path / "arm.png"

@@ -42,6 +42,7 @@ def test_a_demo_is_recorded_and_drawn(run: Run, tmp_path: Path) -> None:
     assert ">acceleration<" in (tmp_path / "other.svg").read_text(encoding="utf-8").replace("<!-- ", ">").replace(" -->", "<")
 
 
+@pytest.mark.thorough
 def test_parquet_is_drawn_too(run: Run, tmp_path: Path) -> None:
     pyarrow()
     file = tmp_path / "run.parquet"

@@ -127,7 +127,7 @@ class ByHand(MasterAgainstDevice):
         Firmware(world)
 
 
-@pytest.mark.thorough(2)
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize(
     ("machine", "match", "steps"),
     [
