@@ -1,6 +1,7 @@
 """For all tests: hypothesis takes the same examples each time, so that a run tells about the change and not about luck.
 
-Every day they are few. All that the tests name: `pytest --hypothesis-profile=full`.
+Every day they are few, and of the cases of a test marked `thorough` only some are taken. All that the tests name:
+`pytest --hypothesis-profile=full`.
 To search further: `pytest --hypothesis-profile=search --timeout=0 tests/core/test_group.py`. The number of examples is then
 that of the profile, in every test (tests/examples.py).
 The tests of each file in an order drawn from a number, files too: `pytest --shuffle=7`.
@@ -24,6 +25,8 @@ import hypothesis
 import pytest
 from _pytest.runner import runtestprotocol
 from hypothesis.internal.conjecture import providers
+
+from tests.examples import SAME, of_every_day
 
 try:  # these are pytest's own: without them each worker compiles for itself
     from _pytest.assertion.rewrite import PYC_TAIL, _rewrite_test, _write_pyc, assertstate_key, get_cache_dir, try_makedirs
@@ -85,8 +88,11 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Leave the assertions of the packages as they are. Where a wheel is installed, pytest takes all their modules for parts of a
+    """Declare the mark of examples.py.
+
+    Leave the assertions of the packages as they are. Where a wheel is installed, pytest takes all their modules for parts of a
     plugin, and each worker compiles them once more. It has their fronts, as a pytest that a test runs in this process wants."""
+    config.addinivalue_line("markers", "thorough(n): every day an n-th of its cases, or none: see tests/examples.py")
     hook = getattr(config.pluginmanager, "rewrite_hook", None)
     if hasattr(hook, "_must_rewrite"):  # there is no setting for it
         ours = {name for name in hook._must_rewrite if name.startswith("canopen_")}
@@ -151,7 +157,11 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Of the tests that lack the same thing (a kernel with vcan, tshark ...) keep one: it is skipped, and says why."""
+    """Leave out what is not for every day. Of the tests that lack the same thing (a kernel with vcan, tshark ...) keep one: it is
+    skipped, and says why."""
+    is_named = any("::" in argument for argument in config.args)
+    if hypothesis.settings.get_current_profile_name() == SAME and not is_named:
+        leave_out(config, set(items) - set(of_every_day(items)), items)
     lacking: dict[str, list[pytest.Item]] = {}
     for item in items:
         reason = next((mark.kwargs["reason"] for mark in item.iter_markers("skipif") if mark.args[0]), None)
@@ -163,8 +173,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             more = pytest.mark.skipif(True, reason=f"{reason}; {len(others)} more tests need it")
             first.add_marker(more, append=False)
             left_out.update(others)
-    config.hook.pytest_deselected(items=[*left_out])
-    items[:] = [item for item in items if item not in left_out]
+    leave_out(config, left_out, items)
     seed = config.getoption("shuffle")
     if seed is not None:
         files: dict[Path, list[pytest.Item]] = {}
@@ -176,6 +185,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for tests in shuffled:
             draw.shuffle(tests)
         items[:] = [item for tests in shuffled for item in tests]
+
+
+def leave_out(config: pytest.Config, left_out: set[pytest.Item], items: list[pytest.Item]) -> None:
+    config.hook.pytest_deselected(items=[item for item in items if item in left_out])
+    items[:] = [item for item in items if item not in left_out]
 
 
 @pytest.hookimpl(wrapper=True)

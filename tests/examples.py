@@ -1,7 +1,17 @@
-"""How many examples a property gets."""
+"""How many examples a property gets, and which cases of a test run every day.
+
+A test that is marked `thorough(3)` takes every day the first of its cases and a third of the others; marked `thorough` alone, it
+takes none. Under another profile than SAME, or named on the command line (`tests/core/test_emcy.py::test_x`), it takes all.
+Mark so what costs much and whose cases are much alike, and only if the planted bugs that name its file are still found.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import pytest
 from hypothesis import Phase, settings
 
 SAME = "same"
@@ -10,6 +20,10 @@ FULL = "full"
 """The same with all examples that the tests name; by hand."""
 PART = 5
 """Every day the number of examples is divided by this, down to `least` of them."""
+
+GOLDEN = (5**0.5 - 1) / 2
+"""Steps of this size around a circle meet each of its parts equally often. At each n-th case of a test with several parameters,
+some values would never come together."""
 
 
 def examples(count: int, *, steps: int = 50, least: int = PART, part: int = PART, explain: bool = True) -> settings:
@@ -32,3 +46,17 @@ def examples(count: int, *, steps: int = 50, least: int = PART, part: int = PART
 def takes_all() -> bool:
     """Whether all examples are wanted: what takes minutes runs whole then, and in part every day."""
     return settings.get_current_profile_name() == FULL
+
+
+def of_every_day(items: Iterable[pytest.Item]) -> Iterator[pytest.Item]:
+    """Leave out, of tests that are marked `thorough`, the cases that are not for every day."""
+    seen: Counter[tuple[Path, str]] = Counter()
+    for item in items:
+        mark = item.get_closest_marker("thorough")
+        if mark is None:
+            yield item
+        elif mark.args:
+            test = item.path, item.nodeid.partition("[")[0]
+            if seen[test] * GOLDEN % 1 < 1 / mark.args[0]:
+                yield item
+            seen[test] += 1

@@ -24,6 +24,7 @@ def build() -> ModuleType:
     return load_build()
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "begin"])
 def test_each_block_runs_within_the_limits(build: ModuleType, name: str, tmp_path: Path) -> None:
     pytest.importorskip("ruckig")
@@ -42,6 +43,7 @@ def test_each_block_runs_within_the_limits(build: ModuleType, name: str, tmp_pat
             assert max(map(abs, rates)) <= 1.001 * limit
 
 
+@pytest.mark.thorough
 def test_the_picture_is_drawn_and_shown(build: ModuleType, tmp_path: Path) -> None:
     pytest.importorskip("ruckig")
     assert "](move-an-arm.png)" in PAGE.read_text(encoding="utf-8")

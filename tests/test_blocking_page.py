@@ -32,6 +32,7 @@ def test_all_examples_are_known() -> None:
     assert len(BLOCKS) == len(TOLD)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("number", range(len(TOLD)))
 def test_example(number: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(loop_thread, "make_clock", PatientClock)

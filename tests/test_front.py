@@ -100,6 +100,7 @@ def test_a_script_for_the_master() -> None:
     assert told == ["Simulated Schunk Powerball joint", "joint1 at 0.01"]
 
 
+@pytest.mark.thorough
 @type_checkers.LONG
 @pytest.mark.parametrize("checker", [type_checkers.MYPY, type_checkers.PYRIGHT])
 def test_type_checkers_take_what_a_user_writes_and_refuse_mistakes(

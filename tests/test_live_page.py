@@ -31,6 +31,7 @@ def words_of(path: Path) -> str:
     return "\n".join("".join(each.itertext()) for each in root.iter() if each.tag.endswith("text")).replace("\u00a0", " ")
 
 
+@pytest.mark.thorough
 def test_the_pictures_are_drawn(build: ModuleType, tmp_path: Path) -> None:
     build.draw_live(tmp_path)
     for name, texts in {

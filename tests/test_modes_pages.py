@@ -33,6 +33,7 @@ def test_each_mode_has_a_page_and_a_picture(build: ModuleType) -> None:
             assert heading in text, page
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("page", PAGES)
 def test_the_example_moves_the_drive_and_leaves_it_without_power(build: ModuleType, page: str, tmp_path: Path) -> None:
     run = build.run_example(page, sample=0.02)
@@ -44,6 +45,7 @@ def test_the_example_moves_the_drive_and_leaves_it_without_power(build: ModuleTy
     assert any(f"({page})" in mode_name(mode) for mode in shown)
 
 
+@pytest.mark.thorough
 def test_a_picture_is_drawn(build: ModuleType, tmp_path: Path) -> None:
     picture = build.PICTURES["pp"]
     build.draw(picture, build.run_example("pp", sample=0.02).samples, tmp_path / "pp.png")

@@ -83,6 +83,7 @@ def test_the_file_is_checked_without_the_device() -> None:
     assert len(site.world.bus().trace) == sent
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("name", [SAMPLE, "sample_drive.eds"])
 def test_a_device_made_of_a_sample_passes(name: str) -> None:
     results = Site(description=load_description(name)).result_of(lambda bench: run_all(bench))

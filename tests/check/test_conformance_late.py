@@ -148,6 +148,7 @@ def wrong_and(look: str) -> Case:
     return Case("0.1", "Test 01", look, body)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("stands", [0, 15, 25, 150, 600, 3000])
 @pytest.mark.parametrize("certain", [False, True])
 @pytest.mark.parametrize(

@@ -111,6 +111,7 @@ FAULTS = [
 ]  # fmt: skip
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize(("number", "fault", "said"), FAULTS, ids=[f"{number}-{fault.what}" for number, fault, _ in FAULTS])
 def test_fault(number: str, fault: Fault, said: str) -> None:
     check_caught(number, fault, said=said)
@@ -283,6 +284,7 @@ def restless(number: str, device: type[DeclaredDevice], *sent: Alteration, heard
     return Site(fault, description=describe_device(device)).run(BY_NUMBER[number])
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("device", RESTLESS)
 def test_a_device_whose_values_change_by_themselves_passes(device: type[DeclaredDevice]) -> None:
     verdicts = {case.number: restless(case.number, device) for case in pdo_cases.CASES}

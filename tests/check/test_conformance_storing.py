@@ -39,6 +39,7 @@ FAULTS = [
 NUMBERS = [case.number for case in storing_cases.CASES]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("number", "fault", "said"), FAULTS, ids=[f"{number}-{fault.what}" for number, fault, _ in FAULTS])
 def test_fault(number: str, fault: Fault, said: str) -> None:
     check_caught(number, fault, said=said)
@@ -52,6 +53,7 @@ def unable(*subindices: int) -> ObjectDictionary:
     return full_device(*(standard_object(index, highest=3, defaults=dict.fromkeys(subindices, 0)) for index in (0x1010, 0x1011)))
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("number", [number for number in NUMBERS if number != "8.10"])
 def test_device_that_does_not_store(number: str) -> None:
     assert verdict_of(number, truth=full_device(without=(0x1010, 0x1011))).result is Result.NOT_APPLICABLE

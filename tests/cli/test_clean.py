@@ -286,6 +286,7 @@ def broken(*arguments: object, **options: object) -> None:
     raise TransportError("CO101", "broken:x", f"cannot open: {EVIL}", seen=EVIL, cause=EVIL, tries=(EVIL,))
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("command", [*COMMANDS, *AS_JSON], ids=lambda command: clean(" ".join(command))[:40])
 def test_no_control_character_reaches_a_terminal(
     run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]

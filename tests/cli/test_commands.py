@@ -256,6 +256,7 @@ def test_assign_has_nothing_to_do_where_nobody_lacks_a_node_id(run: Run) -> None
     assert run("lss", "assign", "--ids", "5-6", "--yes", "-b", "virtual:empty").status == ExitCode.OK
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(
     "command",
     [

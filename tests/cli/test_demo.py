@@ -87,6 +87,7 @@ def test_a_computer_that_is_too_slow_is_told(run: Run, simulations: list[Simulat
             assert re.search("SYNC cycles +missed +skipped +late\n.*\n +107 +0 +[0-9]+ +[0-9.]+ %", outcome.out)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("has_ruckig", [True, False])
 def test_a_planned_motion_where_ruckig_is(
     run: Run, simulations: list[SimulatedDevices], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, has_ruckig: bool
@@ -135,6 +136,7 @@ def test_the_bus_variable_does_not_make_it_move_real_drives(run: Run, monkeypatc
     assert run("demo", *TWO).status == 0
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("at", [0.0, 0.01, 0.02, 0.5, 1.3, 1.52, 1.57, 1.59, 1.67, 1.97, 2.12, 2.17])
 def test_ctrl_c_leaves_every_drive_halted(run: Run, simulations: list[SimulatedDevices], alarm: Alarm, at: float) -> None:
     alarm.set((at, signal.SIGINT))
@@ -399,6 +401,7 @@ def recordings_drawn(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     return drawn
 
 
+@pytest.mark.thorough
 def test_a_breakdown_is_drawn_too(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = recordings_drawn(monkeypatch)
     picture = tmp_path / "arm.png"

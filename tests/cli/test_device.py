@@ -50,6 +50,7 @@ def failures(device: type[DeclaredDevice], *, strict: bool) -> list[str]:
     return [f"{case.number} {verdict}" for case, verdict in results if verdict.result in (Result.FAILED, Result.REMARK)]
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("strict", [False, True])
 def test_a_new_device_passes_every_case_and_its_files_are_clean(run: Run, strict: bool) -> None:
     made = run("device", "new", "my_station")
@@ -63,6 +64,7 @@ def test_a_new_device_passes_every_case_and_its_files_are_clean(run: Run, strict
     assert failures(load_device("my_station.py"), strict=strict) == []
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("strict", [False, True])
 def test_the_station_of_the_page_passes_every_case(run: Run, tmp_path: Path, strict: bool) -> None:
     path = str(station(tmp_path))

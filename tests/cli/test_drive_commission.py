@@ -97,6 +97,7 @@ def test_a_move_that_is_not_confirmed_ends_it(commission: Commission, simulation
     assert not Path("drive3.toml").exists()
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("at", [0.001, 0.02, 0.1, 0.5, 1.9])
 def test_ctrl_c_leaves_it_standing_and_says_what_was_done(
     commission: Commission, simulations: list[SimulatedDevices], at: float

@@ -51,6 +51,7 @@ def test_for_a_time_in_counts(run: Run, drives: list[DriveNode]) -> None:
     is_over(drives[-1])
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize(
     ("unit", "counts"), [("rpm", 100), ("turn", 6_000), ("degree", 6_000 / 360), ("radian", 6_000 / 2 / math.pi)]
 )

@@ -97,6 +97,7 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> Devices:
     return found
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize(
     ("kind", "option", "kinds"),
     [

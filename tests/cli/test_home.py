@@ -76,6 +76,7 @@ def test_a_rehearsal_sends_nothing(run: Run, standard: None) -> None:
     assert "nothing of this was sent" in outcome.err
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("method", ["17", "23"])
 def test_a_rehearsal_knows_no_switches_and_has_some_to_home_by(run: Run, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
     """The drive stands far outside of any track that a simulation would guess."""

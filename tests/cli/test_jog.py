@@ -83,6 +83,7 @@ def test_a_joint_moves_while_its_key_is_held(jogged: Jog, simulations: list[Simu
     assert max(velocities) < 3.5
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("keys", [(RIGHT, "+", "x"), (LEFT, "-", "\x1bOA")])  # not both ways in one run: it might come back
 def test_a_tap_moves_nothing(jogged: Jog, simulations: list[SimulatedDevices], keys: tuple[str, ...]) -> None:
     taps = [(1.5, key) for key in keys for _ in range(2)]
@@ -90,6 +91,7 @@ def test_a_tap_moves_nothing(jogged: Jog, simulations: list[SimulatedDevices], k
     assert degrees(simulations) == [-14, 9, 21, -7, 16, -22]
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("end", [[(0.04, END)], [(0.04, "q")], [(0.04, "2"), (0.5, "q")], [(5.0, "q")]])
 def test_whatever_comes_in_place_of_the_key_ends_the_motion(
     jogged: Jog, simulations: list[SimulatedDevices], end: list[tuple[float, str]]

@@ -119,6 +119,7 @@ def test_without_a_terminal_nothing_is_sent(
     assert arm.frames() == []
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("key", "status"), [(b"q", 0), (b"\x04", 0), (b"\x03", 130)])
 def test_in_a_terminal_of_its_own(key: bytes, status: int) -> None:
     ours, theirs = os.openpty()

@@ -126,6 +126,7 @@ def test_a_trace_never_replaces_what_is_being_read(run: Run, log: Path, tmp_path
     assert heard == [frame.removesuffix(" T") for frame in frames(str(log))]
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("kind", [".asc", ".blf", ".trc", ".pcapng"])
 def test_a_trace_of_another_kind_is_whole_after_ctrl_c(run: Run, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
     alarm = Alarm()

@@ -37,6 +37,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize(("file", "joint"), [("ros1.yaml", "shoulder"), ("bus.yml", "lift")])
 def test_an_imported_machine_is_checked_and_moves(
     run: Run, folder: Path, simulations: list[SimulatedDevices], file: str, joint: str

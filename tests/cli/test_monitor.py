@@ -120,6 +120,7 @@ def test_standard_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 STATUSWORD = [100, 101, 400, 401, 500, 501, 900]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(
     ("options", "expected"),
     [

@@ -132,6 +132,7 @@ def test_what_is_refused_when_the_drives_have_power_has_another_status(run: Run,
     assert run(*DEMO, "--to", "1,1,1,1,1,1").status == ExitCode.DRIVE_FAULT
 
 
+@pytest.mark.thorough
 def test_a_path_of_few_decimals_moves_and_a_refusal_tells_what_rounding_has_to_do_with_it(run: Run, tmp_path: Path) -> None:
     names = [f"joint{number}" for number in range(1, 7)]
     slow, fast, given = tmp_path / "slow.csv", tmp_path / "fast.csv", tmp_path / "given.csv"

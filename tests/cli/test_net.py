@@ -470,6 +470,7 @@ def a_file(name: str, device_type: int = 0x20192, **numbers: int) -> None:
 SUBS = {"vendor": 1, "product": 2, "revision": 3, "serial": 4}
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("vendor", [0, 0x332, 0x29C])
 @pytest.mark.parametrize("product", [0, 0x43, 0x44])
 @pytest.mark.parametrize("device_type", [0x20192, 0x191])

@@ -52,6 +52,7 @@ def world(monkeypatch: pytest.MonkeyPatch, run: Run) -> Lasting:
     return lasting_device(monkeypatch)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_what_is_there_is_not_overwritten_without_asking(
     run: Run, world: Lasting, monkeypatch: pytest.MonkeyPatch, name: str

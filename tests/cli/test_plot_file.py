@@ -42,6 +42,7 @@ def test_a_demo_is_recorded_and_drawn(run: Run, tmp_path: Path) -> None:
     assert ">acceleration<" in (tmp_path / "other.svg").read_text(encoding="utf-8").replace("<!-- ", ">").replace(" -->", "<")
 
 
+@pytest.mark.thorough
 def test_parquet_is_drawn_too(run: Run, tmp_path: Path) -> None:
     pyarrow()
     file = tmp_path / "run.parquet"
@@ -154,6 +155,7 @@ def test_what_a_skipped_cycle_made_is_marked_in_each_row(tmp_path: Path) -> None
     assert sizes[1] - sizes[0] >= 4  # position, velocity, acceleration, and the legend
 
 
+@pytest.mark.thorough
 def test_many_joints_of_several_units_fit_on_a_picture(tmp_path: Path) -> None:
     times = [0.0, 0.5, 1.0]
     joints = [

@@ -259,6 +259,7 @@ def test_the_choices_of_a_missing_argument_stand_in_one_line(capsys: pytest.Capt
     assert "Choose from: start, stop, preop, reset, reset-comm" in " ".join(capsys.readouterr().err.split())
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell")
 @pytest.mark.parametrize(("redirection", "status"), [(">&-", 0), (">&- 2>&-", 0), (">/dev/full", ExitCode.BAD_FILE)])
 def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int) -> None:
@@ -272,6 +273,7 @@ def test_output_that_goes_nowhere(tmp_path: Path, redirection: str, status: int)
     assert "Exception ignored" not in ended.stderr
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("missing", ["trio", "click", "rich"])
 def test_an_install_without_the_extras_says_which_one(missing: str) -> None:
     program = f"import sys; sys.modules[{missing!r}] = None; from canopen_cli.entry import main; sys.exit(main())"

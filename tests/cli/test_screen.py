@@ -33,6 +33,7 @@ def test_a_fact_without_a_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == "name              \n"
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.skipif(sys.platform == "win32", reason="no poll")
 @pytest.mark.parametrize("moment", ["arm1 of", "✔ boot"])
 def test_a_demonstration_ends_with_its_reader(tmp_path: Path, moment: str) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import pytest
+
 from canopen_proto.heartbeat import HeartbeatLost
 from canopen_proto.machine import SECOND
 from canopen_proto.nmt import NmtState
@@ -26,6 +28,7 @@ def test_127_nodes_boot_are_configured_and_supervised() -> None:
     assert [event.node_id for event in plant.bus.events if isinstance(event, HeartbeatLost)] == [64]
 
 
+@pytest.mark.thorough
 def test_two_runs_with_one_seed_give_one_trace() -> None:
     traces = []
     for seed in (7, 7, 8):

@@ -255,6 +255,7 @@ def test_a_step_that_was_executed_but_not_answered_is_undone_too(step: int) -> N
     assert bench.parameters() == standing(OLD)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("step", range(2, len(IN_ORDER) + 1))
 @pytest.mark.parametrize("later", range(1, len(BACK) + 1))
 def test_where_the_old_settings_can_not_be_put_back_it_is_told_and_the_pdo_is_not_valid(step: int, later: int) -> None:

@@ -73,6 +73,7 @@ def test_each_single_copy_costs_nothing(kind: str, crc: bool) -> None:
     assert run(kind, content, [Fate.COPIED] * 100, crc=crc).is_right(content)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_pair_of_losses(kind: str) -> None:
     content = pattern(10 * 7 - 3)
@@ -129,6 +130,7 @@ def test_under_the_faults_of_can_bytes_are_right_or_there_is_an_abort(
     assert pair.is_right(content) or isinstance(pair.outcomes[0], SdoAborted)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("crc", [True, False], ids=["crc", "no crc"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_twenty_percent_loss(kind: str, crc: bool) -> None:
@@ -192,6 +194,7 @@ def test_with_crc_and_size_a_segment_costs_nothing_however_many_others_overtake_
     assert ends([Fate.DELIVERED] * places[place % segments] + [Fate.LATE]).is_right(content)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("rate", [0.02, 0.2])
 @pytest.mark.parametrize("kind", KINDS)
 def test_long_runs_on_a_bad_bus(kind: str, rate: float) -> None:

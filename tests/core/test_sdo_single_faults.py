@@ -108,6 +108,7 @@ def test_a_frame_that_comes_twice(kind: str) -> None:
             case.check_next(is_settled=False)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("late", [300_000, 60 * MILLISECOND, 450 * MILLISECOND])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_frame_that_is_late(kind: str, late: Time) -> None:

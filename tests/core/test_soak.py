@@ -57,6 +57,7 @@ class Tampered(Soak):
         super()._deliver(frame, receivers, latency)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize(
     ("service", "change", "seen"),
     [

@@ -230,6 +230,7 @@ def write_samples(folder: Path) -> list[Path]:
     return [folder / file for file in (*files, "use.py")]
 
 
+@pytest.mark.thorough
 @type_checkers.LONG
 @pytest.mark.parametrize("checker", [type_checkers.MYPY, type_checkers.PYRIGHT])
 def test_type_checkers_take_what_is_right_and_refuse_each_mistake(
@@ -266,6 +267,7 @@ async def {module}_{len(seen)}(node: Node, value: {type_of_value}) -> {type_of_v
 
 
 @needs_vendor_files
+@pytest.mark.thorough
 @type_checkers.LONG
 @pytest.mark.parametrize("checker", [type_checkers.MYPY, type_checkers.PYRIGHT])
 def test_type_checkers_on_files_of_makers(checker: str, pytestconfig: pytest.Config, tmp_path: Path) -> None:

@@ -114,6 +114,7 @@ def test_without_an_actual_velocity_the_speed_is_taken_from_positions() -> None:
     stands(rig)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("coasts", [False, True])
 @pytest.mark.parametrize("after", [0, 50, 200, 400])
 def test_a_cancel_stops_it(after: int, coasts: bool) -> None:

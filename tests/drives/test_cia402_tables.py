@@ -62,6 +62,7 @@ def shown(bench: Bench) -> str:
     return oracle.state_of(bench.read(0x6041))
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("held_reset", [False, True], ids=["", "bit 7 held"])
 @pytest.mark.parametrize("state", oracle.STATES)
 def test_each_state_with_each_controlword(state: str, held_reset: bool) -> None:

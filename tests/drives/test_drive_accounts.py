@@ -193,6 +193,7 @@ SHOWN: dict[str, tuple[dict[Mux, int], AxisSettings, str, str, tuple[str, ...]]]
 }
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("case", "operation"), [(case, each) for case, row in SHOWN.items() for each in row[4]])
 def test_what_the_drive_shows_is_named(case: str, operation: str) -> None:
     shown, settings, obstacle, remedy, _ = SHOWN[case]

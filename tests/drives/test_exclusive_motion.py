@@ -83,6 +83,7 @@ def test_a_second_motion_is_refused_and_the_first_goes_on(second: str) -> None:
     assert rig.run(drive.read_position(rig.axis)) == pytest.approx(0.2, abs=0.001)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("stop", STOPS)
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_stop_takes_over_and_the_motion_says_so(motion: str, stop: str) -> None:

@@ -47,6 +47,7 @@ HIDDEN = {
 }
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("reaction", [0, 500 * MILLISECOND])
 @pytest.mark.parametrize("ramp", [5_000, 10_000, 16_000, 500_000])
 def test_a_drive_that_brakes_is_waited_for_whatever_its_ramp(ramp: int, reaction: int) -> None:
@@ -70,6 +71,7 @@ def test_a_halt_that_is_cancelled_halts_all_the_same(after: int) -> None:
     assert speed_of(rig) == 0
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("told", HIDDEN)
 def test_a_drive_that_brakes_is_waited_for_whatever_it_tells(told: str) -> None:
     rig = Rig(Shape.STANDARD, pdos=False)
@@ -125,6 +127,7 @@ def test_a_drive_that_goes_on_as_before_is_told_within_reaction_and_halt_time() 
     assert speed_of(rig) == pytest.approx(SPEED)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("is_refused", [False, True])
 @pytest.mark.parametrize("speed", [0, SPEED])
 @pytest.mark.parametrize("reaction", [0, 600, 1_300, 2_900])

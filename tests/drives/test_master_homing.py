@@ -48,6 +48,7 @@ def commanded(rig: Rig) -> int:
     return rig.drive._servo.parameter(objects.CONTROLWORD)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("method", "place"), [(1, -49_877), (7, -9_877), (14, -9_877), (18, 60_000), (23, -7_000), (34, 20_123)])
 @pytest.mark.parametrize("reaction", [0, 300 * MILLISECOND])
 def test_a_drive_is_homed_by_any_method(method: int, place: int, reaction: int) -> None:

@@ -87,6 +87,7 @@ DOINGS: dict[str, Callable[[Rig], object]] = {
 STARTS = {"ip": drive.start_interpolation, "csp": drive.start_cyclic_position, "csv": drive.start_cyclic_velocity}
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("doing", DOINGS)
 @given(reaction=st.integers(0, 300), later=st.integers(0, 1000))

@@ -54,6 +54,7 @@ def stands(rig: Rig) -> bool:
     return rig.drive._servo.at_rest and abs(rig.drive._servo.velocity) < 1
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("velocity", [10.0, -10.0])
@@ -351,6 +352,7 @@ def test_an_error_of_the_callers_own_code_halts_it_too(at: int) -> None:
     assert rig.axis.controlword & 0x100
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("is_cancelled", [True, False])
 def test_a_drive_that_ignores_the_halt_is_stopped_by_its_target(mode: Mode, is_cancelled: bool) -> None:

@@ -270,6 +270,7 @@ def test_whenever_it_ends_the_drive_stands_or_has_no_power(at: int, how: str) ->
         assert how != "cancel"
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("settings", [{}, {"mode_change_state": State.SWITCHED_ON}, {"changes_mode_halted": False}], ids=str)
 @pytest.mark.parametrize("points", [0, 1, 3])
 @pytest.mark.parametrize("second", ["move_to", "move_along", "slow"])

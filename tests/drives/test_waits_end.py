@@ -126,6 +126,7 @@ NO_MATTER = {("change_state", "mode change"), ("set_mode", "mode change"), ("qui
 CASES = [(name, cause) for name in WAITS for cause in CAUSES if (name, cause) not in NO_MATTER]
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("by_pdo", [False, True])
 @pytest.mark.parametrize(("name", "cause"), CASES)
 def test_a_wait_ends_as_soon_as_its_reason_is_there(name: str, cause: str, by_pdo: bool) -> None:
@@ -172,6 +173,7 @@ def rig_of(by_pdo: bool) -> Rig:
     return rig
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("by_pdo", [False, True])
 @pytest.mark.parametrize("name", WAITS)
 def test_without_a_cause_it_waits_to_its_end(name: str, by_pdo: bool) -> None:

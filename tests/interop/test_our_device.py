@@ -85,6 +85,7 @@ def test_aborts(rig: Rig, index: int, subindex: int, data: bytes | None, abort_c
 BLOCK_SIZES = [1, 6, 7, 8, 127 * 7, 127 * 7 + 1, 3000, 20_000]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("crc", [True, False], ids=["crc", "no crc"])
 @pytest.mark.parametrize("size", BLOCK_SIZES)
 def test_blocks_down_and_up(rig: Rig, size: int, crc: bool) -> None:

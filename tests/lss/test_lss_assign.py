@@ -200,6 +200,7 @@ def test_a_node_changes_its_id_and_no_other_does() -> None:
     assert bench.running == [9, 5]
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("moment", range(0, 260, 13))
 def test_a_cancelled_assignment_leaves_nobody_selected_and_goes_on_when_begun_again(moment: int) -> None:
     bench = LssBench(some(2))
@@ -227,6 +228,7 @@ def frames_to_lose() -> list[int]:
     return kept
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("part", range(4))
 def test_any_frame_may_be_lost(part: int) -> None:
     """No two nodes get one ID, and each device has what the result says, in its memory too, or stands in it as unfinished."""

@@ -99,6 +99,7 @@ def test_one_slow_device_among_quick_ones(late: Time) -> None:
     assert bench.run(survey(bench.tool, bench.pace, (*TYPE[:2], None, None))).found == sorted(addresses)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("frame", range(84))
 def test_any_one_frame_may_be_lost(frame: int) -> None:
     addresses = [LssAddress(*TYPE, 0x1234_5678), LssAddress(*TYPE, 0x9234_5678)]

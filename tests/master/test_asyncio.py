@@ -77,6 +77,7 @@ def test_a_timeout_of_asyncio_within_the_master(seconds: float) -> None:
     run(test)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("again", [None, 0.0, 0.001, 0.02])
 @pytest.mark.parametrize("seconds", TIMES)
 def test_a_task_that_is_cancelled_from_outside_once_or_again(seconds: float, again: float | None) -> None:
@@ -202,6 +203,7 @@ def test_an_async_generator_that_is_forgotten_when_the_program_ends(caplog: pyte
 # ---- Ctrl-C ----
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("times", [1, 2, 3])
 @pytest.mark.parametrize("seconds", TIMES)
 def test_ctrl_c_in_the_middle_of_a_turn_waits_for_its_end(monkeypatch: pytest.MonkeyPatch, seconds: float, times: int) -> None:

@@ -79,6 +79,7 @@ A_COUNT = 110
 """On its way for one cycle; in counts per second."""
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_halts_the_joints_that_follow_and_begins_where_they_stand(command: str) -> None:
     @virtual_time

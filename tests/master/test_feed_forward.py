@@ -79,6 +79,7 @@ async def test_torques_that_the_caller_computes_go_along() -> None:
         assert [torque for _, _, torque in sent[2:]] == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("torques", [[math.nan], [], [0.1, 0.2], None, 0.5, ["a"]])
 @virtual_time
 async def test_torques_that_are_none_end_the_motion_and_not_the_master(torques: Any) -> None:

@@ -80,6 +80,7 @@ async def sent_along(path: Path, turns: Sequence[tuple[Delay, Delay]]) -> tuple[
     return sent, cycles, took
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("path", PATHS)
 @example([((False, 0.0), (False, 0.0)), ((False, 0.095), (False, 0.0)), ((False, 0.0), (False, 0.0))])
 @example([((True, 0.009), (False, 0.0)), ((False, 0.0), (True, 0.012)), ((False, 0.0), (False, 0.0))])

@@ -131,7 +131,7 @@ def assert_within(record: Record, axes: Sequence[AxisSettings]) -> None:
             assert largest <= limit * (1 + 1e-6) + ROUNDING[order], (joint, order, largest / limit)
 
 
-@examples(60, part=10)
+@examples(60, least=3, part=20)
 @given(st.integers(0, 100_000))
 def test_no_motion_exceeds_a_limit_whatever_comes(seed: int) -> None:
     rng = random.Random(seed)

@@ -240,6 +240,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("case", REFUSED)
 @virtual_time
 async def test_a_path_is_refused_before_anything_moves(case: str) -> None:

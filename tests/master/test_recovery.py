@@ -104,6 +104,7 @@ async def test_a_joint_that_is_power_cycled() -> None:
         await assert_moves(arm)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("mode", [8, 7, 1])
 @virtual_time
 async def test_a_joint_that_is_power_cycled_gets_its_mapping_again(mode: int) -> None:
@@ -253,6 +254,7 @@ async def test_bus_off_and_back() -> None:
 # ---- the master ----
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("moves", [True, False])
 @pytest.mark.parametrize("pause", [0.1, 0.7])
 @virtual_time

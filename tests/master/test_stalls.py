@@ -70,6 +70,7 @@ async def watched(record: Record) -> AsyncIterator[list[float]]:
         nursery.cancel_scope.cancel()
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
 @pytest.mark.parametrize("keeps_its_speed", [False, True])
 @example([(True, 0.009, 0.2), (True, 0.045, 0.2), (True, 0.015, 0.1), (True, 0.095, 0.2)])
@@ -97,6 +98,7 @@ def test_whatever_is_late_no_joint_exceeds_its_speed(mode: Mode, keeps_its_speed
     run()
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("mode", [Mode.INTERPOLATED_POSITION, Mode.CYCLIC_SYNCHRONOUS_POSITION])
 @pytest.mark.parametrize("gap", [0.009, 0.035, 0.095, 0.2])
 def test_a_loop_that_gives_set_points_keeps_the_speed_too(mode: Mode, gap: float) -> None:

@@ -107,6 +107,7 @@ async def works(node: Node) -> None:
 # ---- there and back ----
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("block", ["auto", True, False])
 @pytest.mark.parametrize("makers", [MAKERS, OLD])
 @virtual_time
@@ -313,6 +314,7 @@ async def test_a_cancelled_write_is_aborted_and_the_next_request_works_at_once(a
         assert not content_of(host.nodes[0])
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("how", ["break", "raise", "aclose", "with", "cancel"])
 @virtual_time
 async def test_a_read_that_is_left_is_aborted_and_the_next_request_works_at_once(how: str) -> None:

@@ -64,6 +64,7 @@ def assert_one_cycle(before: PathPoint, after: PathPoint, limits: Sequence[Joint
         assert each.highest is None or p1 <= each.highest + 1e-8 * each.speed
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("seed", range(16))
 def test_whatever_comes_no_joint_exceeds_a_limit_in_any_cycle(seed: int) -> None:
     rng = random.Random(seed)

@@ -58,6 +58,7 @@ async def one_drive() -> AsyncIterator[tuple[Host, DriveNode]]:
 # ---- a master that dies ----
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("sync_goes_on", [False, True])
 @virtual_time

@@ -214,6 +214,7 @@ WAYS: dict[str, set[type[BaseException]]] = {
 """What comes out of the block, if all drives stand."""
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("way", WAYS)
 def test_every_way_out_stops_every_drive(way: str) -> None:
     """Every day each drive is left by two ways."""
@@ -225,6 +226,7 @@ def test_every_way_out_stops_every_drive(way: str) -> None:
     assert "not confirmed" not in text
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("way", ["end", "exception", "cancel", "two ctrl-c"])
 def test_a_drive_that_still_moves_is_told_however_the_master_is_left(way: str) -> None:
     """It does not obey any more. One whose ramp takes long is waited for, unless somebody presses Ctrl-C again.

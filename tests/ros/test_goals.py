@@ -103,6 +103,7 @@ async def test_a_joint_that_moves_has_to_be_in_a_goal_that_takes_over() -> None:
         assert results[0].text.startswith("joint1 moves, and is not in the trajectory")
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("kinds", ["positions", "velocities", "accelerations"])
 @virtual_time
 async def test_a_trajectory_goes_through_its_points_at_their_times(kinds: str) -> None:
@@ -258,6 +259,7 @@ async def test_a_start_in_the_past_leaves_out_what_is_over() -> None:
         assert 2.0 <= trio.current_time() - now < 2.9
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize(("service", "code"), [("halt", -4), ("shutdown", -4), ("home", -4), ("init", -4)])
 @virtual_time
 async def test_a_service_ends_a_goal(service: str, code: int) -> None:

@@ -195,6 +195,7 @@ async def test_positions_are_held_in_silence_and_joints_that_are_not_named_stay(
         assert world.bridge.sample().positions == pytest.approx((0.1, 0.3), abs=EXACT)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize(("with_velocities", "lag"), [(True, 0.07), (False, 0.24)])
 @virtual_time
 async def test_a_controller_that_tells_its_velocities_is_followed_closely(with_velocities: bool, lag: float) -> None:

@@ -163,6 +163,7 @@ def test_a_harder_brake_is_not_softened_by_the_switch() -> None:
     assert LIMIT - 200 < bench.position < LIMIT + 300
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("direction", [-1, 1])
 @pytest.mark.parametrize("mode", [1, 3, 4, 7, 8, 9, 10])
 def test_a_mass_is_stopped_as_well(mode: int, direction: int) -> None:

@@ -99,6 +99,7 @@ def can_be_led(start: str, target: str) -> bool:
     return target != QUICK_STOP or start in (ENABLED, MOVING, QUICK_STOP, BRAKING)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(("axis", "by_pdo"), [(0, False), (0, True), (1, False)])
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("start", STARTS)
@@ -152,6 +153,7 @@ ENDS: dict[str, tuple[Callable[[Rig], Procedure[object]], dict[str, str]]] = {
 REFUSES_FAULTS = ("quick stop", "engage brake", "enable")
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("by_pdo", [False, True])
 @pytest.mark.parametrize("name", ENDS)
 @pytest.mark.parametrize("start", STARTS)

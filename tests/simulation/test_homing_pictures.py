@@ -87,6 +87,7 @@ def test_the_tables_are_whole() -> None:
     assert sorted(method for methods in FIRST for method in methods) == sorted(HOME)
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize("drive", DRIVES)
 @pytest.mark.parametrize("method", HOME)
 def test_home_is_where_the_picture_says(method: int, drive: str) -> None:

@@ -166,6 +166,7 @@ def traces(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.thorough
 def test_each_fixture_in_each_kind_of_test_in_any_order_with_xdist_too(suite: pytest.Pytester) -> None:
     suite.makepyfile(EACH)
     suite.runpytest("--canopen-trace", "plain").assert_outcomes(passed=COUNT)

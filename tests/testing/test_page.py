@@ -18,6 +18,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "testing.md").read_text(encoding="u
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))
 def test_example(suite: pytest.Pytester, number: int) -> None:
     suite.makepyfile(EXAMPLES[number])

@@ -169,6 +169,7 @@ def life(program: str, hash_seed: str) -> str:
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.thorough(2)
 @pytest.mark.parametrize("program", [LIFE, LIFE_IN_ASYNCIO], ids=["trio", "asyncio"])
 def test_a_seed_gives_a_program_the_same_frames_in_each_process(program: str) -> None:
     one, other = life(program, "0"), life(program, "99")

@@ -127,6 +127,7 @@ class ByHand(MasterAgainstDevice):
         Firmware(world)
 
 
+@pytest.mark.thorough(4)
 @pytest.mark.parametrize(
     ("machine", "match", "steps"),
     [
@@ -203,6 +204,7 @@ def test_a_right_master_passes() -> None:
     run_state_machine_as_test(Supervised, settings=examples(50, steps=10))
 
 
+@pytest.mark.thorough
 def test_a_bug_of_a_master_is_found_in_the_fewest_steps() -> None:
     assert steps_of_failure(StoppedByMaster, "stopped: node 1") == ["begin", "report", "wait"]
 

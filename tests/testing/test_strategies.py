@@ -288,6 +288,7 @@ def shown(example: object) -> str:
     )
 
 
+@pytest.mark.thorough
 def test_in_each_process_and_with_any_hash_seed_the_same_is_drawn() -> None:
     drawn = []
     for seed in ("1", "77"):

@@ -111,6 +111,7 @@ def life(seed: int, hash_seed: str) -> str:
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.thorough
 def test_a_seed_gives_the_same_frames_in_each_process() -> None:
     one, other = life(1, "0"), life(1, "1234")
     assert one == other

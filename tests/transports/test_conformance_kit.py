@@ -41,6 +41,7 @@ def site(made: Callable[[list[Transport]], Transport], **options: Any) -> Site:
     return Site(bus, virtual_time=True, **options)
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("case", cases(site(Shown)), ids=str)
 def test_the_example_keeps_all_promises(case: TransportCase) -> None:
     case.run(site(Shown))
@@ -279,6 +280,7 @@ class GoesOnCyclically(Shown):  # type: ignore[misc]
     def stop_cyclic(self) -> None: ...
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize(
     ("faulty", "found_by", "said"),
     [

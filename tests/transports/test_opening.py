@@ -103,6 +103,7 @@ async def test_cancelled_before_opening_nothing_is_opened() -> None:
     assert scope.cancelled_caught
 
 
+@pytest.mark.thorough(3)
 @pytest.mark.parametrize("interface", sorted(set(VALID_INTERFACES) - {"virtual", "udp_multicast"}))
 def test_no_interface_of_python_can_is_there_whatever_this_host_has(interface: str, capfd: pytest.CaptureFixture[str]) -> None:
     threads = set(threading.enumerate())
