@@ -329,7 +329,7 @@ GATEWAY_MUTANTS: Final = tuple(
         (
             "all_interfaces",
             _DOOR,
-            "    if not reachable and not _is_loopback(host):\n",
+            "    if not reachable and not is_loopback(host):\n",
             "    if False:\n",
             "a door without a password is open to the network",
             DOOR,

@@ -6,6 +6,8 @@ import contextlib
 import json
 import socket
 import ssl
+import subprocess
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -260,3 +262,12 @@ def test_doors_that_cannot_be_opened() -> None:
                 await bind_web_door(port=0, **options)
 
     trio.run(main)
+
+
+@pytest.mark.parametrize(("library", "extra", "command"), [("starlette", "web", "web"), ("mcp", "mcp", "mcp")])
+def test_without_its_extra_it_says_which(library: str, extra: str, command: str) -> None:
+    start = f"import sys; sys.path[:0] = {[each for each in sys.path if each]!r}; sys.modules[{library!r}] = None"
+    start += "; from canopen_cli.entry import main; sys.exit(main())"
+    ended = subprocess.run([sys.executable, "-c", start, "serve", command, "-b", "demo"], capture_output=True, text=True)
+    assert ended.returncode == ExitCode.CANNOT_OPEN
+    assert f"pip install 'canopen-proto[{extra}]'" in ended.stderr

@@ -159,6 +159,22 @@ async def test_a_jog_moves_while_it_is_held_and_stops_when_the_page_hangs() -> N
 
 
 @virtual_time
+async def test_nobody_else_keeps_the_lease_of_a_page_that_hangs() -> None:
+    async with web(3, 4, allow="motion") as world:
+        arm = arm_of(world.service.master, 3, 4)
+        async with world.page() as page, world.page() as other:
+            hand = Hand(page)
+            await hand.ready()
+            await hand.jog(0.5)
+            for number in range(1000, 1030):
+                other.say("renew", n=number)
+                assert (await other.heard("error"))["code"] == "CO152"
+                await trio.sleep(0.1)
+            assert world.service.lease.owner is None
+            assert arm.state is ChainState.HALTED
+
+
+@virtual_time
 async def test_a_page_that_is_gone_moves_nothing_any_more() -> None:
     async with web(3, 4, allow="motion") as world:
         arm = arm_of(world.service.master, 3, 4)
