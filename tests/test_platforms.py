@@ -15,6 +15,7 @@ import asyncio, ctypes, functools, importlib, json, os, pkgutil, selectors, sign
 import hypothesis, hypothesis.stateful, hypothesis.strategies
 import can, click, matplotlib, msgpack, rich, trio, trio.testing  # as these are on each system: they look after themselves
 import can.interfaces.udp_multicast, rich.prompt
+import hypercorn.trio, mcp.server, prometheus_client, prompt_toolkit, starlette.applications, zenoh
 
 pair = functools.partial(socket.socketpair, socket.AF_UNIX)  # Windows has this function, made otherwise
 socket.socketpair = lambda: pair()
@@ -45,7 +46,7 @@ for module, starts in (
         delattr(module, name)
 sys.platform = "win32"
 failed, count = {}, 0
-for package in "proto", "data", "transports", "master", "check", "testing", "ros", "cli":
+for package in "proto", "data", "transports", "master", "check", "testing", "ros", "gateway", "cli":
     package = "canopen_" + package
     path = importlib.import_module(package).__path__
     for each in pkgutil.walk_packages(path, package + ".", onerror=lambda name: failed.update({name: repr(sys.exception())})):

@@ -269,6 +269,8 @@ COMMANDS = [
     ("time", "-b", EVIL),
     ("completion", EVIL),
     ("serve", "zenoh", "--site", EVIL, *DEMO),
+    ("serve", "web", "-b", EVIL),
+    ("serve", "mcp", "-b", EVIL),
     ("fleet", "ls", "--zenoh", EVIL),
     ("fleet", "read", EVIL, "1008"),
     ("fleet", "watch", EVIL),

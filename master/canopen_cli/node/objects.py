@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Any, Protocol
@@ -31,7 +31,6 @@ from canopen_cli.shared.values import (
     place_text,
     value_text,
 )
-from canopen_cli.shared.withholding import show_unsent
 from canopen_master.node import Node
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary import ObjectDictionary, Variable
@@ -286,7 +285,7 @@ def write(
     refuse_over_text(settings, file=path, block=block, dry_run=settings.dry_run)
     if path is not None and text is None:
         if settings.dry_run:
-            show_unsent(settings, screen, lambda: _write_file(settings, screen, request, key, path))
+            _show_unsent(settings, screen, lambda: _write_file(settings, screen, request, key, path))
             return
         written = run(settings, screen, lambda: _write_file(settings, screen, request, key, path))
         _tell_file(settings, screen, written, "←", verified=verify)
@@ -294,7 +293,7 @@ def write(
     if path is not None or text is None:
         raise usage("CO001", "give either a VALUE or --file FILE", tries=("canopen write --help",))
     if settings.dry_run:
-        show_unsent(settings, screen, lambda: _write(settings, screen, request, key, text))
+        _show_unsent(settings, screen, lambda: _write(settings, screen, request, key, text))
         return
     before, after = run(settings, screen, lambda: _write(settings, screen, request, key, text), over_text=True)
     if settings.json:
@@ -347,3 +346,9 @@ async def _write(
                     subindex=variable.subindex,
                 )
         return before, after
+
+
+def _show_unsent(settings: Settings, screen: Screen, work: Callable[[], Awaitable[object]]) -> None:
+    from canopen_cli.shared.withholding import show_unsent  # here: it needs much that `canopen read` does not
+
+    show_unsent(settings, screen, work)
