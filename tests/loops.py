@@ -2,7 +2,7 @@
 
 A test says `loop.sleep(1)` in place of `trio.sleep(1)`. tests/master/conftest.py chooses: every day trio, and asyncio beside it
 for tests that are marked `both_loops`. `pytest --loop=asyncio tests/master` takes all but those marked `trio_only`;
-that is no part of the full check.
+the full check does so.
 """
 
 from __future__ import annotations

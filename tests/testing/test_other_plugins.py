@@ -43,7 +43,7 @@ async def test_with_the_world(canopen_world):
 async def test_it(canopen_world, canopen_master, sim_drive):
     sim_drive(5)
     await asyncio.sleep(1000)
-    await canopen_master.write(5, "producer_heartbeat_time", 100)
+    await canopen_master.node(5).write("producer_heartbeat_time", 100)
     assert canopen_world.now >= 1000 * SECOND
 """,
     "anyio": """
