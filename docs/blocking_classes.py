@@ -93,6 +93,7 @@ LEFT_OUT: Final = {
     "Chain.changed": "tasks wait for it: `progress`",
     "Subscription.end": _INSIDE,
     "Subscription.put": _INSIDE,
+    "Subscription.put_all": _INSIDE,
     "SimulatedDevices.hosts": "of the loop's thread: `change`",
     "simulate": "it serves for ever: `simulated_devices`",
     "Host": "of the loop's thread: `SimulatedDevices.change`",

@@ -57,9 +57,10 @@ class Subscription(Generic[E]):
         if not events:
             self._waiting.unpark_all()
         events.extend(new)
-        while len(events) > self._size:
+        lost = max(0, len(events) - self._size)
+        for _ in range(lost):
             events.popleft()
-            self.dropped += 1
+        self.dropped += lost
 
     def end(self, reason: BaseException) -> None:
         """End the subscription: after the queued events, `reason` is raised."""
