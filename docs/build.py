@@ -30,7 +30,7 @@ from conf import as_rst
 from canopen_cli.app import cli
 
 DOCS: Final = Path(__file__).parent
-PROJECT: Final = ("CHANGELOG.md", "CONTRIBUTING.md")
+PROJECT: Final = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 """Pages beside this folder."""
 
 

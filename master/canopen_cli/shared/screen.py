@@ -81,7 +81,11 @@ class Screen:
         self.out.print(renderable)
 
     def fact(self, name: str, text: str) -> None:
-        """Print a named result to stdout. A long text continues on the next line, aligned."""
+        """Print a named result to stdout. A long text continues on the next line, aligned. With --json it is a message: the
+        result is a document."""
+        if self.json_output:
+            self._note(f"{name}: {clean(text)}".lstrip(": "))
+            return
         lines = textwrap.wrap(clean(text), max(self.out.width - NAME_WIDTH, NAME_WIDTH), break_on_hyphens=False) or [""]
         head = [name, *[""] * (len(lines) - 1)]
         for label, line in zip(head, lines, strict=True):

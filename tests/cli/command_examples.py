@@ -1,0 +1,182 @@
+"""An example of each command, for the table of test_command_table.py; and JSON schemas, made of what commands answer.
+
+The schemas stand in master/canopen_cli/schemas.json, one for each command. After a change of what a command answers, write them
+again, and look at what git shows:
+
+    CANOPEN_WRITE_SCHEMAS=1 pytest -n0 tests/cli/test_command_table.py -k json && python docs/json_page.py
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import canopen_cli
+
+SCHEMAS: Final = Path(canopen_cli.__file__).with_name("schemas.json")
+VERSION: Final = 1
+
+DEMO: Final = ("-b", "demo")
+EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
+    "demo": ("--for", "0.5", "--cycle", "20ms", "--chains", "two.csv"),
+    "plot": ("path.csv", "-o", "new.png"),
+    "doctor": (),
+    "scan": ("--ids", "3-4", *DEMO),
+    "node list": ("cell.toml", *DEMO),
+    "info": ("3", *DEMO),
+    "read": ("3", "statusword", *DEMO),
+    "write": ("3", "6081", "20000", *DEMO),
+    "nmt": ("start", "3", *DEMO),
+    "pdo show": ("3", "tpdo1", *DEMO),
+    "pdo map": ("3", "tpdo2", "statusword", "--yes", *DEMO),
+    "pdo check": ("--ids", "3", *DEMO),
+    "emcy watch": ("--for", "0.2s", *DEMO),
+    "emcy history": ("3", *DEMO),
+    "emcy clear": ("3", *DEMO),
+    "sync": ("--yes", *DEMO),
+    "time": DEMO,
+    "lss scan": DEMO,
+    "lss identify": ("--vendor", "1", *DEMO),
+    "lss inquire": ("5", *DEMO),
+    "lss set-id": ("5", "12", "--yes", *DEMO),
+    "lss store": ("5", *DEMO),
+    "lss assign": ("--ids", "10", "--yes", *DEMO),
+    "lss set-bitrate": ("250k", "--from", "500k", "--interface-command", "true", "--yes", *DEMO),
+    "listen": ("--for", "0.5s", *DEMO),
+    "monitor": ("--for", "1.5s", *DEMO),
+    "top": ("--once", *DEMO),
+    "watch": ("3", "statusword", "--for", "0.5s", *DEMO),
+    "net init": ("-o", "new.toml", *DEMO),
+    "net check": ("net.toml", *DEMO),
+    "net boot": ("net.toml", "--yes", *DEMO),
+    "net watch": ("cell.toml", "--yes", *DEMO),
+    "net links": ("cell.toml",),
+    "drive state": ("3", *DEMO),
+    "drive units": ("3", *DEMO),
+    "drive fault-reset": ("3", *DEMO),
+    "drive plan": ("3", "-e", "sample_drive.eds", *DEMO),
+    "drive mode": ("3", *DEMO),
+    "drive enable": ("3", "--for", "0.2s", *DEMO),
+    "drive home": ("3", *DEMO),
+    "drive move": ("3", "2000", *DEMO),
+    "drive velocity": ("3", "100", "--for", "0.2s", *DEMO),
+    "drive torque": ("3", "5", "--for", "0.2s", *DEMO),
+    "drive commission": ("3", "--yes", *DEMO),
+    "drive inputs": ("3", *DEMO),
+    "drive outputs": ("3", *DEMO),
+    "drive probe": ("3", "--limit", "0.2s", *DEMO),
+    "drive stop": ("3", *DEMO),
+    "drive disable": ("3", *DEMO),
+    "move": ("--to", "1,0,0,0,0,0", "--dry-run", *DEMO),
+    "jog": DEMO,
+    "home": ("3", *DEMO),
+    "backup": ("3", "-o", "new.dcf", *DEMO),
+    "restore": ("5", "device.dcf", "--any-device", "--dry-run", *DEMO),
+    "store": ("3", "--yes", *DEMO),
+    "reset-defaults": ("3", "--yes", *DEMO),
+    "flash": ("3", "image.bin", "--yes", *DEMO),
+    "compare": ("device.eds", "device.dcf"),
+    "dump": ("3", "--walk", "1000-1018", *DEMO),
+    "check": ("sample_io.eds",),
+    "bus serve": ("--bind", "127.0.0.1:0", "--for", "0"),
+    "serve ascii": ("--tcp", "127.0.0.1:0", "--for", "0.1s", *DEMO),
+    "log check": ("bus.log",),
+    "log convert": ("bus.log", "new.asc"),
+    "log decode": ("bus.log",),
+    "log diff": ("bus.log", "other.log"),
+    "log export": ("bus.log", "-o", "new.csv"),
+    "log plot": ("bus.log", "statusword", "-o", "new.png"),
+    "log record": ("new.log", "--for", "0.5s", *DEMO),
+    "log replay": ("bus.log", "-b", "virtual:x", "--speed", "max"),
+    "log stats": ("bus.log",),
+    "sim": ("sample_io.eds", "--id", "9", "--for", "0.1s", "-b", "virtual:x"),
+    "device new": ("made.py",),
+    "device describe": ("own.py", "-o", "own.eds"),
+    "plan": ("--chains", "two.csv", "--cycle", "10ms", "--bitrate", "1M"),
+    "eds lint": ("sample_io.eds",),
+    "eds show": ("sample_io.eds", "1000"),
+    "eds diff": ("device.eds", "device.dcf"),
+    "eds fix": ("faulty.eds", "--dry-run"),
+    "eds doc": ("sample_io.eds", "-o", "new.html"),
+    "eds stubs": ("sample_io.eds", "-o", "stubs.py"),
+    "eds to-dcf": ("sample_io.eds", "--id", "5", "-o", "new.dcf"),
+    "eds to-cdcf": ("device.dcf", "-o", "new.bin"),
+    "machine check": ("cell.toml",),
+    "machine from-chains": ("two.csv", "-o", "new.toml"),
+    "machine import": ("bus.yaml", "-o", "new.toml"),
+    "ros init": ("new_package", "-m", "arm.toml"),
+    "data init": ("--to", "new_data"),
+    "run": ("script.py", *DEMO),
+    "shell": ("200", *DEMO),
+    "completion": ("bash",),
+}
+"""By the words of a command: arguments with which it does something, or says why it cannot."""
+
+
+def schema_of(value: Any) -> dict[str, Any]:
+    """Return a schema that a value fits."""
+    if isinstance(value, dict):
+        if not all(isinstance(key, str) and key.replace("_", "").isalnum() and key == key.lower() for key in value):
+            return {"type": "object", "additionalProperties": merged([schema_of(each) for each in value.values()])}
+        return {"type": "object", "properties": {key: schema_of(value[key]) for key in sorted(value)}, "required": sorted(value)}
+    if isinstance(value, list):
+        return {"type": "array", "items": merged([schema_of(each) for each in value])}
+    kinds = {bool: "boolean", int: "integer", float: "number", str: "string", type(None): "null"}
+    return {"type": kinds[type(value)]}
+
+
+def merged(schemas: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a schema that fits whatever fits one of these."""
+    found: dict[str, Any] = {}
+    for each in schemas:
+        found = _both(found, each) if found else each
+    return found
+
+
+def _both(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    if not one or not other:
+        return one or other
+    types = sorted({*_types(one), *_types(other)})
+    if {"integer", "number"} <= set(types):
+        types.remove("integer")
+    both: dict[str, Any] = {"type": types[0] if len(types) == 1 else types}
+    objects = [each for each in (one, other) if "object" in _types(each)]
+    if objects:
+        properties = [each.get("properties", {}) for each in objects]
+        names = sorted({name for each in properties for name in each})
+        both["properties"] = {name: merged([each[name] for each in properties if name in each]) for name in names}
+        both["required"] = sorted(set.intersection(*(set(each.get("required", ())) for each in objects)))
+        others = [each["additionalProperties"] for each in objects if "additionalProperties" in each]
+        both |= {"additionalProperties": merged(others)} if others else {}
+    items = [each["items"] for each in (one, other) if "items" in each]
+    return both | ({"items": merged(items)} if items else {})
+
+
+def _types(schema: dict[str, Any]) -> list[str]:
+    kind = schema.get("type", [])
+    return [kind] if isinstance(kind, str) else list(kind)
+
+
+def strict(schema: Any) -> Any:
+    """Return the schema as the tests take it: a field that it does not have is a fault. Readers leave such fields alone."""
+    if isinstance(schema, list):
+        return [strict(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    made = {name: strict(part) for name, part in schema.items() if name != "properties"}
+    if "properties" in schema:
+        made["properties"] = {key: strict(each) for key, each in schema["properties"].items()}
+    if "properties" in made and "additionalProperties" not in made:
+        made["additionalProperties"] = False
+    return made
+
+
+def documents_of(text: str) -> list[Any]:
+    """Return the JSON documents of a command: one, or one in each line."""
+    if not text.strip():
+        return []
+    try:
+        return [json.loads(text)]
+    except ValueError:
+        return [json.loads(line) for line in text.splitlines()]
