@@ -169,7 +169,6 @@ class PatientNode402(BaseNode402):
     TIMEOUT_SWITCH_OP_MODE = TIMEOUT_SWITCH_STATE_FINAL = TIMEOUT_SWITCH_STATE_SINGLE = 20
 
 
-@pytest.mark.thorough(4)
 @pytest.mark.parametrize("number", range(len(ROWS)), ids=[row.task for row in ROWS])
 def test_a_row_does_the_same_here_as_with_canopen(values: tuple[list[Any], list[Any]], number: int) -> None:
     theirs, ours = (each[number] for each in values)

@@ -83,7 +83,6 @@ POSITIVE_HOME = replace(SHORT, home_switch=(2_000, math.inf))
 NEGATIVE_HOME = replace(SHORT, home_switch=(-math.inf, 2_000))
 
 
-@pytest.mark.thorough(3)
 @pytest.mark.parametrize(
     ("track", "methods"),
     [

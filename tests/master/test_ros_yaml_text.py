@@ -39,7 +39,6 @@ def test_numbers_are_those_of_yaml_1_1_and_exact(text: str, number: Fraction | N
     assert number_of(text) == number
 
 
-@pytest.mark.thorough(3)
 @pytest.mark.parametrize(
     ("text", "said"),
     [
