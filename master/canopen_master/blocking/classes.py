@@ -527,10 +527,6 @@ class BlockingSubscription(Twin[Subscription[E]], Generic[E]):
         """As of the async Subscription; see the text of this class."""
         return self._inner.dropped
 
-    def put_all(self, new: Sequence[E]) -> None:
-        """Add events, as `put` does one after the other. new: 1 or more."""
-        self._hub.do(self._inner.put_all, new)
-
     def receive(self, *, timeout: float | None = None) -> E:
         """Wait for the next event and return it. A wait that is interrupted takes no event.
 
