@@ -9,6 +9,7 @@ from fuzz.mutant import Mutant
 LIMITS: Final = ("tests/drives/test_limits.py", "tests/drives/test_move_limits.py")
 FOLLOWING: Final = ("tests/drives/test_following.py", "tests/master/test_following.py")
 ANY_SITUATION: Final = ("tests/simulation/test_drive_stateful.py",)
+PROCEDURES: Final = ("tests/drives/test_drive_procedures.py",)
 TABLES: Final = ("tests/drives/test_cia402_tables.py",)
 WALK: Final = ("tests/simulation/test_drive_state_walk.py",)
 HOMING: Final = ("tests/drives/test_master_homing.py",)
@@ -203,7 +204,7 @@ DRIVE_MUTANTS: Final = tuple(
             "        yield from halt_after(axis, cause)\n        raise",
             "        raise",
             "a move that is cancelled leaves the drive moving",
-            ANY_SITUATION,
+            PROCEDURES,
         ),
         (
             "failed_homing_goes_on",

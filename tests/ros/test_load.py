@@ -45,5 +45,5 @@ async def test_what_is_not_known_is_said() -> None:
         bus.bitrate, bus.network.hears_all = 1_000_000, False
         loads = Loads()
         loads.of(bus, 0)
-        bus.bits += 250_000
+        bus.network.bits += 250_000
         assert loads.of(bus, SECOND) == "at least 25 %"

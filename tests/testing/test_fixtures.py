@@ -378,7 +378,7 @@ def test_it():
 
 def test_a_suite_that_does_not_use_it_loads_nothing_of_it(suite: pytest.Pytester) -> None:
     suite.makepyfile(SPARING)
-    run = suite.runpytest_subprocess("-s", "-q")
+    run = suite.runpytest_subprocess("-s", "-q", "-p", "no:anyio")  # that of anyio loads trio for itself
     assert "loaded: canopen_proto canopen_proto.lazy_names canopen_testing canopen_testing.plugin\n" in run.stdout.str()
 
 
