@@ -18,6 +18,8 @@ SCHEMAS: Final = Path(canopen_cli.__file__).with_name("schemas.json")
 VERSION: Final = 1
 
 DEMO: Final = ("-b", "demo")
+NOBODY: Final = ("--connect", "tcp/127.0.0.1:9")
+"""A fleet without a bridge; tests/gateway/test_serve_zenoh.py has one with a bridge, and looks at the schemas too."""
 EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "demo": ("--for", "0.5", "--cycle", "20ms", "--chains", "two.csv"),
     "plot": ("path.csv", "-o", "new.png"),
@@ -79,8 +81,16 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "compare": ("device.eds", "device.dcf"),
     "dump": ("3", "--walk", "1000-1018", *DEMO),
     "check": ("sample_io.eds",),
-    "bus serve": ("--bind", "127.0.0.1:0", "--for", "0"),
-    "serve ascii": ("--tcp", "127.0.0.1:0", "--for", "0.1s", *DEMO),
+    "bus serve": ("--port", "0", "--for", "0"),
+    "serve ascii": ("--port", "0", "--for", "0.1s", *DEMO),
+    "serve mcp": ("--http", "0", "--for", "0.1s", *DEMO),
+    "serve web": ("--port", "0", "--for", "0.1s", *DEMO),
+    "serve zenoh": ("--site", "hall", "--listen", "tcp/127.0.0.1:0", "--for", "0.1s", *DEMO),
+    "fleet ls": NOBODY,
+    "fleet read": ("hall/arm/3", "statusword", *NOBODY),
+    "fleet watch": ("--for", "0.1s", *NOBODY),
+    "fleet halt": NOBODY,
+    "fleet router": ("--listen", "tcp/127.0.0.1:0", "--for", "0.1s"),
     "log check": ("bus.log",),
     "log convert": ("bus.log", "new.asc"),
     "log decode": ("bus.log",),

@@ -44,7 +44,7 @@ TEXTS = {
     "script.py": "print(await nodes[3].read_int('1000'))\n",
     "image.bin": "no program",
 }
-SAME = (0, 1, 2, 6, 7, 11, 12)
+SAME = (0, 1, 2, 3, 6, 7, 11, 12)
 """Statuses of commands that are done, or say why they cannot."""
 
 

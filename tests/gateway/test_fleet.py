@@ -219,7 +219,7 @@ async def test_one_moves_a_machine_and_the_other_is_told_who_does() -> None:
         lease = served.service.lease
         async with viewer.lead(f"{SITE}/{BUS}"):
             assert lease.owner is not None
-            assert (await other.status(f"{SITE}/{BUS}"))["moved by"] == "a viewer of the fleet"
+            assert (await other.status(f"{SITE}/{BUS}"))["moved_by"] == "a viewer of the fleet"
             with pytest.raises(BridgeRefusedError, match="a viewer of the fleet moves this machine"):
                 async with other.lead(f"{SITE}/{BUS}"):
                     raise AssertionError

@@ -18,6 +18,7 @@ from canopen_gateway.fleet import bind_fleet_door
 from canopen_master import open_master
 from canopen_master.simulation.serving import simulated_drives
 from tests.cli.cli_support import Outcome, Run, runner
+from tests.cli.command_examples import SCHEMAS, strict
 from tests.gateway.fleet_world import free_endpoint
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
@@ -73,13 +74,21 @@ def joined() -> Iterator[str]:
     assert not thread.is_alive()
 
 
+def fits(command: str, text: str) -> Any:
+    """What a command has answered as JSON, which fits its schema."""
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed: the extra `test` has it")
+    document = json.loads(text)
+    jsonschema.validate(document, strict(json.loads(SCHEMAS.read_text(encoding="utf-8"))["commands"][command]))
+    return document
+
+
 def test_ls_lists_buses_and_nodes(run: Run, joined: str) -> None:
     status, out, err = run("fleet", "ls", "--connect", joined)
     assert status == ExitCode.OK
     assert [line.split()[0] for line in out.splitlines()[2:]] == [BUS, f"{BUS}/3", f"{BUS}/4"]
     assert "1 bus, 2 nodes" in err
     status, out, _ = run("fleet", "ls", "--connect", joined, "--json")
-    (bus,) = json.loads(out)
+    (bus,) = fits("fleet ls", out)
     assert (bus["place"], list(bus["nodes"]), bus["allow"]) == (BUS, ["3", "4"], ["write"])
 
 
@@ -87,7 +96,7 @@ def test_read_reads_many_nodes_and_one(run: Run, joined: str, monkeypatch: pytes
     monkeypatch.setenv("CANOPEN_FLEET", joined)
     status, out, _ = run("fleet", "read", "*/*/*", "statusword", "1008", "--json")
     assert status == ExitCode.OK
-    assert [(each["place"], each["value"]) for each in json.loads(out)] == [
+    assert [(each["place"], each["value"]) for each in fits("fleet read", out)] == [
         (f"{BUS}/{node_id}", value) for node_id in (3, 4) for value in (0x0240, "Simulated Schunk Powerball joint")
     ]
     status, out, _ = run("fleet", "read", f"{BUS}/4", "6041:00")
@@ -119,6 +128,8 @@ def test_what_cannot_be_is_told_with_its_status(
 def test_halt_halts(run: Run, joined: str) -> None:
     status, out, _ = run("fleet", "halt", "--connect", joined)
     assert (status, out) == (ExitCode.OK, f"{BUS}: nothing moves\n")
+    status, out, _ = run("fleet", "halt", "--connect", joined, "--json")
+    assert fits("fleet halt", out) == [{"place": BUS, "problems": []}]
 
 
 def test_watch_tells_what_happens(run: Run, joined: str) -> None:

@@ -228,7 +228,7 @@ class FleetDoor:
             "nodes": {str(place.node_id): self._state_name(place) for place in self.alive if place.bus == name},
             "allow": sorted(each.value for each in self._service.guard.allowed),
             "chains": [each.name for each in self._service.master.chains.values()],
-            "moved by": "" if self._service.lease.owner is None else self._service.lease.owner.name,
+            "moved_by": "" if self._service.lease.owner is None else self._service.lease.owner.name,
             "doing": self._service.lease.doing,
             "problem": self._service.lease.problem,
             "dropped": self.dropped,
