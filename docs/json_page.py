@@ -16,7 +16,7 @@ SCHEMAS = Path(__file__).parents[1] / "master" / "canopen_cli" / "schemas.json"
 HEAD = """\
 # What `--json` answers
 
-`docs/json_page.py` writes this page of [the schemas](../master/canopen_cli/schemas.json) (JSON Schema, one for each command). The
+`docs/json_page.py` writes this page of `master/canopen_cli/schemas.json` (JSON Schema, one for each command). The
 tests hold them against what each command answers. Their version is **{version}**. A field may be added at any time: leave alone
 what you do not know. A field that is taken away, or becomes another type, makes a new version.
 
