@@ -62,6 +62,7 @@ def test_ctrl_c_gives_the_terminal_back(opened: Callable[..., Terminal]) -> None
     assert is_whole(after)
 
 
+@pytest.mark.thorough
 def test_what_a_device_no_longer_sends_is_stale_and_a_dead_bus_is_an_error(opened: Callable[..., Terminal]) -> None:
     bus = opened(canopen("bus", "serve", "--port", "0"))
     where = re.search(r"tcp:\S*[0-9]", "\n".join(bus.wait_for("Join it")))
@@ -85,6 +86,7 @@ def test_what_a_device_no_longer_sends_is_stale_and_a_dead_bus_is_an_error(opene
         assert is_whole(after)
 
 
+@pytest.mark.thorough
 def test_keys_come_from_the_terminal_though_the_frames_come_by_a_pipe(opened: Callable[..., Terminal], tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "frames")
     terminal = opened(canopen("top", "-", "--bitrate", "500k") + " < frames" + MODES)
@@ -102,6 +104,7 @@ def test_keys_come_from_the_terminal_though_the_frames_come_by_a_pipe(opened: Ca
     assert any("5 (0x05)" in line for line in after)
 
 
+@pytest.mark.thorough
 def test_a_recording_that_ends_leaves_its_last_values(opened: Callable[..., Terminal], tmp_path: Path) -> None:
     (tmp_path / "t.log").write_text("(1.0) can0 185#3706000001000000\n(1.1) can0 705#05\n")
     terminal = opened(canopen("watch", "5", "6041", "6064", "--from", "t.log") + MODES)

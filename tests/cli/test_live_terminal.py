@@ -43,6 +43,7 @@ def test_monitor_on_80_columns(opened: Open, tmp_path: Path) -> None:
     assert coloured[0].startswith("\x1b[1m\x1b[32m    0.0000 705 boot-up")
 
 
+@pytest.mark.thorough
 def test_monitor_on_a_wide_terminal_shows_the_bytes(opened: Open, tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(LOG)
     terminal = opened(canopen("monitor", "a.log", "--no-color", "--node", "5"), columns=120)

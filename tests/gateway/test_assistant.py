@@ -174,6 +174,7 @@ def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp
     return runner(capsys, monkeypatch, tmp_path_factory.mktemp("own"))
 
 
+@pytest.mark.thorough
 def test_over_standard_streams() -> None:
     """As an assistant starts it: a process of its own, which ends with its input."""
 

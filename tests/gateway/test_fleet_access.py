@@ -77,6 +77,7 @@ RULES = {
 }
 
 
+@pytest.mark.thorough
 @real_time
 async def test_users_prove_who_they_are_and_a_rule_lets_one_look_and_the_other_write(tmp_path: Path) -> None:
     passwords = tmp_path / "passwords"

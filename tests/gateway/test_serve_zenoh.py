@@ -138,6 +138,7 @@ def test_watch_tells_what_happens(run: Run, joined: str) -> None:
     assert "1 bus, 2 nodes" in err
 
 
+@pytest.mark.thorough
 def test_nobody_there_is_told_with_the_next_step(run: Run) -> None:
     endpoint = free_endpoint()
     status, _, err = run("fleet", "ls", "--connect", endpoint)

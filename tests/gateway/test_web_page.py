@@ -145,6 +145,7 @@ class ReadOnlyDoor:
             self._thread.join(30)
 
 
+@pytest.mark.thorough
 def test_a_page_that_may_only_read(browser: Any) -> None:
     """Nodes, objects, emergencies; what a device says is text; a write is refused; and nothing stands in the console."""
     with ReadOnlyDoor().running() as machine:
@@ -277,6 +278,7 @@ def hold(browser: Any, begin: Callable[[], None]) -> None:
     raise AssertionError("the lease never lasts")
 
 
+@pytest.mark.thorough
 def test_a_hand_on_the_machine(browser: Any) -> None:
     """Samples arrive, a joint moves while it is held, and stands when it is let go, the page is hidden, or all is halted."""
     with demonstration(browser) as (process, url):
@@ -323,6 +325,7 @@ def test_a_hand_on_the_machine(browser: Any) -> None:
         browser.get_log("browser")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(AXE is None, reason="no axe-core here: CANOPEN_AXE names none")
 def test_axe_finds_no_fault(browser: Any) -> None:
     """On a wide window and a phone, light and dark, with a curve, a drive, reasons, and events."""
