@@ -181,6 +181,7 @@ class Network:
                     machine.receive(frame, now)
                 settled = self._settled
                 if settled < len(events):
+                    root.quiet = False  # whoever is told of this may ask for what comes behind it
                     while settled < len(events):  # as in `receive`: a call would cost as much as all of it
                         reaction = reactions.get(type(events[settled]))
                         if reaction is not None:

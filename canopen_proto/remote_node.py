@@ -608,11 +608,17 @@ class _PdoEntrance(Entrance):
             store[each] = values[position]
             heard_at[each] = time
             position += 1  # noqa: SIM113 - as in `Mapping.unpack_into`
-        root = self.out.root
+        root, events = self.out.root, self._events
         if not root.quiet:
-            self._events.append(PdoReceived(consumer.node_id, consumer.number, key, mapping, data, values, root.timestamp))
+            events.append(PdoReceived(consumer.node_id, consumer.number, key, mapping, data, values, root.timestamp))
+        mark = len(events)
         for listener in self._listeners:
             listener(mapping.muxes, now)
+        while mark < len(events):  # what a listener has reported, as `Entrance.receive` does
+            reaction = self._reactions.get(type(events[mark]))
+            if reaction is not None:
+                reaction(events[mark], now)
+            mark += 1
 
 
 class _HeartbeatEntrance(Entrance):

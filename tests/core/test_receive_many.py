@@ -8,18 +8,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Object, ObjectDictionary, Variable
+from canopen_proto.emcy import EmcyReceived
 from canopen_proto.frame import Frame, routing_key
 from canopen_proto.frame_bits import FRAME_BITS
 from canopen_proto.heartbeat import HeartbeatLost, HeartbeatReceived, NodeBooted
 from canopen_proto.machine import MILLISECOND, SECOND, LocalProtocolError, Machine, Time
+from canopen_proto.multiplexer import mux
 from canopen_proto.network import Network
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.consumer import PdoReceived
 from canopen_proto.pdo.mapping import MappedEntry, Mapping
 from canopen_proto.procedures.steps import wait_for_event
 from canopen_proto.remote_node import RemoteNode
+from canopen_proto.sdo.client import SdoAborted
 
 NODE = 12
 TPDO = 0x180 + NODE
@@ -145,3 +149,42 @@ def test_after_a_bug_the_frames_behind_it_are_left() -> None:
     assert network.out.timestamp is None
     assert network.receive_many(left, 0) is None
     assert network.last_heard == 0
+
+
+def test_behind_a_report_a_quiet_network_reports_all_that_comes() -> None:
+    """Whoever is told of it may ask for more from then on: what stands behind it in the same burst, too."""
+    network, _ = watched_node()
+    network.receive(Frame(HEARTBEAT, b"\x05"), 0)
+    network.drain(0)
+    network.quiet = True
+    usual = [(Frame(HEARTBEAT, b"\x05"), None), (Frame(TPDO, bytes(8)), None)]
+    network.receive_many(iter([*usual, (Frame(0x080 + NODE, bytes.fromhex("1023010000000000")), None), *usual]), 1)
+    assert [type(event) for event in network.drain(1)[1]] == [EmcyReceived, HeartbeatReceived, PdoReceived]
+    network.receive_many(iter(usual), 2)
+    assert network.drain(2)[1] == ()
+
+
+@pytest.mark.parametrize("length", [8, 9])
+def test_what_a_listener_of_a_pdo_causes_is_settled_by_its_node(length: int) -> None:
+    """length: 8 goes the short way, 9 the long one."""
+    network, node = watched_node()
+    node.keep_commanded(mux(LOW))
+    node.write(LOW, 6, 0)
+    network.drain(0)
+    node.add_listener(lambda muxes, now: node.sdo.abort_all(AbortCode.GENERAL_ERROR, now))
+    network.receive(Frame(TPDO, bytes(length)), 1)
+    assert SdoAborted in [type(event) for event in network.drain(1)[1]]
+    assert node.may_hold(mux(LOW)) == {0, 6}  # it may have been executed
+
+
+def test_a_watch_that_begins_behind_a_boot_up_notices_silence() -> None:
+    """The short way of a heartbeat counts as one, too, for `set_timeout`."""
+    network, node = watched_node()
+    node.heartbeat.set_timeout(0, 0)
+    for byte in (b"\x00", b"\x7f", b"\x7f"):
+        network.receive(Frame(HEARTBEAT, byte), 1)
+    network.drain(1)
+    node.heartbeat.set_timeout(TIMEOUT, 2)
+    assert network.next_deadline() == 2 + TIMEOUT
+    network.handle_timeout(2 + TIMEOUT)
+    assert HeartbeatLost in [type(event) for event in network.drain(2 + TIMEOUT)[1]]

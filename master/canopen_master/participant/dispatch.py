@@ -180,7 +180,10 @@ class Dispatcher:
                 self._queue(bus, watchers, events[begin:place])
                 continue
             if tell is not None:
-                tell(bus, event)
+                try:
+                    tell(bus, event)
+                except Exception as error:  # noqa: BLE001 - raised below, when all have been told
+                    failure = failure or error
             for watcher in watchers:
                 if (watcher.bus is None or watcher.bus is bus) and (not watcher.node_id or watcher.node_id == event.node_id):
                     try:

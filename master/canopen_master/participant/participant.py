@@ -181,6 +181,8 @@ class Participant:
     @protected
     def sync_start(self, period: float) -> None:
         """Send SYNC on all buses, now and then once per period (seconds). A SYNC that runs starts again. Events: SyncSent"""
+        import canopen_proto.observer.observer  # noqa: F401 - an error would import it, for 40 ms, between two SYNCs
+
         self.check_open()
         now, period_ns = self.now(), nanoseconds(period)
         self._before_ordered_sync(now)

@@ -228,9 +228,7 @@ class Pump:
                     break
                 except Exception as error:  # noqa: BLE001 - as in `_turn`, but the rest of the frames shall be heard
                     self._on_failure(None, error)
-            out = bus.network.out
-            if out.frames or out.events or out.armed or out.rerouted:  # else the frames have changed values only
-                self.pump(now)
+            self.pump(now)  # also where the frames have changed values only: what was commanded by hand before is taken up now
         except Exception as error:  # noqa: BLE001 - as in `_turn`
             self._on_failure(None, error)
 
