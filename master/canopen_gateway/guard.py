@@ -62,6 +62,7 @@ _MOTION: Final = frozenset(
             objects.INTERPOLATION_SET_POINT,
             objects.DIGITAL_OUTPUTS,
             objects.TARGET_VELOCITY,
+            objects.POLARITY,
         ),
     )
 ) | {0x60EA}  # commutation angle, of cyclic synchronous torque with commutation angle
@@ -69,6 +70,10 @@ _MOTION: Final = frozenset(
 _RANGES: Final = (
     (range(indices.COB_ID_SYNC, indices.SYNCHRONOUS_WINDOW_LENGTH + 1), Permission.MOTION),
     (range(indices.GUARD_TIME, indices.LIFE_TIME_FACTOR + 1), Permission.MOTION),
+    # What sends under a COB-ID of its own may be made to send under that of a set-point, or of the heartbeat that drives watch
+    (range(indices.COB_ID_TIME_STAMP, 0x1016), Permission.MOTION),  # TIME, EMCY
+    (range(0x1200, 0x1300), Permission.MOTION),  # SDO channels
+    (range(0x1800, 0x1C00), Permission.MOTION),  # TPDOs
     (range(indices.CONSUMER_HEARTBEAT_TIME, indices.CONSUMER_HEARTBEAT_TIME + 1), Permission.MOTION),
     (range(indices.ERROR_BEHAVIOR, indices.ERROR_BEHAVIOR + 1), Permission.MOTION),
     (indices.RPDO_COMMUNICATION, Permission.MOTION),

@@ -14,7 +14,8 @@ the gateway ends, the motion brakes, and the chain is halted. A jog has a second
 are not renewed for that time (`Moving.jog`). Each sign of life has a number that is greater than all before: a message that was
 delayed, or sent again after a new connection, moves nothing.
 
-**Anybody may halt**, with or without the lease, in a read-only gateway too.
+**Anybody may halt**, with or without the lease, in a read-only gateway too. A halt ends the lease by which the machine was moved,
+and the chains stay halted until somebody gives them power anew: whoever goes on sending moves nothing.
 
 It is no safety function: a computer, its network and this program may all fail. Keep the emergency stop wired.
 """
@@ -39,6 +40,8 @@ LEASE_TIME: Final = 0.3
 """Seconds from one sign of life of the owner to the next: a page that sends one each 100 ms may lose two of them."""
 HALT_TIME: Final = 5.0
 """Seconds that a halt may take before it counts as not confirmed."""
+THE_TIME: Final = "the lease is over"
+BY_HAND: Final = "somebody has halted the machine"
 LOGGER: Final = logging.getLogger("canopen_gateway")
 
 
@@ -69,6 +72,8 @@ class Lease:
         self._jog: Jog | None = None
         self._wanted: list[float] = []
         self._commanded: set[Node] = set()  # by single writes
+        self._halted_by_hand: set[str] = set()  # chains that somebody has halted, and nobody has enabled since
+        self._over = THE_TIME
 
     # ---- whose it is ----
 
@@ -87,7 +92,7 @@ class Lease:
         if self.owner is None:
             if self._nursery is None:
                 raise LeaseError("the machine cannot be moved", seen="the gateway does not run, or is ending")
-            self.owner, self._last, self.problem = session, -1, ""
+            self.owner, self._last, self.problem, self._over = session, -1, "", THE_TIME
             self._deadline = trio.current_time() + LEASE_TIME
             self._nursery.start_soon(self._watch, session)
 
@@ -123,6 +128,7 @@ class Lease:
     def enable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
         """Give the joints of a chain power, and let them follow; in the background. Raises LeaseError, UnknownChainError."""
         arm = self._begin(session, sequence, chain, "enable")
+        self._halted_by_hand.discard(chain)
         self._run("enable", lambda: _enabled(arm))
 
     def disable(self, session: LeaseHolder, sequence: int, chain: str) -> None:
@@ -134,6 +140,7 @@ class Lease:
         """Move a chain to a target; in the background, for as long as the lease is renewed. targets: one for each joint, in its
         unit. speed: the share of each limit that is used. Raises as `enable`."""
         arm = self._begin(session, sequence, chain, "move")
+        self._require_power(chain)
         self._run("move", lambda: arm.move(targets, speed=speed))
 
     def jog(self, session: LeaseHolder, sequence: int, chain: str, velocities: Sequence[float]) -> None:
@@ -141,10 +148,12 @@ class Lease:
         lease. All zeros: the joints brake, and the jog goes on. Raises as `enable`; LeaseError if it cannot move like that."""
         if self.doing != "jog" or self._jogged != chain:
             arm = self._begin(session, sequence, chain, "jog")
+            self._require_power(chain)
             self._jogged, self._wanted = chain, list(velocities)
             self._run("jog", lambda: self._jogging(arm))
             return
         self.renew(session, sequence)
+        self._require_power(chain)
         self._wanted = list(velocities)
         if self._jog is not None:
             try:
@@ -163,14 +172,23 @@ class Lease:
         """Stop everything that this gateway's master moves; or what is on a net, or on a node of it. Everybody may.
 
         Returns what did not confirm that it stands, one line each. Sends the halts of all chains and drives at once, and waits
-        HALT_TIME at most. The motion of the lease ends; the lease itself does not.
+        HALT_TIME at most. What was halted stays so: the lease of whoever has moved one of these chains ends, and none of them
+        moves before it was given power anew (`enable`), whoever goes on sending.
         """
         self.stop_motion()
+        chains = [
+            chain for chain in self._master.chains.values() if any(_is_at(each.node, net, node_id) for each in chain.devices)
+        ]
+        names = {chain.name for chain in chains}
+        self._halted_by_hand |= names
+        if self.owner is not None and names & self._chains:
+            self._over = BY_HAND
+            self.leave(self.owner)
         problems: list[str] = []
         with trio.CancelScope(shield=True):  # the client that asked may be gone: the halt still counts
             async with trio.open_nursery() as nursery:
-                for chain in self._master.chains.values():
-                    if chain.state is not ChainState.OFF and any(_is_at(each.node, net, node_id) for each in chain.devices):
+                for chain in chains:
+                    if chain.state is not ChainState.OFF:
                         nursery.start_soon(self._halted, chain.name, chain.halt, problems)
                 for node in self._nodes(net, node_id):
                     for axis in node.axes_enabled or ((0,) if node_id else ()):
@@ -201,6 +219,11 @@ class Lease:
             raise LeaseError(f"chain {name} cannot {what} now", seen=f"it is under way: {self.doing}", tries=("halt it first",))
         self._chains.add(name)
         return chain
+
+    def _require_power(self, chain: str) -> None:
+        """Raise LeaseError for a chain that somebody has halted, until it is given power anew."""
+        if chain in self._halted_by_hand:
+            raise LeaseError(f"chain {chain} was halted", seen="somebody has halted it", tries=("enable it",))
 
     def _chain(self, name: str) -> Chain:
         chain = self._master.chains.get(name)
@@ -247,7 +270,7 @@ class Lease:
             with trio.CancelScope() as self._waiting:
                 await trio.sleep_until(self._deadline)
         if self.owner is session:
-            await self._release("the lease is over")
+            await self._release(self._over)
 
     async def _release(self, why: str) -> None:
         """Halt what the owner moves; then the lease is free. Nobody takes it before the machine stands, or may not."""

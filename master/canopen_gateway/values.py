@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import trio
 
+from canopen_gateway.errors import GatewayError
 from canopen_master import MasterError, Node
 from canopen_proto.datatypes import Value
 from canopen_proto.machine import SECOND
@@ -86,7 +87,7 @@ class ValueStream:
             return ValueSeen(place, node.remote.values.store[key], "", heard / SECOND)
         try:
             data = await self._read(place)
-        except MasterError as error:
+        except (MasterError, GatewayError) as error:
             return ValueSeen(place, None, str(error).splitlines()[0], trio.current_time())
         variable = node.dictionary.get(place.index, place.subindex)
         try:

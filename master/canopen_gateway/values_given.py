@@ -10,7 +10,7 @@ def bytes_of(node: Node, index: int, subindex: int, value: Value | None) -> byte
     """Return the bytes of a value. value: a number, a text, a constant by its name; bytes in hexadecimal for an object that holds
     bytes. Raises ValueError, LocalProtocolError: nothing was sent."""
     variable = node.dictionary.at(index, subindex)
-    if not isinstance(value, int | float | str):
+    if not isinstance(value, int | float | str) or (isinstance(value, bool) and not isinstance(variable.codec.zero, bool)):
         raise ValueError(f"{variable.label}: the value has to be a number or a text")
     if isinstance(value, str) and isinstance(variable.codec.zero, bytes):
         value = bytes.fromhex(value)

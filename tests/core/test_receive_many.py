@@ -161,7 +161,7 @@ def test_behind_a_report_a_quiet_network_reports_all_that_comes() -> None:
     network.receive_many(iter([*usual, (Frame(0x080 + NODE, bytes.fromhex("1023010000000000")), None), *usual]), 1)
     assert [type(event) for event in network.drain(1)[1]] == [EmcyReceived, HeartbeatReceived, PdoReceived]
     network.receive_many(iter(usual), 2)
-    assert network.drain(2)[1] == ()
+    assert not network.drain(2)[1]
 
 
 @pytest.mark.parametrize("length", [8, 9])

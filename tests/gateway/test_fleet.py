@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -211,6 +213,42 @@ async def test_anybody_may_halt_everything_in_a_read_only_fleet() -> None:
     async with fleet(3) as (viewer, _):
         assert await viewer.halt() == {FleetPlace(SITE, BUS): []}
         assert await viewer.halt(NODE) == {PLACE: []}
+
+
+@real_time
+async def test_a_halt_is_served_however_much_is_asked() -> None:
+    """As many reads of a node that is silent as the door takes, and more: a halt, and the lease, have room of their own."""
+    async with (
+        fleet(3, allow="motion", sdo_timeout=60.0) as (viewer, served),
+        open_fleet(connect=[served.endpoint]) as eager,
+        trio.open_nursery() as nursery,
+    ):
+        for _ in range(served.service.limits.requests + 8):
+            nursery.start_soon(ignored, eager.read, f"{SITE}/{BUS}/99", 0x1000)
+        await seen(lambda: served.door._answering >= served.service.limits.requests)
+        assert await viewer.halt() == {FleetPlace(SITE, BUS): []}
+        async with viewer.lead(f"{SITE}/{BUS}"):
+            assert served.service.lease.owner is not None
+        nursery.cancel_scope.cancel()
+
+
+async def ignored(ask: Callable[..., Awaitable[object]], *arguments: object) -> None:
+    with contextlib.suppress(FleetError, BridgeRefusedError):
+        await ask(*arguments)
+
+
+@real_time
+async def test_a_write_to_many_nodes_writes_none() -> None:
+    """Another program of Zenoh may ask so; `Fleet.write` refuses it itself."""
+    async with fleet(3, 4, allow="write,nmt,motion") as (viewer, _):
+        before = [each.value for each in await viewer.read_all("*/*/*", 0x1017)]
+        for pattern in (f"{SITE}/{BUS}/*", f"{SITE}/*/3", f"*/{BUS}/3"):
+            place = parse_place(pattern)
+            with pytest.raises(BridgeRefusedError, match="is for one place"):
+                await viewer.ask(place, "set", "1017:00", payload=b"\x07\x00")
+            with pytest.raises(BridgeRefusedError, match="is for one place"):
+                await viewer.ask(place, "command", payload=b"stop")
+        assert [each.value for each in await viewer.read_all("*/*/*", 0x1017)] == before
 
 
 @real_time

@@ -21,6 +21,11 @@ NEEDS = {
     # what else may reach these
     0x1005: P.MOTION, 0x1006: P.MOTION, 0x1400: P.MOTION, 0x15FF: P.MOTION, 0x1600: P.MOTION, 0x17FF: P.MOTION,
     0x1FA0: P.MOTION, 0x1FD0: P.MOTION, 0x1FFF: P.MOTION,
+    # what may be made to send under the COB-ID of a set-point, or of a heartbeat
+    0x1012: P.MOTION, 0x1013: P.MOTION, 0x1014: P.MOTION, 0x1015: P.MOTION, 0x1200: P.MOTION, 0x1280: P.MOTION, 0x12FF: P.MOTION,
+    0x1800: P.MOTION, 0x19FF: P.MOTION, 0x1A00: P.MOTION, 0x1BFF: P.MOTION,
+    # which way a set-point goes
+    0x607E: P.MOTION, 0x687E: P.MOTION,
     # what lasts
     0x1010: P.STORE, 0x1011: P.STORE, 0x1F20: P.STORE, 0x1F22: P.STORE,
     # programs and commands to an operating system
@@ -28,9 +33,9 @@ NEEDS = {
     # commands by another NMT master
     0x1F80: P.NMT, 0x1F81: P.NMT, 0x1F82: P.NMT, 0x1F83: P.NMT,
     # settings
-    0x1017: P.WRITE, 0x1014: P.WRITE, 0x1800: P.WRITE, 0x1A00: P.WRITE, 0x1F84: P.WRITE, 0x1F8A: P.WRITE, 0x2000: P.WRITE,
+    0x1017: P.WRITE, 0x1300: P.WRITE, 0x1F84: P.WRITE, 0x1F8A: P.WRITE, 0x2000: P.WRITE,
     0x5FFF: P.WRITE, 0x6081: P.WRITE, 0x6083: P.WRITE, 0x6098: P.WRITE, 0x607C: P.WRITE, 0x6041: P.WRITE, 0xA000: P.WRITE,
-    0xFFFF: P.WRITE, 0x0005: P.WRITE, 0x100F: P.WRITE, 0x1012: P.WRITE, 0x1022: P.WRITE, 0x1027: P.WRITE, 0x1F1F: P.WRITE,
+    0xFFFF: P.WRITE, 0x0005: P.WRITE, 0x100F: P.WRITE, 0x1022: P.WRITE, 0x1027: P.WRITE, 0x1F1F: P.WRITE,
     0x1F4F: P.WRITE, 0x13FF: P.WRITE, 0x1F9F: P.WRITE,
 }  # fmt: skip
 

@@ -280,3 +280,42 @@ async def test_a_motion_that_fails_is_told_and_ends_nothing_else() -> None:
             await owner.hold(1)
             assert owner.lease.doing == ""
             assert arm.state is ChainState.FOLLOWING
+
+
+@virtual_time
+async def test_somebodys_halt_holds_though_the_owner_goes_on_sending() -> None:
+    """Whoever halts is told that all stands. It stays so, until the machine is taken, and given power, anew."""
+    async with machine() as (host, service, arm):
+        with service.open_session("hand") as session, service.open_session("somebody") as somebody:
+            owner = Owner(service, session)
+            await owner.ready(arm)
+            for _ in range(10):
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+                await trio.sleep(0.05)
+            assert is_moving(host)
+            problems: list[str] = []
+
+            async def halt() -> None:
+                problems.extend(await somebody.service.halt())
+
+            async with trio.open_nursery() as nursery:
+                nursery.start_soon(halt)
+                for _ in range(60):
+                    await trio.sleep(0.05)
+                    with pytest.raises(LeaseError):
+                        owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+                    with pytest.raises(LeaseError):
+                        owner.lease.move(session, owner.next(), "arm", [1.0, 0.0])
+            assert problems == []
+            assert not is_moving(host)
+            assert_all_halted(host)
+            assert service.lease.owner is None
+            assert service.lease.problem == "somebody has halted the machine"
+            service.lease.take(session)
+            owner.number = 0
+            with pytest.raises(LeaseError, match="was halted"):
+                owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            await owner.ready(arm)
+            owner.lease.jog(session, owner.next(), "arm", [0.1, 0.0])
+            await owner.hold(0.2)
+            assert is_moving(host)

@@ -188,6 +188,8 @@ async def test_so_many_requests_at_a_time_and_no_more() -> None:
             nursery.start_soon(world.raw, "GET", "/api/v1/events", ask, lambda message: None)
         await trio.sleep(0.1)
         assert (await world.http.get("/api/v1/state")).status_code == 503
+        assert (await world.http.post("/api/v1/halt")).status_code == 200  # whatever else is asked
+        assert (await world.http.post("/api/v1/1/halt")).status_code == 200
         nursery.cancel_scope.cancel()
         await trio.sleep(0)
 

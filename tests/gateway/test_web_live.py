@@ -102,6 +102,10 @@ async def test_messages_that_are_none() -> None:
             "[" * 5000,
             '{"k": "jog", "chain": "arm"}',
             '{"k": "move", "n": true}',
+            '{"k": "watch", "objects": [[1, 3, "6064:00"]], "period": NaN}',
+            '{"k": "watch", "objects": [[1, 3, "6064:00"]], "period": Infinity}',
+            '{"k": "watch", "objects": [[1, 3, "6064:00"]], "period": 1' + "0" * 400 + "}",
+            '{"k": "jog", "n": 1, "chain": "arm", "velocities": [1' + "0" * 400 + "]}",
         )
         for text in texts:
             page.say_text(text)

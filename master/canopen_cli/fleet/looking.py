@@ -53,7 +53,8 @@ def ls(settings: Settings, connect: tuple[str, ...], config: Path | None) -> int
         return ExitCode.OK
     rows: list[tuple[str, str, str]] = []
     for bus, status in told:
-        allowed = ", ".join(map(str, status.get("allow") or ())) or "read-only"
+        given = status.get("allow")
+        allowed = ", ".join(map(str, given)) if isinstance(given, list) and given else "read-only"
         outage = str(status.get("outage") or "")
         rows.append((escape(str(bus)), escape(clean(outage)) or "there", escape(clean(allowed))))
         for node_id, state in status["nodes"].items():

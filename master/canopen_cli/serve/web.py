@@ -64,7 +64,7 @@ def serve_web(
     if (cert is None) is not (key is None):
         raise usage("CO123", "--cert and --key belong together", tries=("--cert FILE --key FILE",))
     certificate = None if cert is None or key is None else (cert, key)
-    token = "" if token_file is None else token_file.read_text(encoding="utf-8").strip()
+    token = "" if token_file is None else _token_in(token_file)
 
     async def serve() -> None:
         # Before anything else: a port in use is told while nothing moves yet
@@ -94,3 +94,16 @@ def tell_web_door(settings: Settings, screen: Screen, door: WebDoor, service: Ga
     screen.say(f"{escape(service.guard.mode)}; whoever has this address may do that")
     for number, net in enumerate(service.nets, 1):
         screen.say(f"net {number} is {escape(net)}")
+
+
+def _token_in(file: Path) -> str:
+    """Return the token of a file. Raises a CommandError."""
+    try:
+        token = file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise usage("CO123", f"--token-file: {file} cannot be read as a text", seen=str(error)) from error
+    if not token:
+        raise usage(
+            "CO123", f"--token-file: {file} is empty", tries=("the same without --token-file: a new token at each start",)
+        )
+    return token

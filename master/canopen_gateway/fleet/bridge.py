@@ -6,8 +6,9 @@
 
 - Whoever hangs delays nothing here: what is published is dropped where it is not taken (`CongestionControl.DROP`), never waited
   for. Set-points and SYNC never leave this process.
-- A query is served in a task of its own, and answered in a thread, since Zenoh waits for whoever asks and takes no answer. Beyond
-  `Limits.requests` of them, one is answered by CO151 at once.
+- A halt, and the lease, have room of their own: nobody who asks for much else keeps them waiting.
+- Any other query is served in a task of its own, and answered in a thread, since Zenoh waits for whoever asks and takes no
+  answer. Beyond `Limits.requests` of them, one is answered by CO151 at once.
 - Who may change what is the guard's (guard.py), as at every door. Moving needs the lease (lease.py): a client that is cut off
   loses it after 300 ms, by the clock of this computer.
 - Strings of devices and of clients are data: a name that is no plain one is refused, or goes as JSON.
@@ -62,12 +63,23 @@ MOST_WAITING: Final = 256
 """Queries at a time that get an answer at all, be it that there are too many; further ones are dropped, and counted."""
 THREADS: Final = 8
 """In which answers go out."""
+ONE_PLACE: Final = (keys.SET, keys.COMMAND, keys.LEASE)
+"""What is asked of one place at a time."""
+URGENT: Final = (keys.HALT, keys.LEASE)
 COMMANDS: Final = {each.name.lower().replace("_", "-"): each for each in NmtCommand}
 LOGGER: Final = logging.getLogger("canopen_gateway")
 _NUMBERS: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{4})(?::([0-9A-Fa-f]{1,2}))?\Z")
 Answer: TypeAlias = tuple[str | None, bytes, bytes | None]
 """Key, payload and attachment of an answer; without a key an error."""
 _LOST: Final = (GatewayCode.HEARTBEAT_LOST,)
+
+
+class _Halt:
+    """A halt under way. problems: what did not confirm, once it is over."""
+
+    def __init__(self) -> None:
+        self.over = trio.Event()
+        self.problems: list[str] = []
 
 
 class FleetDoor:
@@ -88,6 +100,9 @@ class FleetDoor:
         self._emergencies: dict[FleetPlace, deque[bytes]] = {}
         self._states: dict[FleetPlace, NmtState] = {}
         self._answering = 0
+        self._urgent = 0
+        self._urgent_threads = trio.CapacityLimiter(THREADS)
+        self._halts: dict[tuple[str, int], _Halt] = {}
         self._threads = trio.CapacityLimiter(THREADS)
         self.dropped_queries = 0
 
@@ -259,6 +274,14 @@ class FleetDoor:
         """Begin with a query, in trio's thread."""
         key = str(query.key_expr)
         found = parse_key(key)
+        if found is not None and found[1][0] in URGENT:  # they have room of their own, whatever else is asked
+            if self._urgent >= MOST_WAITING:
+                query.drop()  # type: ignore[no-untyped-call]  # as many halts are under way
+                self.dropped_queries += 1
+                return
+            self._urgent += 1
+            nursery.start_soon(self._answer, query, *found)
+            return
         if self._answering >= MOST_WAITING:
             query.drop()  # type: ignore[no-untyped-call]  # told nothing: an answer may have to wait, too
             self.dropped_queries += 1
@@ -282,13 +305,20 @@ class FleetDoor:
         """Serve a query. Its answers go out in a thread of their own: who asked may be hung, and Zenoh then waits for him."""
         answers: list[Answer] = []
         try:
-            async with trio.open_nursery() as nursery:
-                for place in self._places(pattern):
-                    nursery.start_soon(self._answer_for, query, place, rest, answers)
-            await trio.to_thread.run_sync(_reply, query, answers, limiter=self._threads)
+            if rest[0] in ONE_PLACE and (pattern.node_id < 0 or keys.ANY in pattern):
+                answers.append(_refusal(QueryRefusedError(f"{rest[0]} is for one place, and {pattern} is many")))
+            else:
+                async with trio.open_nursery() as nursery:
+                    for place in self._places(pattern):
+                        nursery.start_soon(self._answer_for, query, place, rest, answers)
+            threads = self._urgent_threads if rest[0] in URGENT else self._threads
+            await trio.to_thread.run_sync(_reply, query, answers, limiter=threads)
         finally:
             query.drop()  # type: ignore[no-untyped-call]  # done already, unless this was cancelled
-            self._answering -= 1
+            if rest[0] in URGENT:
+                self._urgent -= 1
+            else:
+                self._answering -= 1
 
     def _places(self, pattern: FleetPlace) -> list[FleetPlace]:
         """Return the places that a query is about: with a node-ID of its own any, with "*" the nodes that are alive."""
@@ -327,7 +357,7 @@ class FleetDoor:
             case 0, [keys.LEASE]:
                 return [(_json(self._lead.say(payload)), None)]
             case node_id, [keys.HALT]:
-                return [(_json(await self._service.halt(net, node_id)), None)]
+                return [(_json(await self._halt(net, node_id)), None)]
             case int(node_id), [keys.GET, text] if node_id:
                 return [await self._read(net, place, text)]
             case int(node_id), [keys.SET, text] if node_id:
@@ -343,6 +373,19 @@ class FleetDoor:
             case int(node_id), [keys.PDOS] if node_id:
                 return [(_json(_pdos_of(self._service.node(net, node_id))), None)]
         raise QueryRefusedError(f"{'/'.join(rest)[:200]!r} is nothing that can be asked for here")
+
+    async def _halt(self, net: str, node_id: int) -> list[str]:
+        """Halt; whoever asks for one that is under way waits for the same."""
+        under_way = self._halts.get((net, node_id))
+        if under_way is None:
+            under_way = self._halts[net, node_id] = _Halt()
+            try:
+                under_way.problems = await self._service.halt(net, node_id)
+            finally:
+                del self._halts[net, node_id]
+                under_way.over.set()
+        await under_way.over.wait()
+        return under_way.problems
 
     async def _read(self, net: str, place: FleetPlace, text: str) -> tuple[bytes, bytes]:
         node = self._service.node(net, place.node_id)
@@ -362,8 +405,6 @@ class FleetDoor:
         return data, _json(beside)
 
     async def _write(self, net: str, place: FleetPlace, text: str, payload: bytes, encoding: str) -> None:
-        if place.node_id < 0:
-            raise QueryRefusedError("a write goes to one node")
         node = self._service.node(net, place.node_id)
         index, subindex, variable = _object(node, text)
         if encoding.startswith("application/json"):
@@ -436,6 +477,8 @@ def _value(payload: bytes, variable: Variable) -> Value:
         raise QueryRefusedError("the value is no JSON") from error
     if isinstance(value, list | dict) or value is None:
         raise QueryRefusedError(f"{variable.name} takes one value")
+    if isinstance(value, bool) and not isinstance(variable.codec.zero, bool):
+        raise QueryRefusedError(f"{variable.name} takes no truth value")
     return value  # type: ignore[no-any-return]  # `encode` looks whether it fits
 
 

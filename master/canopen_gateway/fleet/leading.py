@@ -10,13 +10,14 @@ lease and is not heard for 300 ms by the clock of this computer has it no longer
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from typing import Any, Final
 
 from canopen_gateway.errors import LeaseError, QueryRefusedError
 from canopen_gateway.lease import Lease
 
+MOST: Final = 1e300
+"""The greatest number that a message holds; NaN is none."""
 LEAST_PROOF: Final = 16
 """The fewest signs by which a client proves itself."""
 INTENTS: Final = ("take", "renew", "enable", "jog", "move", "stop", "disable", "leave")
@@ -94,6 +95,6 @@ def _numbers(said: Mapping[str, Any], name: str) -> list[float]:
 
 
 def _number(value: object, name: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise QueryRefusedError(f'"{name}": {str(value)[:40]} is no number')
-    return float(value)
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST:
+        return float(value)
+    raise QueryRefusedError(f'"{name}": {str(value)[:40] if isinstance(value, float) else "this"} is no number')

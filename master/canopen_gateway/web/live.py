@@ -58,6 +58,8 @@ FLUSH: Final = 0.04
 """Seconds between two messages with values: a page draws at most so often what a person can see."""
 WAITING: Final = 32
 """Messages that wait for one client."""
+MOST_NUMBER: Final = 1e300
+"""The greatest number that a message holds."""
 MAX_MESSAGE: Final = 4096
 """Bytes of a message of a client."""
 HEARTBEAT_TIME: Final = 2_500_000_000
@@ -286,8 +288,8 @@ class LiveClient:
                             if rows:
                                 self.put(json_text({"k": "values", "values": rows}))
                             await trio.sleep(FLUSH)
-            except (GatewayError, *EXPECTED) as error:
-                self.put(json_text({"k": "error", "about": "watch", **error_data(error)}))
+            except* (GatewayError, *EXPECTED) as failed:
+                self.put(json_text({"k": "error", "about": "watch", **error_data(_first(failed))}))
             finally:
                 self._watch_turn.release()
 
@@ -312,6 +314,14 @@ def _sequence(message: dict[str, Any]) -> int:
 
 
 def _number(value: Any) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        raise ValueError(f"{str(value)[:20]!r} is no number")
-    return float(value)
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST_NUMBER:  # NaN is not
+        return float(value)
+    raise ValueError(f"{str(value)[:20] if isinstance(value, float | str) else 'this'!r} is no number")
+
+
+def _first(error: BaseException) -> Exception:
+    """Return the error that nurseries have put into groups."""
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, Exception)
+    return error
