@@ -6,6 +6,7 @@ and one of the others in turn; with all examples (CONTRIBUTING.md) it takes all 
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -167,6 +168,9 @@ class Closed:
 
     def flush(self) -> None:
         """Nothing is held."""
+
+    def fileno(self) -> int:
+        raise io.UnsupportedOperation("fileno")
 
     def isatty(self) -> bool:
         return False

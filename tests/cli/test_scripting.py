@@ -249,7 +249,7 @@ def test_the_terminal_is_given_back(tmp_path: Path, end: str | signal.Signals) -
 
     def read_until(done: Any) -> None:
         nonlocal seen
-        limit = time.monotonic() + 20
+        limit = time.monotonic() + 90
         while not done():
             assert time.monotonic() < limit, seen
             if select.select([terminal], [], [], 0.2)[0]:

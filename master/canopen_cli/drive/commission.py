@@ -76,6 +76,8 @@ def commission(settings: Settings, output: str | None, dcf: str | None, name: st
 
     try:
         dialogue, file = run(settings, screen, command, story=story)
+    except BrokenPipeError:  # nobody reads on: that is no failure
+        raise
     except Exception as error:  # noqa: BLE001 - raised again, with what was done
         problem = problem_of(error)
         problem.also += [each for each in story(all_stand(error)) if each not in problem.also]

@@ -11,11 +11,11 @@ from canopen_cli.scripting.namespace import Nodes
 from canopen_master.node import Node
 from canopen_proto.machine import LocalProtocolError
 
-_DOTTED: Final = re.compile(r"([A-Za-z_][A-Za-z_0-9]*(?:\[[^\]\[]*\])?(?:\.[A-Za-z_][A-Za-z_0-9]*)*)\.([A-Za-z_0-9]*)$")
-_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z_0-9]*$")
-_STRING: Final = re.compile(r"""([A-Za-z_][\w.\[\]'"]*?)(?:\.\w+\(|\[)\s*(?:["']([^"']*)["']\s*,\s*)?["']([^"']*)$""")
+_DOTTED: Final = re.compile(r"([A-Za-z_][A-Za-z_0-9]*(?:\[[^\]\[]*\])?(?:\.[A-Za-z_][A-Za-z_0-9]*)*)\.([A-Za-z_0-9]*)\Z")
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z_0-9]*\Z")
+_STRING: Final = re.compile(r"""([A-Za-z_][\w.\[\]'"]*?)(?:\.\w+\(|\[)\s*(?:["']([^"']*)["']\s*,\s*)?["']([^"']*)\Z""")
 """A string that is not closed, behind a call of a method, or an index, of something; perhaps its second argument."""
-_INDEX: Final = re.compile(r"nodes\[\s*([0-9]*)$")
+_INDEX: Final = re.compile(r"nodes\[\s*([0-9]*)\Z")
 
 
 def words_for(text: str, names: Mapping[str, Any]) -> tuple[str, list[str]]:

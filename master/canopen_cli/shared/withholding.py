@@ -56,6 +56,8 @@ _DOWNLOADS: Final = (SdoFrame.DOWNLOAD, SdoFrame.BLOCK_DOWNLOAD)
 _CONFIGURING: Final = (
     LssService.CONFIGURE_NODE_ID, LssService.CONFIGURE_BIT_TIMING, LssService.ACTIVATE_BIT_TIMING, LssService.STORE,
 )  # fmt: skip
+_READING: Final = (2, 3, 4, 5)
+"""The command specifiers of what reads: initiate upload, upload segment, abort, block upload. CiA 301 v4.2.0, 7.2.4.3"""
 _COMMANDS: Final = frozenset({STORE, RESTORE})
 """Objects that read as something else than what was written: the device's own answer counts."""
 
@@ -136,7 +138,7 @@ class Withholding:
             return False
         node_id = frame.can_id - SDO_CLIENT_TO_SERVER
         if 1 <= node_id <= MAX_NODE_ID:
-            return not self._node(node_id).takes(frame)
+            return not self._node(node_id).takes(frame) and bool(frame.data) and frame.data[0] >> 5 in _READING
         return frame.can_id == FROM_MASTER and bool(frame.data) and frame.data[0] not in _CONFIGURING
 
     def answers(self, frame: Frame, now: Time) -> list[Frame]:
