@@ -37,7 +37,7 @@ class Goal(NamedTuple):
     unit: str = ""
 
     def row(self, results: Results) -> str:
-        """Its line of the table. What failed is told in it, and is no end of the others."""
+        """Its line of the table. A case that failed says so there; the other cases go on."""
         least = self.compiled if COMPILED else self.pure
         try:
             now = self.now(results)

@@ -1,4 +1,4 @@
-"""Who sends a PDO to whom on a bus, and what cannot be right about it: the PDOs of several nodes compared.
+"""The PDOs of several nodes compared: who sends one to whom on a bus, and which of them contradict each other.
 
 `flows_of` puts the PDOs of all nodes together by their CAN-ID, `check_pdos` says what is wrong. A finding is an error, which a
 device notices or suffers from, or a remark, which may be meant: a TPDO that no node takes may be for the master, which is no
@@ -44,7 +44,8 @@ class PdoFlow(NamedTuple):
 
 
 class PdoFinding(NamedTuple):
-    """What is wrong, or worth a look. rule: its name in RULES. ends: the PDOs that it is about. is_error: else a remark."""
+    """One thing that a comparison has found. rule: its name in RULES. ends: the PDOs that it is about. is_error: else a
+    remark."""
 
     rule: str
     ends: tuple[PdoEnd, ...]
@@ -64,7 +65,7 @@ RULES: Final = {
     "unheard": "no node takes it: is it for the master?",
     "unsent": "no node sends it: does the master?",
 }
-"""What can be found, errors first."""
+"""The names of all rules, those of errors first."""
 
 
 def flows_of(pdos: Mapping[int, Sequence[PdoSettings]]) -> list[PdoFlow]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 import webbrowser
@@ -11,14 +10,12 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Final
 
-import trio
-
+from canopen_cli.serve.served import serve_door
 from canopen_cli.serve.web import tell_web_door
 from canopen_cli.shared.options import Settings
-from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen
 from canopen_gateway import GatewayService, Permission, open_gateway
-from canopen_gateway.web import bind_web_door
+from canopen_gateway.web import WebDoor, bind_web_door
 from canopen_master.demonstration.task import CHAINS, DemonstrationTask
 from canopen_master.session import open_master
 from canopen_master.simulation.serving import simulated_drives
@@ -35,23 +32,11 @@ def show_in_browser(settings: Settings, port: int, seconds: float | None) -> Non
     """Serve the page until Ctrl-C. port: 0 for any free one. seconds: end after this time; None: not by itself."""
     screen = settings.screen()
 
-    async def serve() -> None:
-        door = await bind_web_door(port=port)
-        async with door, open_simulated_arm() as service:
-            tell_web_door(settings, screen, door, service)
-            _open_page(screen, door.url)
-            with trio.move_on_after(math.inf if seconds is None else seconds):
-                await door.serve(service)
-        if door.failure is not None:
-            raise door.failure
+    def tell(door: WebDoor, service: GatewayService) -> None:
+        tell_web_door(settings, screen, door, service)
+        _open_page(screen, door.url)
 
-    async def serve_unwrapped() -> None:
-        try:
-            await serve()
-        except ExceptionGroup as group:
-            raise first_of(group) from None
-
-    run_until_interrupted(settings, screen, serve_unwrapped)
+    serve_door(settings, screen, lambda: bind_web_door(port=port), open_simulated_arm, tell, seconds)
 
 
 @asynccontextmanager

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
-import trio
 
 from canopen_cli.serve.permissions import Permissions
-from canopen_cli.serve.served import open_served
+from canopen_cli.serve.served import open_service, serve_door
 from canopen_cli.shared.options import Settings, common, lasting
-from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
-from canopen_gateway import GatewayService, Permission, open_gateway
+from canopen_gateway import GatewayService, Permission
 from canopen_gateway.ascii import AsciiDoor, bind_ascii_door
 from canopen_gateway.ascii.address import DEFAULT_HOST, DEFAULT_PORT
 from canopen_proto.gateway import CANOPENNODE, DIALECTS
@@ -72,24 +69,15 @@ def serve_ascii(
     """
     screen = settings.screen()
 
-    async def serve() -> None:
-        at_tcp = (bind, DEFAULT_PORT if port is None else port) if port is not None or unix is None else None
-        # Before anything else: a port in use is told while nothing moves yet
-        door = await bind_ascii_door(tcp=at_tcp, unix=unix, dialect=DIALECTS[dialect], reachable=reachable)
-        async with door, open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
-            _tell(settings, screen, door, service)
-            with trio.move_on_after(math.inf if seconds is None else seconds):
-                await door.serve(service)
-        if door.failure is not None:
-            raise door.failure
-
-    async def serve_unwrapped() -> None:
-        try:
-            await serve()
-        except ExceptionGroup as group:
-            raise first_of(group) from None
-
-    run_until_interrupted(settings, screen, serve_unwrapped)
+    at_tcp = (bind, DEFAULT_PORT if port is None else port) if port is not None or unix is None else None
+    serve_door(
+        settings,
+        screen,
+        lambda: bind_ascii_door(tcp=at_tcp, unix=unix, dialect=DIALECTS[dialect], reachable=reachable),
+        lambda: open_service(settings, screen, allow),
+        lambda door, service: _tell(settings, screen, door, service),
+        seconds,
+    )
 
 
 def _tell(settings: Settings, screen: Screen, door: AsciiDoor, service: GatewayService) -> None:

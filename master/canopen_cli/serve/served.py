@@ -1,20 +1,81 @@
-"""The machine that `canopen serve` serves: the bus of -b, or all buses of the machine file; with `-b demo` simulated."""
+"""What the commands that serve a machine share: its buses, and the life of a door from its address to its end.
+
+The machine is the bus of -b, or all buses of the machine file; with `-b demo` it is simulated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+import math
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from typing import Protocol, Self, TypeVar
+
+import trio
 
 from canopen_cli.shared.options import DEMO, Settings
 from canopen_cli.shared.problem import usage
+from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen
 from canopen_cli.shared.session import open_session
 from canopen_cli.simulation.devices import teller
+from canopen_gateway import GatewayService, Permission, open_gateway
 from canopen_master.machine_file import MachineFile
 from canopen_master.master import Master
 from canopen_master.session import open_master
 from canopen_master.simulated_machine import devices_of_machine
 from canopen_master.simulation.serving import simulated_devices, virtual_buses
+
+
+class ServedDoor(Protocol):
+    """A door of a gateway, which has its address already. failure: why it was closed, or None."""
+
+    failure: Exception | None
+
+    async def __aenter__(self) -> Self: ...
+
+    async def __aexit__(self, *exc: object) -> None: ...
+
+    async def serve(self, service: GatewayService) -> None:
+        """Serve clients until cancelled, or until the door itself fails."""
+
+
+D = TypeVar("D", bound=ServedDoor)
+
+
+def serve_door(
+    settings: Settings,
+    screen: Screen,
+    bind: Callable[[], Awaitable[D]],
+    opened: Callable[[], AbstractAsyncContextManager[GatewayService]],
+    tell: Callable[[D, GatewayService], None],
+    seconds: float | None,
+) -> None:
+    """Serve a door until Ctrl-C. bind: gives it its address, before anything else: a port in use is told while nothing moves yet.
+    opened: the machine. tell: says where the door is. seconds: end after this time. Raises why the door failed, too."""
+
+    async def serve() -> None:
+        door = await bind()
+        async with door, opened() as service:
+            tell(door, service)
+            with trio.move_on_after(math.inf if seconds is None else seconds):
+                await door.serve(service)
+        if door.failure is not None:
+            raise door.failure
+
+    async def serve_unwrapped() -> None:
+        try:
+            await serve()
+        except ExceptionGroup as group:
+            raise first_of(group) from None
+
+    run_until_interrupted(settings, screen, serve_unwrapped)
+
+
+@asynccontextmanager
+async def open_service(settings: Settings, screen: Screen, allow: Collection[Permission]) -> AsyncIterator[GatewayService]:
+    """Open the buses, and a gateway to them, while the block runs. Raises as `open_served`."""
+    async with open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
+        yield service
 
 
 @asynccontextmanager

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
-import trio
 
 from canopen_cli.serve.permissions import Permissions
-from canopen_cli.serve.served import open_served
+from canopen_cli.serve.served import open_service, serve_door
 from canopen_cli.shared.options import Settings, common, lasting
 from canopen_cli.shared.problem import usage
-from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
-from canopen_gateway import GatewayService, Permission, open_gateway
+from canopen_gateway import GatewayService, Permission
 from canopen_gateway.web import WebDoor, bind_web_door
 from canopen_gateway.web.door import DEFAULT_PORT
 
@@ -66,23 +63,14 @@ def serve_web(
     certificate = None if cert is None or key is None else (cert, key)
     token = "" if token_file is None else _token_in(token_file)
 
-    async def serve() -> None:
-        # Before anything else: a port in use is told while nothing moves yet
-        door = await bind_web_door(host=bind, port=port, names=names, certificate=certificate, token=token)
-        async with door, open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
-            tell_web_door(settings, screen, door, service)
-            with trio.move_on_after(math.inf if seconds is None else seconds):
-                await door.serve(service)
-        if door.failure is not None:
-            raise door.failure
-
-    async def serve_unwrapped() -> None:
-        try:
-            await serve()
-        except ExceptionGroup as group:
-            raise first_of(group) from None
-
-    run_until_interrupted(settings, screen, serve_unwrapped)
+    serve_door(
+        settings,
+        screen,
+        lambda: bind_web_door(host=bind, port=port, names=names, certificate=certificate, token=token),
+        lambda: open_service(settings, screen, allow),
+        lambda door, service: tell_web_door(settings, screen, door, service),
+        seconds,
+    )
 
 
 def tell_web_door(settings: Settings, screen: Screen, door: WebDoor, service: GatewayService) -> None:

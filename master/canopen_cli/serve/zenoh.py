@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
 import click
-import trio
 
 from canopen_cli.fleet.joining import Endpoint, zenoh_file
 from canopen_cli.serve.permissions import Permissions
-from canopen_cli.serve.served import open_served
+from canopen_cli.serve.served import open_service, serve_door
 from canopen_cli.shared.options import Kind, Settings, common, lasting
-from canopen_cli.shared.running import first_of, run_until_interrupted
 from canopen_cli.shared.screen import Screen, escape
-from canopen_gateway import GatewayService, Permission, open_gateway
+from canopen_gateway import GatewayService, Permission
 from canopen_gateway.fleet import FleetDoor, bind_fleet_door
 from canopen_gateway.fleet.joining import DEFAULT_ENDPOINT
 from canopen_gateway.fleet.keys import check_name
@@ -80,23 +77,14 @@ def serve_zenoh(
     screen = settings.screen()
     endpoints = listen or (() if config is not None or connect else (DEFAULT_ENDPOINT,))
 
-    async def serve() -> None:
-        # Before anything else: a port in use is told while nothing moves yet
-        door = await bind_fleet_door(site, connect=connect, listen=endpoints, config=config, reachable=reachable)
-        async with door, open_served(settings, screen) as master, open_gateway(master, allow=allow) as service:
-            _tell(settings, screen, door, service, endpoints, connect, config)
-            with trio.move_on_after(math.inf if seconds is None else seconds):
-                await door.serve(service)
-        if door.failure is not None:
-            raise door.failure
-
-    async def serve_unwrapped() -> None:
-        try:
-            await serve()
-        except ExceptionGroup as group:
-            raise first_of(group) from None
-
-    run_until_interrupted(settings, screen, serve_unwrapped)
+    serve_door(
+        settings,
+        screen,
+        lambda: bind_fleet_door(site, connect=connect, listen=endpoints, config=config, reachable=reachable),
+        lambda: open_service(settings, screen, allow),
+        lambda door, service: _tell(settings, screen, door, service, endpoints, connect, config),
+        seconds,
+    )
 
 
 def _tell(

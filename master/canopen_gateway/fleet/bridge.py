@@ -20,7 +20,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import re
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -34,14 +33,16 @@ from canopen_gateway.fleet import keys
 from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
 from canopen_gateway.fleet.keys import FleetPlace, check_name, key_of, name_of_bus, parse_key
 from canopen_gateway.fleet.leading import RemoteLead
+from canopen_gateway.nmt_words import nmt_command
+from canopen_gateway.places import find_object
 from canopen_gateway.service import GatewayService, GatewaySession, HeardOnNet
+from canopen_gateway.values_given import bytes_of
 from canopen_master import MasterError, Node
 from canopen_master.errors import SdoError, SdoNotConfirmedError
 from canopen_master.participant.subscription import Subscription
-from canopen_proto import LocalProtocolError, NmtCommand, PdoReceived
+from canopen_proto import LocalProtocolError, PdoReceived
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import Value
-from canopen_proto.dictionary import Variable
 from canopen_proto.gateway import GatewayCode, GatewayNews, NodeReport
 from canopen_proto.machine import SECOND
 from canopen_proto.manager.scan import NodeFound, Scanner, scan
@@ -66,20 +67,10 @@ THREADS: Final = 8
 ONE_PLACE: Final = (keys.SET, keys.COMMAND, keys.LEASE)
 """What is asked of one place at a time."""
 URGENT: Final = (keys.HALT, keys.LEASE)
-COMMANDS: Final = {each.name.lower().replace("_", "-"): each for each in NmtCommand}
 LOGGER: Final = logging.getLogger("canopen_gateway")
-_NUMBERS: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{4})(?::([0-9A-Fa-f]{1,2}))?\Z")
 Answer: TypeAlias = tuple[str | None, bytes, bytes | None]
 """Key, payload and attachment of an answer; without a key an error."""
 _LOST: Final = (GatewayCode.HEARTBEAT_LOST,)
-
-
-class _Halt:
-    """A halt under way. problems: what did not confirm, once it is over."""
-
-    def __init__(self) -> None:
-        self.over = trio.Event()
-        self.problems: list[str] = []
 
 
 class FleetDoor:
@@ -102,7 +93,6 @@ class FleetDoor:
         self._answering = 0
         self._urgent = 0
         self._urgent_threads = trio.CapacityLimiter(THREADS)
-        self._halts: dict[tuple[str, int], _Halt] = {}
         self._threads = trio.CapacityLimiter(THREADS)
         self.dropped_queries = 0
 
@@ -149,7 +139,15 @@ class FleetDoor:
 
     def names_of(self, nets: Sequence[str]) -> dict[str, str]:
         """Return the nets by their names in keys. Raises ValueError if two would have one name."""
-        return _named(nets)
+        named: dict[str, str] = {}
+        for net in nets:
+            name = name_of_bus(net)
+            if name in named:
+                raise ValueError(
+                    f"the buses {named[name]} and {net} would both be called {name!r}: give them names in a machine file"
+                )
+            named[name] = net
+        return named
 
     # ---- what goes out ----
 
@@ -357,14 +355,14 @@ class FleetDoor:
             case 0, [keys.LEASE]:
                 return [(_json(self._lead.say(payload)), None)]
             case node_id, [keys.HALT]:
-                return [(_json(await self._halt(net, node_id)), None)]
+                return [(_json(await self._service.halt(net, node_id)), None)]
             case int(node_id), [keys.GET, text] if node_id:
                 return [await self._read(net, place, text)]
             case int(node_id), [keys.SET, text] if node_id:
                 await self._write(net, place, text, payload, str(query.encoding or ""))
                 return [(b"", None)]
             case int(node_id), [keys.COMMAND] if node_id:
-                await self._session.nmt(net, _command(payload), node_id)
+                await self._session.nmt(net, nmt_command(payload.decode("ascii", "replace")), node_id)
                 return [(b"", None)]
             case int(node_id), [keys.NMT] if node_id:
                 return [(self._state_name(place).encode(), None)]
@@ -374,22 +372,9 @@ class FleetDoor:
                 return [(_json(_pdos_of(self._service.node(net, node_id))), None)]
         raise QueryRefusedError(f"{'/'.join(rest)[:200]!r} is nothing that can be asked for here")
 
-    async def _halt(self, net: str, node_id: int) -> list[str]:
-        """Halt; whoever asks for one that is under way waits for the same."""
-        under_way = self._halts.get((net, node_id))
-        if under_way is None:
-            under_way = self._halts[net, node_id] = _Halt()
-            try:
-                under_way.problems = await self._service.halt(net, node_id)
-            finally:
-                del self._halts[net, node_id]
-                under_way.over.set()
-        await under_way.over.wait()
-        return under_way.problems
-
     async def _read(self, net: str, place: FleetPlace, text: str) -> tuple[bytes, bytes]:
         node = self._service.node(net, place.node_id)
-        index, subindex, variable = _object(node, text)
+        index, subindex = _object(node, text)
         try:
             data = await self._session.read(net, place.node_id, index, subindex)
         except SdoError as error:
@@ -400,17 +385,16 @@ class FleetDoor:
             raise
         self._appear(place)
         beside: dict[str, object] = {"object": f"{index:04X}:{subindex:02X}"}
+        variable = node.dictionary.get(index, subindex)
         if variable is not None:
             beside |= {"name": variable.name, "type": variable.data_type.name, "unit": variable.unit}
         return data, _json(beside)
 
     async def _write(self, net: str, place: FleetPlace, text: str, payload: bytes, encoding: str) -> None:
         node = self._service.node(net, place.node_id)
-        index, subindex, variable = _object(node, text)
+        index, subindex = _object(node, text)
         if encoding.startswith("application/json"):
-            if variable is None:
-                raise QueryRefusedError(f"{text!r} is not in the dictionary of this node: only its bytes can be written")
-            payload = variable.encode(_value(payload, variable))
+            payload = bytes_of(node, index, subindex, _value(payload))
         await self._session.write(net, place.node_id, index, subindex, payload)
 
 
@@ -424,28 +408,11 @@ async def bind_fleet_door(
     return FleetDoor(session, site)
 
 
-def _named(nets: Sequence[str]) -> dict[str, str]:
-    named: dict[str, str] = {}
-    for net in nets:
-        name = name_of_bus(net)
-        if name in named:
-            raise ValueError(
-                f"the buses {named[name]} and {net} would both be called {name!r}: give them names in a machine file"
-            )
-        named[name] = net
-    return named
-
-
-def _object(node: Node, text: str) -> tuple[int, int, Variable | None]:
-    """Return index, subindex and the dictionary's entry of an object in a key."""
+def _object(node: Node, text: str) -> tuple[int, int]:
+    """Return index and subindex of an object in a key."""
     if not keys.OBJECT.match(text):
         raise QueryRefusedError(f"{text[:200]!r} is no object")
-    numbers = _NUMBERS.match(text)
-    if numbers is None:
-        variable = node.dictionary.variable(text)
-        return variable.index, variable.subindex, variable
-    index, subindex = int(numbers[1], 16), int(numbers[2] or "0", 16)
-    return index, subindex, node.dictionary.get(index, subindex)
+    return find_object(node.dictionary, text)
 
 
 def _pdos_of(node: Node) -> dict[str, object]:
@@ -463,23 +430,12 @@ def _pdos_of(node: Node) -> dict[str, object]:
     }
 
 
-def _command(payload: bytes) -> NmtCommand:
-    word = payload.decode("ascii", "replace")
-    if word not in COMMANDS:
-        raise QueryRefusedError(f"{word[:40]!r} is no NMT command: {', '.join(COMMANDS)}")
-    return COMMANDS[word]
-
-
-def _value(payload: bytes, variable: Variable) -> Value:
+def _value(payload: bytes) -> Value:
     try:
         value = json.loads(payload)
     except (ValueError, RecursionError) as error:
         raise QueryRefusedError("the value is no JSON") from error
-    if isinstance(value, list | dict) or value is None:
-        raise QueryRefusedError(f"{variable.name} takes one value")
-    if isinstance(value, bool) and not isinstance(variable.codec.zero, bool):
-        raise QueryRefusedError(f"{variable.name} takes no truth value")
-    return value  # type: ignore[no-any-return]  # `encode` looks whether it fits
+    return value  # type: ignore[no-any-return]  # `bytes_of` looks whether it fits
 
 
 def _stamp() -> bytes:

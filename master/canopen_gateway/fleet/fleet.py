@@ -29,6 +29,7 @@ from canopen_gateway.fleet import keys
 from canopen_gateway.fleet.joining import close_zenoh, open_zenoh
 from canopen_gateway.fleet.keys import FleetPlace, key_of, parse_key, parse_place
 from canopen_gateway.fleet.news import FleetEmcy, FleetNews, FleetPdo, FleetState, PlaceAppeared, PlaceGone
+from canopen_gateway.nmt_words import NMT_COMMANDS
 from canopen_master.participant.subscription import Subscription
 from canopen_proto import LocalProtocolError, NmtCommand
 from canopen_proto.datatypes import DataType, Value, decode
@@ -44,6 +45,7 @@ PATIENCE: Final = 10.0
 """Seconds that an answer may take; that of a silent node comes from its bridge, after the bridge's own time-out."""
 RENEWAL: Final = 0.1
 """Seconds from one sign of life of a lease to the next; it is over after three of them."""
+_NMT_WORDS: Final = {command: word for word, command in NMT_COMMANDS.items()}
 _STAMP: Final = 8
 _EMCY_LENGTH: Final = 8
 
@@ -127,7 +129,7 @@ class Fleet:
         where, text = _place(place, node=True), _text(key)
         if where.node_id < 0 or keys.ANY in where:
             raise ValueError(f"{where} is many nodes: read_all reads them")
-        (answer,) = await self._ask(where, keys.GET, text) or (None,)
+        (answer,) = await self.ask(where, keys.GET, text) or (None,)
         if answer is None:
             raise self._away(where)
         return _value_of(where, text, answer)
@@ -155,25 +157,25 @@ class Fleet:
         raw = isinstance(value, bytes | bytearray)
         payload = bytes(value) if isinstance(value, bytes | bytearray) else json.dumps(value).encode()
         encoding = "application/octet-stream" if raw else "application/json"
-        if not await self._ask(where, keys.SET, _text(key), payload=payload, encoding=encoding):
+        if not await self.ask(where, keys.SET, _text(key), payload=payload, encoding=encoding):
             raise self._away(where, "it may have been written")
 
     async def nmt(self, place: FleetPlace | str, command: NmtCommand) -> None:
         """Send an NMT command to a node. Raises as `write`."""
         where = self._one_node(place)
-        if not await self._ask(where, keys.COMMAND, payload=command.name.lower().replace("_", "-").encode()):
+        if not await self.ask(where, keys.COMMAND, payload=_NMT_WORDS[command].encode()):
             raise self._away(where, "it may have been sent")
 
     async def emergencies(self, place: FleetPlace | str) -> list[FleetEmcy]:
         """Return the last emergencies of a node, oldest first, as its bridge remembers them. Raises as `read`."""
         where = self._one_node(place)
-        answers = await self._ask(where, keys.EMCY)
+        answers = await self.ask(where, keys.EMCY)
         return [_emcy(where, answer.data) for answer in answers if len(answer.data) == _STAMP + _EMCY_LENGTH]
 
     async def status(self, place: FleetPlace | str) -> dict[str, Any]:
         """Return what a bridge says of its bus. Raises as `read`."""
         where = _place(place).bus_place
-        answers = await self._ask(where, keys.STATUS)
+        answers = await self.ask(where, keys.STATUS)
         if not answers:
             raise self._away(where)
         return _object(answers[0].data)
@@ -182,7 +184,7 @@ class Fleet:
         """Stop what moves at the places that a pattern names. Returns for each that answered what did not confirm that it stands.
         Anybody may, always. Raises FleetError if nobody answered, ValueError."""
         where = _place(pattern)
-        answers = await self._ask(where, keys.HALT)
+        answers = await self.ask(where, keys.HALT)
         if not answers:
             raise FleetError(f"nobody at {where} answered the halt", seen=self._seen(), tries=("the emergency stop",))
         return {answer.place: [str(each) for each in json.loads(answer.data)] for answer in answers}
@@ -218,9 +220,6 @@ class Fleet:
 
     async def ask(self, place: FleetPlace, *rest: str, payload: bytes = b"", encoding: str = "") -> list[FleetAnswer]:
         """Send a query, and return its answers; none if nobody is there. Raises BridgeRefusedError if there is no other one."""
-        return await self._ask(place, *rest, payload=payload, encoding=encoding)
-
-    async def _ask(self, place: FleetPlace, *rest: str, payload: bytes = b"", encoding: str = "") -> list[FleetAnswer]:
         import zenoh
 
         replies: list[zenoh.Reply] = []
@@ -315,7 +314,7 @@ class Fleet:
 
     async def _learn_pdos(self, place: FleetPlace) -> None:
         with contextlib.suppress(FleetError, BridgeRefusedError):
-            for answer in await self._ask(place, keys.PDOS):
+            for answer in await self.ask(place, keys.PDOS):
                 for number, entries in _object(answer.data).items():
                     self._pdos[place, number] = [
                         (str(each["name"]), DataType[each["type"]], int(each["bits"])) for each in entries
@@ -430,14 +429,13 @@ def _place(place: FleetPlace | str, *, node: bool = False) -> FleetPlace:
 
 
 def _text(key: str | int) -> str:
-    text = mux_text_of(key) if isinstance(key, int) else key
+    text = _number_text(key) if isinstance(key, int) else key
     if not keys.OBJECT.match(text):
         raise ValueError(f"{text!r} is no object: it is a name, or 6041:00")
     return text
 
 
-def mux_text_of(number: int) -> str:
-    """Return 0x6041, or 0x604101, as "6041:00" and "6041:01". Raises LocalProtocolError."""
+def _number_text(number: int) -> str:
     index, subindex = place_of(number)
     return f"{index:04X}:{subindex:02X}"
 
