@@ -44,8 +44,8 @@ class PdoFlow(NamedTuple):
 
 
 class PdoFinding(NamedTuple):
-    """One thing that a comparison has found. rule: its name in RULES. ends: the PDOs that it is about. is_error: else a
-    remark."""
+    """One thing that a comparison has found. rule: its name in RULES. ends: the PDOs that it is about. is_error: whether
+    it is an error, and no remark."""
 
     rule: str
     ends: tuple[PdoEnd, ...]
