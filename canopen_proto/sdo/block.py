@@ -56,6 +56,8 @@ MAX_BLOCK_SIZE: Final = 127
 """Segments in a sub-block: their numbers have seven bits."""
 SEGMENT_SIZE: Final = 7
 """Bytes of data in a segment."""
+FRAME_SIZE: Final = 1 + SEGMENT_SIZE
+"""Bytes of a segment's frame: its number, and the data."""
 MAX_SIZE: Final = 0xFFFFFFFF
 """Bytes: what the size field of an initiate frame can say."""
 SUB_BLOCK_SIZE: Final = MAX_BLOCK_SIZE * SEGMENT_SIZE

@@ -117,7 +117,7 @@ class BlockDownload(BlockSender):
             end.out.events.append(SdoDataWanted(end.node_id, self.request_id, self.index, self.subindex, self.room))
 
     def _on_answer(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        if data[1:4] == self.first[1:4]:
+        if data[1:4] == self.name:
             if command & KIND != BLOCK_UPLOAD:  # 101 is the server's specifier for downloads
                 return False
             self.end.last = data
@@ -161,7 +161,7 @@ class BlockUpload(BlockReceiver):
         return BlockUpload(self.end, self.index, self.subindex, False, self._most, plain)
 
     def _on_answer(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        if data[1:4] != self.first[1:4]:
+        if data[1:4] != self.name:
             return False
         if command & 0xE1 == BLOCK_DOWNLOAD:  # 110 is the server's specifier for uploads
             self._on_initiated(command, data, now)

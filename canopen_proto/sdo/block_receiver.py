@@ -48,6 +48,7 @@ from canopen_proto.frame import Frame
 from canopen_proto.machine import Time
 from canopen_proto.sdo.block import (
     ACKNOWLEDGE,
+    FRAME_SIZE,
     MAX_BLOCK_SIZE,
     MAX_STALLS,
     SEGMENT_SIZE,
@@ -68,7 +69,7 @@ class BlockReceiver(Transfer):
 
     __slots__ = (
         "_block_size", "_buffer", "_checked", "_crc", "_due", "_heard", "_is_stream", "_last_said", "_limit", "_paused_behind",
-        "_received", "_silence", "_size", "_stalls", "_was_silent", "_with_crc", "offset",
+        "_received", "_silence", "_size", "_stalls", "_sub_block", "_was_silent", "_with_crc", "offset",
     )  # fmt: skip
 
     in_blocks: ClassVar[bool] = True
@@ -81,7 +82,8 @@ class BlockReceiver(Transfer):
         self._with_crc = False
         self._crc = 0
         self._checked = 0  # bytes of _buffer that are in the CRC
-        self._buffer = bytearray()  # what came in order and was not handed on
+        self._buffer = bytearray()  # what came in order in the sub-blocks before, and was not handed on
+        self._sub_block = bytearray()  # the frames of this one that came in order, whole: without a copy of each one's data
         self.offset = 0  # of _buffer in the whole: what was handed on
         self._size: int | None = None  # announced
         self._limit = 0  # of the whole
@@ -115,11 +117,12 @@ class BlockReceiver(Transfer):
             if self.state is not SEGMENTS or command == ABORT:
                 return self._on_no_segment(command, data, frame, now)
             return self._on_gap(command, sequence, data, frame, now)
-        self._buffer += data[1:]
+        sub_block = self._sub_block
+        sub_block += data
         self._received = sequence
         self._due = sequence + 1
         self.end.last = data
-        if command & FINAL or sequence == self._block_size:
+        if command >= self._block_size:  # the last one of a sub-block, or of all: FINAL is above all numbers
             self._end_sub_block(command & FINAL, now)
         else:
             self.deadline = now + self._silence
@@ -214,7 +217,7 @@ class BlockReceiver(Transfer):
 
     def _forget_sub_block(self) -> None:
         """Ask for the whole sub-block again: one of its segments is not where it belongs."""
-        del self._buffer[len(self._buffer) - self._received * SEGMENT_SIZE :]
+        self._sub_block.clear()
         self._due = _BEHIND_A_GAP
         self._heard, self._received = self._received, 0
         self._paused_behind = 0
@@ -226,11 +229,14 @@ class BlockReceiver(Transfer):
 
     def _is_known(self, sequence: int, data: bytes) -> bool:
         """Whether the segment was received with these data, in this sub-block."""
-        offset = len(self._buffer) - (self._received - sequence + 1) * SEGMENT_SIZE
-        return self._buffer[offset : offset + SEGMENT_SIZE] == data[1:]
+        end = sequence * FRAME_SIZE
+        return self._sub_block[end - SEGMENT_SIZE : end] == data[1:]
 
     def _end_sub_block(self, is_final: int, now: Time, is_early: bool = False) -> None:
         """Acknowledge what came in order, as soon as it may be. is_early: after a silence, not after the last segment."""
+        del self._sub_block[::FRAME_SIZE]  # the first byte of each frame
+        self._buffer += self._sub_block
+        self._sub_block.clear()
         if is_early:
             self._was_silent = True
             self._paused_behind = max(self._received, self._heard)

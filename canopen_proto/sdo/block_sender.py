@@ -129,9 +129,10 @@ class BlockSender(Transfer):
         begin = self._base + sent * SEGMENT_SIZE
         burst = bytes(self._content[begin : begin + (goal - sent) * SEGMENT_SIZE])
         offset = 0
-        for sequence in range(sent + 1, goal if ends_all else goal + 1):
-            frames.append(Frame(can_id, HEADS[sequence] + burst[offset : offset + 7], flags, 8))
-            offset += 7
+        for head in HEADS[sent + 1 : goal if ends_all else goal + 1]:
+            behind = offset + SEGMENT_SIZE
+            frames.append(Frame(can_id, head + burst[offset:behind], flags, 8))
+            offset = behind
         if ends_all:
             payload = bytes((FINAL | goal,)) + burst[offset:] + bytes(self._unused)
             frames.append(Frame(can_id, payload, flags, 8))

@@ -25,9 +25,10 @@ both directions. CAN copies requests too, and a server answers both copies. A qu
 - A question: the client reads another object (QUESTIONS, 0x1000 first) and drops its value. CAN keeps the order of the server's
   frames: once that answer has come, nothing that was asked for before it is left. A question comes before a write of 1 to 4 bytes
   to the object of the transfer before, unless that was a read that brought such a value; before any request of one frame for an
-  object whose transfer was given up without an answer; and before a request that is made again, since its refusal may be that of
-  the write before (a read, or a write of which no data were sent). None comes before an urgent request, nor once `timeout` has
-  passed since the server's last word. A question without an answer holds its request for `timeout`.
+  object whose transfer was given up without an answer, or whose write ended because of another client; and before a request that
+  is made again, since its refusal may be that of the write before (a read, or a write of which no data were sent). None comes
+  before an urgent request, nor once `timeout` has passed since the server's last word. A question without an answer holds its
+  request for `timeout`.
 - `late_guard`, after a time-out: the same object is not accessed again until its late answer has come (it is reported as
   FrameIgnored), until the server has answered something else, or until that much time is over. Without it, each answer of a
   server that is slower than `timeout` would be taken for the answer to the next request. Both directions wait, since an abort
@@ -83,7 +84,7 @@ from canopen_proto.sdo.codec import (
 from canopen_proto.sdo.contention import SERVICE_ERROR, Contested, OtherClient, is_own_refusal, spread
 from canopen_proto.sdo.events import SdoAborted, SdoChunk, SdoDataWanted, SdoDownloaded, SdoStreamUploaded, SdoUploaded
 from canopen_proto.sdo.request_queue import RequestQueue
-from canopen_proto.sdo.segmented_client import NOBODY, Download, Upload, own
+from canopen_proto.sdo.segmented_client import NOBODY, Download, Question, Upload, own
 from canopen_proto.sdo.transfer import INITIATED, OVER, Buffer, Channel, ChannelEnd, Transfer
 
 __all__ = [
@@ -123,8 +124,8 @@ class SdoClient(ChannelEnd):
     """
 
     __slots__ = (
-        "_abandoned", "_collided_at", "_contested_since", "_nameless_abort", "_queue", "_transfer", "_tries", "contest_limit",
-        "late_guard", "max_queue", "max_upload", "other", "serves_blocks",
+        "_abandoned", "_collided_at", "_contested_since", "_nameless_abort", "_question", "_queue", "_transfer", "_tries",
+        "contest_limit", "late_guard", "max_queue", "max_upload", "other", "serves_blocks",
     )  # fmt: skip
 
     def __init__(
@@ -172,6 +173,7 @@ class SdoClient(ChannelEnd):
         self._transfer: Transfer | None = None
         self._nameless_abort = b""  # one that came while a block transfer was initiated
         self.other = OtherClient()
+        self._question: Question | None = None  # the last one
         self._abandoned: Transfer | None = None  # ended for a stranger's sake: the server may still be in it
         self._collided_at: Time = -NEVER  # when a stranger last ended a transfer of ours
         self._contested_since: Time = NEVER  # when a stranger first made us wait, and no transfer of ours has gone well since
@@ -314,6 +316,7 @@ class SdoClient(ChannelEnd):
         """
         if channel != self.channel:
             self.abort_all(AbortCode.DEVICE_STATE, now)
+            self._question = None  # its frame is of the old channel
             self._use(channel)
             self._reroute()
 
@@ -336,7 +339,7 @@ class SdoClient(ChannelEnd):
 
     def receive(self, frame: Frame, now: Time) -> None:
         data = frame.data
-        if frame.can_id == self.can_id and frame.key != self._hears:
+        if frame.key != self._hears and frame.can_id == self.can_id:
             self._on_foreign(frame, now)
             return
         if len(data) != 8:
@@ -372,7 +375,7 @@ class SdoClient(ChannelEnd):
         else:
             if transfer.state is INITIATED and (transfer.first[0] == INITIATE_UPLOAD or transfer.is_all_sent):
                 # A late answer may be a whole one, and would look like that to the next such request
-                self._queue.expect_late(transfer.first[1:4], now + self.late_guard)
+                self._queue.expect_late(transfer.name, now, now + self.late_guard)
             else:
                 self._leave(transfer, now)
             transfer.handle_timeout(now)
@@ -395,7 +398,7 @@ class SdoClient(ChannelEnd):
     def _on_other(self, transfer: Transfer, command: int, data: bytes, frame: Frame, now: Time) -> None:
         """Take an abort, or whatever is not the response that is due."""
         specifier = command & SPECIFIER
-        is_named = data[1:4] == transfer.first[1:4]
+        is_named = data[1:4] == transfer.name
         other = self.other
         if other.last:
             other.on_answer(data, self.timeout, now)
@@ -405,7 +408,8 @@ class SdoClient(ChannelEnd):
             self.ignore(frame, "late response to a request that timed out")
         elif is_near and self._is_in_doubt(transfer, specifier, is_named, data):
             if is_named and isinstance(transfer, Contested):
-                transfer.is_answered = transfer.believes
+                is_alike = specifier == ABORT or (specifier == INITIATE_UPLOAD_RESPONSE and not transfer.is_download)
+                transfer.is_answered = transfer.believes and is_alike
             self._end_contested(transfer, now)
         elif specifier == ABORT:
             self._on_abort(transfer, is_named, data, frame, now)
@@ -427,7 +431,7 @@ class SdoClient(ChannelEnd):
     def _leave(self, transfer: Transfer, now: Time) -> None:
         """Our side is about to give a transfer up: the server may answer it all the same."""
         if not transfer.is_answered:
-            self._queue.leave(transfer.first[1:4], now + self.timeout)
+            self._queue.leave(transfer.name, now + self.timeout)
 
     def _is_in_doubt(self, transfer: Transfer, specifier: int, is_named: bool, data: bytes) -> bool:
         """Return whether a frame may be a stranger's doing: one was heard just now."""
@@ -486,7 +490,7 @@ class SdoClient(ChannelEnd):
         abort_code: int = SIZE.unpack_from(data, 4)[0]
         self.last = data
         if transfer.state is INITIATED and transfer.in_blocks:
-            if abort_code == AbortCode.INVALID_COMMAND and data[1:4] == transfer.first[1:4]:  # else it is a guess
+            if abort_code == AbortCode.INVALID_COMMAND and data[1:4] == transfer.name:  # else it is a guess
                 self.serves_blocks = False
             plain = transfer.plain
             if plain is not None and abort_code in NO_BLOCKS:
@@ -551,8 +555,11 @@ class SdoClient(ChannelEnd):
         elif transfer.is_urgent and self._abandoned is None:
             self._abandoned = transfer
         if transfer.state is INITIATED and not transfer.is_answered:
-            self._queue.expect_late(transfer.first[1:4], now + self.late_guard + spread(now))
-            self.other.expect(transfer.first[1:4])
+            if transfer.is_download:  # it may wait in our queue yet, and a stranger's write of the object is confirmed alike
+                self._leave(transfer, now)
+            else:
+                self._queue.expect_late(transfer.name, now, now + self.late_guard + spread(now))
+            self.other.expect(transfer.name)
         transfer.state = OVER
         again = None if transfer.is_download else transfer.again()
         if again is not None and transfer.is_urgent:
@@ -626,34 +633,41 @@ class SdoClient(ChannelEnd):
         transfer.is_urgent = urgent
         if self._transfer is not None:
             line.append(transfer)
-        elif (
-            line
-            or queue.urgent
-            or self.copy_guard
-            or queue.overdue
-            or self.other.last
-            or queue.wants_question(transfer, now, self.timeout)
-        ):
+        elif line or queue.urgent or self.copy_guard or queue.overdue or self.other.last:
             line.append(transfer)
             self._begin_next(now)
+        elif (queue.left or transfer.name == queue.answered) and queue.wants_question(transfer, now, self.timeout):
+            line.append(transfer)
+            self._ask(queue.question_before(transfer), now)
         else:
-            self._begin(transfer, now)
+            self._begin(transfer, Frame(self.can_id, transfer.first, self.flags, 8), now)
         return request_id
 
     def _begin_next(self, now: Time) -> None:
         """Begin the transfer whose turn it is, if there is one."""
         if (self.other.last or self._abandoned is not None) and self._yields(now):
             return
-        transfer = self._queue.take(now, self.copy_guard, self.timeout)
-        if transfer is not None:
-            self._begin(transfer, now)
-        else:
+        taken = self._queue.take(now, self.copy_guard, self.timeout)
+        if taken is None:
             self._arm(self._queue.held_until)
+        elif isinstance(taken, bytes):
+            self._ask(taken, now)
+        else:
+            self._begin(taken, Frame(self.can_id, taken.first, self.flags, 8), now)
 
-    def _begin(self, transfer: Transfer, now: Time) -> None:
+    def _ask(self, first: bytes, now: Time) -> None:
+        """Ask a question before the next request. first: its initiate frame."""
+        question = self._question
+        if question is None or question.first is not first:
+            question = self._question = Question(self, first)
+        question.state = INITIATED
+        question.is_answered = question.is_given_up = False
+        self._begin(question, question.frame, now)
+
+    def _begin(self, transfer: Transfer, frame: Frame, now: Time) -> None:
         self._transfer = transfer
         self._nameless_abort = b""
-        self.out.frames.append(Frame(self.can_id, transfer.first, self.flags, 8))
+        self.out.frames.append(frame)
         transfer.deadline = self.deadline = deadline = now + self.timeout
         if deadline < self._wake:
             self._arm(deadline)
@@ -662,15 +676,14 @@ class SdoClient(ChannelEnd):
 
     def _begin_beside(self, transfer: Transfer, now: Time) -> None:
         """A stranger was heard before this transfer began: believe no answer that may be another's."""
-        if self.other.may_answer(transfer):  # it is urgent, or it would have waited
-            self._transfer = Contested(transfer, self.other.leaves_sure(transfer))
-        elif transfer.is_download and self._awaits_other(transfer.first[1:4], now):
-            self._transfer = Contested(transfer, False)
+        awaits_other = transfer.is_download and self._awaits_other(transfer.name, now)
+        if awaits_other or self.other.may_answer(transfer):  # it is urgent, or it would have waited
+            self._transfer = Contested(transfer, not awaits_other and self.other.leaves_sure(transfer))
 
     def _awaits_other(self, name: bytes, now: Time) -> bool:
         """Return whether an answer to another write of the object may still come, of ours or of a stranger."""
         is_near = now < self.other.heard_at + self.contest_limit
-        return is_near and (now < self._queue.overdue.get(name, -NEVER) or name in self.other.unfinished)
+        return is_near and (now < self._queue.may_be_answered_until(name) or name in self.other.unfinished)
 
     def _follow(self, transfer: Transfer, now: Time) -> None:
         """Do what the transfer under way wants now: wait for its deadline, or go on without it."""

@@ -14,8 +14,8 @@ client's frames, scs in the server's). Numbers are little-endian. CiA 301 v4.2.0
     t toggle   n unused bytes   c no more segments   e expedited   s size (n or the size field) is indicated   x reserved
 
 `REQUESTS` and `RESPONSES` say by the command byte what a frame is (`SdoFrame`). What takes frames apart beside the transfers
-themselves (the observer, the conformance cases, a client that hears others) does it by these tables and by the functions behind
-them. The transfers look at the bits themselves: each frame of the bus passes there.
+themselves (the observer, the conformance cases, the faults of a `World`, a client that hears others) does it by these tables and
+by the functions behind them. The transfers look at the bits themselves: each frame of the bus passes there.
 
 Download = client to server. Reserved bits are sent as 0 and not looked at. e = 1, s = 0 is expedited data of unspecified size,
 all four bytes; e = 0, s = 0 a segmented transfer whose size is not announced.

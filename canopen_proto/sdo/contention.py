@@ -132,7 +132,7 @@ class OtherClient:
 
     def _note(self, name: bytes, ours: Transfer | None) -> None:
         """Note the name of an object whose answer may come."""
-        self._is_twofold = name in self._names or (ours is not None and name == ours.first[1:4])
+        self._is_twofold = name in self._names or (ours is not None and name == ours.name)
         self._is_ambiguous |= bool(self._names) or self._is_twofold
         if len(self._names) <= MAX_NAMES:
             self._names.add(name)
@@ -180,11 +180,11 @@ class OtherClient:
             return False
         asked = REQUESTS[transfer.first[0]]
         is_one_frame = asked is SdoFrame.UPLOAD or (asked is SdoFrame.DOWNLOAD and bool(transfer.first[0] & EXPEDITED_BIT))
-        return is_one_frame and transfer.first[1:4] not in self._names and len(self._names) <= MAX_NAMES
+        return is_one_frame and transfer.name not in self._names and len(self._names) <= MAX_NAMES
 
     def may_answer(self, transfer: Transfer) -> bool:
         """Return whether answers to a stranger may meet this request of ours."""
-        is_named = transfer.first[1:4] in self._names or len(self._names) > MAX_NAMES
+        is_named = transfer.name in self._names or len(self._names) > MAX_NAMES
         return bool(self.last) and (self.last[0] != ABORT or is_named)
 
     def goes_first(self, now: Time) -> None:
@@ -247,4 +247,4 @@ def is_own_refusal(transfer: Transfer, data: bytes) -> bool:
     """Return whether an abort of the server is its refusal of our request, and not a stranger's doing. data: of the abort, eight
     bytes."""
     is_believed = isinstance(transfer, Contested) and transfer.believes
-    return is_believed and data[1:4] == transfer.first[1:4] and data[7] != SERVICE_ERROR
+    return is_believed and data[1:4] == transfer.name and data[7] != SERVICE_ERROR

@@ -34,17 +34,21 @@ class SegmentedTransfer(Transfer):
 class SegmentReceiver(SegmentedTransfer):
     """The side that gets the data: the client in an upload, the server in a download. Subclasses say what is done with them."""
 
-    __slots__ = ("_announced", "_buffer", "_limit", "_piece_size")
+    __slots__ = ("_announced", "_buffer", "_frames", "_limit", "_piece_size", "_size")
 
-    # From `_start` on
+    # From `_start` on. `_take` empties the two buffers.
     _announced: int  # bytes that are still to come, or UNKNOWN_SIZE
-    _buffer: bytearray
-    _limit: int  # of _buffer
-    _piece_size: int  # of _buffer, from which on it is handed over
+    _size: int  # bytes that came
+    _buffer: bytearray  # their first ones
+    _frames: bytearray  # full segments behind these, as whole frames: without a copy of each one's data
+    _limit: int  # of _size
+    _piece_size: int  # of _size, from which on they are handed over
 
     def _start(self, specifier: int, size: int, limit: int, piece_size: int, reply: Frame, now: Time) -> None:
         """Send `reply`, and wait for the first segment. size: as announced, or UNKNOWN_SIZE; then `limit` counts."""
         self._buffer = bytearray()
+        self._frames = bytearray()
+        self._size = 0
         self._announced = size
         self._limit = limit if size == UNKNOWN_SIZE else size
         self._piece_size = piece_size
@@ -66,9 +70,15 @@ class SegmentReceiver(SegmentedTransfer):
             return False
         end = self.end
         reply = end.replies[due >> 4 & 1]
-        buffer = self._buffer
-        buffer += data[1:] if command == due else data[1 : 8 - (command >> 1 & 7)]
-        size = len(buffer)
+        if command == due:  # seven bytes, and others follow
+            frames = self._frames
+            frames += data
+            size = self._size + 7
+        else:
+            self._unpack()
+            self._buffer += data[1 : 8 - (command >> 1 & 7)]
+            size = len(self._buffer)
+        self._size = size
         if size > self._limit:
             self.abort(AbortCode.OUT_OF_MEMORY if self._announced == UNKNOWN_SIZE else AbortCode.LENGTH_TOO_HIGH)
         elif command & LAST:
@@ -76,18 +86,36 @@ class SegmentReceiver(SegmentedTransfer):
                 self.abort(AbortCode.LENGTH_TOO_LOW)
             else:
                 end.last = data
-                self._complete(bytes(buffer), reply, now)
+                self._complete(self._take(), reply, now)
         elif command & 0x0E == 0x0E:  # no data and yet not the last: without this a transfer might never end
             self.abort(AbortCode.INVALID_COMMAND)
         else:
             end.last = data
             self.due = due ^ TOGGLE
             if size >= self._piece_size:
-                self._hand_over(bytes(buffer), reply, now)
+                self._hand_over(self._take(), reply, now)
             else:
                 end.out.frames.append(reply)
                 self.deadline = now + end.timeout
         return True
+
+    def _unpack(self) -> None:
+        """Move the data of the full segments into the buffer."""
+        frames = self._frames
+        del frames[::8]  # the command byte of each
+        if self._buffer:
+            self._buffer += frames
+            frames.clear()
+        else:  # nearly always: no second copy of a large object
+            self._frames, self._buffer = self._buffer, frames
+
+    def _take(self) -> bytes:
+        """Return all that came, and hold it no longer."""
+        self._unpack()
+        content = bytes(self._buffer)
+        self._buffer.clear()
+        self._size = 0
+        return content
 
     # ---- what subclasses say ----
 

@@ -17,11 +17,11 @@ from canopen_proto.machine import LocalProtocolError, RequestId, Time
 from canopen_proto.sdo.block import MAX_SIZE
 from canopen_proto.sdo.codec import (
     ABORT,
-    DOWNLOAD_SEGMENT,
     DOWNLOAD_SEGMENT_RESPONSE,
     EXPEDITED,
     EXPEDITED_BIT,
     EXPEDITED_BITS,
+    HEADS,
     INITIATE,
     INITIATE_DOWNLOAD,
     INITIATE_DOWNLOAD_RESPONSE,
@@ -54,7 +54,7 @@ class Upload(SegmentReceiver):
             first = INITIATE.pack(INITIATE_UPLOAD, index, subindex, 0)
         except struct.error:
             raise impossible("upload", index, subindex) from None
-        super().__init__(end, index, subindex, first)
+        Transfer.__init__(self, end, index, subindex, first)
         self._most = most
 
     def again(self) -> Transfer:
@@ -62,7 +62,7 @@ class Upload(SegmentReceiver):
 
     def _on_answer(self, command: int, data: bytes, now: Time) -> bool:
         """The server answers with the value, or with its size and segments to come. 7.2.4.3.6"""
-        if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.first[1:4]:
+        if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.name:
             return False
         end = self.end
         end.last = data
@@ -85,19 +85,28 @@ class Upload(SegmentReceiver):
         self.state = OVER
 
 
+def question_about(index: int) -> bytes:
+    """Return the initiate frame of a question about an object: it reads its sub 0."""
+    return INITIATE.pack(INITIATE_UPLOAD, index, 0, 0)
+
+
 class Question(Transfer):
-    """Read an object whose value nobody wants, before a request in doubt: see client.py. It has no outcome."""
+    """Read an object whose value nobody wants, before a request in doubt: see client.py. It has no outcome.
 
-    __slots__ = ()
+    A client asks one question for each write that is repeated, so it keeps this object, and its frame.
+    """
 
-    def __init__(self, end: ChannelEnd, index: int) -> None:
-        """index: of that object, at sub 0."""
-        super().__init__(end, index, 0, INITIATE.pack(INITIATE_UPLOAD, index, 0, 0))
+    __slots__ = ("frame",)
+
+    def __init__(self, end: ChannelEnd, first: bytes) -> None:
+        """first: of `question_about`."""
+        super().__init__(end, first[1] | first[2] << 8, 0, first)
         self.request_id = NOBODY
         self.is_urgent = False
+        self.frame = Frame(end.can_id, first, end.flags, 8)
 
     def receive(self, command: int, data: bytes, frame: Frame, now: Time) -> bool:
-        if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.first[1:4]:
+        if command & SPECIFIER != INITIATE_UPLOAD_RESPONSE or data[1:4] != self.name:
             return False
         end = self.end
         end.last = data
@@ -125,7 +134,7 @@ class Download(SegmentedTransfer):
                 first = INITIATE.pack(INITIATE_DOWNLOAD | SIZE_BIT, index, subindex, size)
         except struct.error:
             raise impossible("download", index, subindex) from None
-        super().__init__(end, index, subindex, first)
+        Transfer.__init__(self, end, index, subindex, first)  # `super()` would take as long as half of it
         self._content = content
         self._offset = 0  # what has been sent
 
@@ -143,7 +152,7 @@ class Download(SegmentedTransfer):
                 self._send_segment(now)
                 return True
         else:  # 7.2.4.3.3
-            if command & SPECIFIER != INITIATE_DOWNLOAD_RESPONSE or data[1:4] != self.first[1:4]:
+            if command & SPECIFIER != INITIATE_DOWNLOAD_RESPONSE or data[1:4] != self.name:
                 return False
             end.last = data
             self.is_answered = True
@@ -158,10 +167,11 @@ class Download(SegmentedTransfer):
 
     def _send_segment(self, now: Time) -> None:
         """Send the next one, with the other toggle than the last response. 7.2.4.3.4"""
-        end = self.end
+        end, content, offset = self.end, self._content, self._offset
         self.due = due = self.due ^ TOGGLE
-        payload = segment(DOWNLOAD_SEGMENT | due & TOGGLE, self._content, self._offset)
-        self._offset += 7
+        self._offset = behind = offset + 7
+        toggle = due & TOGGLE
+        payload = HEADS[toggle] + content[offset:behind] if behind < len(content) else segment(toggle, content, offset)
         end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
         self.deadline = now + end.timeout
 

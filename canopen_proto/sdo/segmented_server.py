@@ -24,6 +24,7 @@ from canopen_proto.sdo.codec import (
     DOWNLOAD_SEGMENT,
     EXPEDITED,
     EXPEDITED_BITS,
+    HEADS,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD_RESPONSE,
@@ -101,16 +102,18 @@ class ServerUpload(SegmentedTransfer):
         if command & ~0x0F != due or self.state is not SEGMENTS:
             return False
         end, content, offset = self.end, self._content, self._offset
-        if self._more and len(content) - offset <= 7:  # the segment may be the last one, or not
+        if self._more and len(content) <= offset + 7:  # the segment may be the last one, or not
             end.last = data
             self.state = HELD
             self._door.ask(self)
             self.deadline = now + end.stream_timeout
             return True
-        payload = segment(due & TOGGLE, content, offset)
+        size = len(content)
+        behind = offset + 7
+        payload = HEADS[due & TOGGLE] + content[offset:behind] if behind < size else segment(due & TOGGLE, content, offset)
         end.out.frames.append(Frame(end.can_id, payload, end.flags, 8))
-        self._offset = offset = offset + 7
-        if offset >= len(content):
+        self._offset = behind
+        if behind >= size:
             self.state = OVER
         else:
             end.last = data
@@ -150,7 +153,6 @@ class ServerDownload(SegmentReceiver):
 
     def _hand_over(self, piece: bytes, reply: Frame, now: Time) -> None:
         size = len(piece)
-        self._buffer = bytearray()
         self._limit -= size
         if self._announced != UNKNOWN_SIZE:
             self._announced -= size

@@ -46,10 +46,14 @@ from canopen_proto.sdo.block_server import ServerBlockDownload
 from canopen_proto.sdo.codec import (
     BLOCK_SIZE_BIT,
     BLOCK_UPLOAD,
+    EXPEDITED,
     EXPEDITED_BIT,
+    EXPEDITED_BITS,
     INITIATE,
     INITIATE_DOWNLOAD_RESPONSE,
+    INITIATE_UPLOAD_RESPONSE,
     LEAST_REQUEST,
+    MAX_EXPEDITED,
     MULTIPLEXER,
     SIZE,
     SIZE_BIT,
@@ -251,6 +255,11 @@ class SdoServer(ChannelEnd):
             return
         content = self._door.store.read(index, subindex, now)
         if isinstance(content, bytes):
+            size = len(content)
+            if 0 < size <= MAX_EXPEDITED and command < BLOCK_UPLOAD:  # what is read most: `answer_upload` without its call
+                payload = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[size], index, subindex, content)
+                self.out.frames.append(Frame(self.can_id, payload, self.flags, 8))
+                return
             transfer = answer_upload(self, index, subindex, data, self._door, content, False, now)
             if transfer is not None:
                 self._follow(transfer)
@@ -269,7 +278,10 @@ class SdoServer(ChannelEnd):
         if command & EXPEDITED_BIT and not is_block:
             unused = command >> 2 & 3 if command & SIZE_BIT else self._surplus(index, subindex)
             content = data[4 : 8 - unused]
-            answer = Frame(self.can_id, INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0), self.flags, 8)
+            answer = self.confirmation
+            if answer.data[1:4] != data[1:4]:  # else it is the one of the write before, of the same object
+                payload = INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, index, subindex, 0)
+                answer = self.confirmation = Frame(self.can_id, payload, self.flags, 8)
             result = self._door.store.write(index, subindex, content, now)
             if result is None:
                 self.out.events.append(ObjectWritten(self.node_id, index, subindex))

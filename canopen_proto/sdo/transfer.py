@@ -41,6 +41,7 @@ from canopen_proto.sdo.codec import (
     BLOCK_UPLOAD,
     DOWNLOAD_SEGMENT_RESPONSE,
     INITIATE,
+    INITIATE_DOWNLOAD_RESPONSE,
     INITIATE_UPLOAD,
     SPECIFIER,
     TOGGLE,
@@ -80,12 +81,13 @@ class ChannelEnd(Machine):
 
     channel: client to server, server to client; None if there is none. last: the last frame that was accepted from the other
     side; empty once its second copy was seen. replies: by the toggle of a segment that came, 0 or 1, what is sent for it: the
-    request of the next one, or the acknowledgement. All four are read-only outside.
+    request of the next one, or the acknowledgement. confirmation: of a server, what was sent for the last expedited write. All
+    five are read-only outside.
     """
 
     __slots__ = (
-        "_hears", "_is_server", "block_size", "burst_interval", "can_id", "channel", "copy_guard", "crc", "flags", "last",
-        "max_burst", "node_id", "replies", "stream_timeout", "timeout",
+        "_hears", "_is_server", "block_size", "burst_interval", "can_id", "channel", "confirmation", "copy_guard", "crc", "flags",
+        "last", "max_burst", "node_id", "replies", "stream_timeout", "timeout",
     )  # fmt: skip
 
     def __init__(
@@ -131,20 +133,22 @@ class ChannelEnd(Machine):
         reply = DOWNLOAD_SEGMENT_RESPONSE if self._is_server else UPLOAD_SEGMENT | TOGGLE
         payloads = (bytes((reply ^ toggle,)).ljust(8, b"\x00") for toggle in (0, TOGGLE))
         self.replies: tuple[Frame, ...] = tuple(Frame(can_id, payload, flags) for payload in payloads)
+        self.confirmation = Frame(can_id, INITIATE.pack(INITIATE_DOWNLOAD_RESPONSE, 0, 0, 0), flags)
 
 
 class Transfer:
     """One transfer, under way or waiting; see this module's text.
 
-    first: the data of the initiate request. request_id, is_urgent: of a client's request. deadline: once it is under way, until
-    it is over. is_answered: the other side has answered the initiate frame: it has nothing more to say about transfers before.
-    is_given_up: it ended, and an answer may still come. instead: the transfer that goes on when this one is over, if one does.
-    plain: what a client falls back on if the server refuses block transfer, if it may.
+    first: the data of the initiate request. name: the three bytes of it that name the object. request_id, is_urgent: of a
+    client's request. deadline: once it is under way, until it is over. is_answered: the other side has answered the initiate
+    frame: it has nothing more to say about transfers before. is_given_up: it ended, and an answer may still come. instead: the
+    transfer that goes on when this one is over, if one does. plain: what a client falls back on if the server refuses block
+    transfer, if it may.
     """
 
     __slots__ = (
-        "deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "is_urgent", "plain", "request_id", "state",
-        "subindex",
+        "deadline", "end", "first", "index", "instead", "is_answered", "is_given_up", "is_urgent", "name", "plain", "request_id",
+        "state", "subindex",
     )  # fmt: skip
 
     is_with_host: ClassVar[bool] = False
@@ -163,6 +167,7 @@ class Transfer:
         self.index = index
         self.subindex = subindex
         self.first = first
+        self.name = first[1:4]
         self.state = INITIATED
         self.is_answered = False
         self.is_given_up = False
