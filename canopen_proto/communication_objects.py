@@ -58,6 +58,8 @@ MIN_SYNC_PERIOD_US: Final = 100
 _TIME_BITS: Final = PRODUCES | CONSUMES
 
 ERROR_REGISTER: Final = mux(indices.ERROR_REGISTER)
+_SHOWN: Final = (indices.ERROR_REGISTER, indices.PREDEFINED_ERROR_FIELD)
+"""What the EMCY producer holds, and the values show when they are read."""
 ERROR_HISTORY: Final = mux(indices.PREDEFINED_ERROR_FIELD)
 COB_ID_SYNC: Final = mux(indices.COB_ID_SYNC)
 CYCLE_PERIOD: Final = mux(indices.COMMUNICATION_CYCLE_PERIOD)
@@ -192,6 +194,8 @@ class CommunicationObjects(Owner):
 
     def refresh(self, index: int, subindex: int) -> AbortCode | None:
         """Copy 0x1001 or 0x1003 into the values before a read. Returns NO_DATA for an entry of 0x1003 beyond the last error."""
+        if index not in _SHOWN:
+            return None
         store = self.values.store
         if index == indices.ERROR_REGISTER and self._has_room(indices.ERROR_REGISTER, 0, BYTE):
             store[ERROR_REGISTER] = self.emcy.error_register

@@ -43,6 +43,8 @@ EPOCH: Final = datetime.datetime(1984, 1, 1, tzinfo=datetime.UTC)
 
 _MS_PER_DAY: Final = 86_400_000
 _TIME = struct.Struct("<IH")
+_LETTERS: Final = {1: "b", 2: "h", 4: "i", 8: "q"}
+"""By size in bytes: how `struct` calls a signed integer."""
 
 
 class DataType(IntEnum):
@@ -220,13 +222,40 @@ class _Integer(Codec):
         try:
             return value.to_bytes(self.width, "little", signed=self.signed)
         except OverflowError:
-            limits = f"{self.low}..{self.high}"
-            raise ValueRangeError(f"{name}: {_show(value)} is outside {limits} ({self.data_type.name})") from None
+            raise self.out_of_range(value, name) from None
 
     def decode(self, data: bytes, name: object) -> int:
         if len(data) != self.width:
             raise self.wrong_length(data, name, self.width)
         return int.from_bytes(data, "little", signed=self.signed)
+
+    def out_of_range(self, value: object, name: object) -> ValueRangeError:
+        return ValueRangeError(f"{name}: {_show(value)} is outside {self.low}..{self.high} ({self.data_type.name})")
+
+
+class _MachineInteger(_Integer):
+    """An integer of 1, 2, 4 or 8 bytes, as nearly all are: `struct` takes half the time for these."""
+
+    __slots__ = ("layout",)
+
+    def __init__(self, data_type: DataType, size: int, signed: bool) -> None:
+        super().__init__(data_type, size, signed)
+        letter = _LETTERS[size]
+        self.layout = struct.Struct("<" + (letter if signed else letter.upper()))
+
+    def encode(self, value: Value, name: object) -> bytes:
+        if not isinstance(value, int):
+            raise self.wrong_kind(value, name, "an integer")
+        try:
+            return self.layout.pack(value)
+        except struct.error:
+            raise self.out_of_range(value, name) from None
+
+    def decode(self, data: bytes, name: object) -> int:
+        if len(data) != self.width:
+            raise self.wrong_length(data, name, self.width)
+        value: int = self.layout.unpack(data)[0]
+        return value
 
 
 class _Real(Codec):
@@ -356,7 +385,10 @@ _INTEGER_TYPES: Final[dict[tuple[int, bool], DataType]] = {
 
 _CODECS: Final[dict[DataType, Codec]] = {
     DataType.BOOLEAN: _Boolean(),
-    **{data_type: _Integer(data_type, size, signed) for (size, signed), data_type in _INTEGER_TYPES.items()},
+    **{
+        data_type: (_MachineInteger if size in _LETTERS else _Integer)(data_type, size, signed)
+        for (size, signed), data_type in _INTEGER_TYPES.items()
+    },
     DataType.REAL32: _Real(DataType.REAL32, "<f"),
     DataType.REAL64: _Real(DataType.REAL64, "<d"),
     DataType.VISIBLE_STRING: _VisibleString(DataType.VISIBLE_STRING, None, ""),

@@ -68,22 +68,23 @@ class OutageChanged(Event):
 class Network:
     """All machines of one participant on one bus.
 
-    quiet: the driver sets it while nobody asks for PdoReceived and HeartbeatReceived. `receive_many` then makes neither where a
-    node has taken all that they say (values, state, supervision), unless a procedure runs. bits: of all frames that came by
-    `receive_many`, about (FRAME_BITS).
+    quiet: the driver sets it while nobody asks for PdoReceived and HeartbeatReceived. `receive` and `receive_many` then make
+    neither where a node has taken all that they say (values, state, supervision), unless a procedure waits for one of them. bits:
+    of all frames that came by `receive_many`, about (FRAME_BITS).
     """
 
     __slots__ = (
-        "_back_at", "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_members", "_near", "_now", "_reactions",
-        "_routes", "_settled", "_tasks", "_times", "bits", "out", "quiet", "runner",
+        "_back_at", "_dropped", "_followers", "_frames", "_heap", "_knowledge", "_lone", "_members", "_now", "_reactions",
+        "_routes", "_sent", "_settled", "_tasks", "_times", "_told", "bits", "out", "quiet", "runner",
     )  # fmt: skip
 
     def __init__(self, runner: Runner | None = None) -> None:
         """runner: that of another Network, so that procedures can span several buses; by default one of its own."""
         self.out = Outbox()
+        self._sent, self._told = self.out.frames, self.out.events  # asked for at each drain
         self._members = Members(self.out, SLOTS)
         # As near as can be: looked at for each frame
-        self._near, self._routes, self._heap = self._members.near, self._members.receivers, self._members.heap
+        self._lone, self._routes, self._heap = self._members.lone, self._members.receivers, self._members.heap
         self._followers: dict[Machine, Follower] = {}
         self._now: Time = -NEVER  # the last time seen; a clock may begin anywhere
         self._back_at: Time = -NEVER
@@ -128,26 +129,34 @@ class Network:
         if now < self._now:
             now = self._now  # a clock that ran back counts as the last time seen
         self._now = now
-        out = self.out
-        if out.rerouted:
+        if self.out.rerouted:
             self._members.refresh()
+        events, root = self._told, self.out.root
         if timestamp is not None:
-            out.root.timestamp = timestamp
+            root.timestamp = timestamp
+        # Whoever is told of what was reported may ask for what comes behind it
+        root.quiet = self.quiet and not events and self._nobody_waits()
         key = frame.key
-        for machine in self._near[key] if key < SLOTS else self._routes.get(key, ()):
+        machine = self._lone[key] if key < SLOTS else None
+        if machine is not None:
             machine.receive(frame, now)
-        events, settled = out.events, self._settled
-        if settled < len(events):  # a segment of a transfer reports nothing
-            while settled < len(events):  # as `_settle` does, without a call
-                reaction = self._reactions.get(type(events[settled]))
-                if reaction is not None:
-                    reaction(events[settled], now)
+        elif key in self._routes:
+            for each in self._routes[key]:
+                each.receive(frame, now)
+        root.quiet = False
+        if events:  # a segment of a transfer reports nothing
+            settled, count, reactions = self._settled, len(events), self._reactions
+            while settled < count:  # as `_settle` does, without a call
+                kind = type(events[settled])
+                if kind in reactions:
+                    reactions[kind](events[settled], now)
+                    count = len(events)
                 settled += 1
             self._settled = settled
             if settled > MAX_UNDRAINED_EVENTS:
                 self._shed()
         if timestamp is not None:
-            out.root.timestamp = None
+            root.timestamp = None
         if key < SLOTS:
             self._times[key] = now
             self._frames[key] = frame
@@ -158,14 +167,15 @@ class Network:
         """Hand over received frames, as `receive` does one after the other. received: frames with their time stamps.
 
         Stops behind the first item that is no such pair, and returns it; None if there is none. After an exception (a bug of the
-        core), `received` still has the items after the one that caused it.
+        core), `received` still has the items after the one that caused it. Networks that share a Runner are drained between two
+        bursts: what one of them tells may make a procedure wait for what comes on another.
         """
         if now < self._now:
             now = self._now
         self._now = now
-        out, near, times, frames, reactions = self.out, self._near, self._times, self._frames, self._reactions
-        root, events, costs = out.root, out.events, FRAME_BITS
-        root.quiet = self.quiet and not self._tasks
+        out, lone, times, frames, reactions = self.out, self._lone, self._times, self._frames, self._reactions
+        root, events, routes, costs = out.root, out.events, self._routes, FRAME_BITS
+        root.quiet = self.quiet and self._nobody_waits()
         bits = 0
         try:
             for item in received:
@@ -177,15 +187,20 @@ class Network:
                 if out.rerouted:
                     self._members.refresh()
                 key = frame.key
-                for machine in near[key] if key < SLOTS else self._routes.get(key, ()):
+                machine = lone[key] if key < SLOTS else None
+                if machine is not None:
                     machine.receive(frame, now)
-                settled = self._settled
-                if settled < len(events):
+                elif key in routes:
+                    for each in routes[key]:
+                        each.receive(frame, now)
+                settled, count = self._settled, len(events)
+                if settled < count:
                     root.quiet = False  # whoever is told of this may ask for what comes behind it
-                    while settled < len(events):  # as in `receive`: a call would cost as much as all of it
-                        reaction = reactions.get(type(events[settled]))
-                        if reaction is not None:
-                            reaction(events[settled], now)
+                    while settled < count:  # as in `receive`: a call would cost as much as all of it
+                        kind = type(events[settled])
+                        if kind in reactions:
+                            reactions[kind](events[settled], now)
+                            count = len(events)
                         settled += 1
                     self._settled = settled
                     if settled > MAX_UNDRAINED_EVENTS:
@@ -200,6 +215,11 @@ class Network:
             root.timestamp = None
             root.quiet = False
         return None
+
+    def _nobody_waits(self) -> bool:
+        """Return whether no procedure waits for the events of the usual traffic, or may do so once it is told of what was
+        reported."""
+        return not (self._tasks and (self.out.events or self.runner.waits_for_the_usual))
 
     @property
     def last_heard(self) -> Time | None:
@@ -255,13 +275,15 @@ class Network:
 
     def next_deadline(self) -> Time:
         """Return when to call `handle_timeout`: perhaps early, never late; NEVER if nothing waits. O(1) if nothing changed."""
-        if self.out.armed or self.out.rerouted:
+        out = self.out
+        if out.armed or out.rerouted:
             self._members.refresh()
         return self._heap[0][0] if self._heap else NEVER
 
     def handle_timeout(self, now: Time) -> None:
         """Wake every machine whose deadline has come. Early calls do nothing."""
-        now = max(now, self._now)
+        if now < self._now:
+            now = self._now
         self._now = now
         self._members.handle_timeout(now)
         if len(self.out.events) > self._settled:
@@ -274,18 +296,16 @@ class Network:
         if now < self._now:
             now = self._now
         self._now = now
-        out = self.out
-        frames, events = out.frames, out.events
-        if len(events) > self._settled:
-            self._settle(now)
-        if self._tasks:
-            self._feed(now)
-        to_send: list[Frame]
+        frames, events = self._sent, self._told
+        if events:  # a segment of a transfer tells nothing
+            if len(events) > self._settled:
+                self._settle(now)
+            if self._tasks:
+                self._feed(now)
+        to_send: list[Frame] = []
         if frames:  # a frame that was received seldom leads to both: what is empty need not be copied and cleared
-            to_send = frames.copy()
+            to_send += frames
             frames.clear()
-        else:
-            to_send = []
         if not events:
             return to_send, []
         to_deliver = events.copy()
@@ -310,6 +330,7 @@ class Network:
         """Start a procedure (see `canopen_proto.procedures`); ProcedureFinished, -Failed or -Cancelled follows with this id."""
         now = max(now, self._now)
         self._now = now
+        self.out.root.quiet = False  # in the middle of a burst it may ask for what comes behind
         request_id = self.runner.start(procedure, now)
         self._settle(now)
         return request_id

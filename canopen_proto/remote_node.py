@@ -10,6 +10,9 @@ holds
 - `held`: the RPDOs whose data may wait in the device for the next SYNC, which would undo a write by SDO. So a `write` of an
   object in `commanded` (a controlword) first sends each such RPDO with this object again, with the new value: the next SYNC then
   brings the last command;
+- `unread_pdos`: the PDOs that were exchanged as the device had them, and whose CAN-ID or mapping we have written since. What
+  their bytes mean is not known: such a TPDO is not received, such an RPDO not sent, until `add_tpdo` or `add_rpdo` says what they
+  are now. A PDO that its user has described stays as described;
 - `foreign_writes`: what other masters write to the node; it hears nothing unless it is asked to;
 - `nmt_state`: the state in its heartbeat; without a heartbeat, the state that we commanded. A heartbeat right after a command may
   have been sent before it: the command counts until NMT_REACTION_TIME is over. A node whose heartbeat is lost keeps its state.
@@ -37,7 +40,15 @@ from canopen_proto.datatypes import Codec, Value, ValueRangeError
 from canopen_proto.dictionary import Direction, Key, Message, ObjectDictionary, PdoDescription, Values, Variable
 from canopen_proto.emcy import EmcyConsumer
 from canopen_proto.foreign_writes import ForeignWrites
-from canopen_proto.frame import KEY_EXTENDED, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame, RoutingKey, routing_key
+from canopen_proto.frame import (
+    KEY_EXTENDED,
+    SDO_CLIENT_TO_SERVER,
+    SDO_SERVER_TO_CLIENT,
+    Frame,
+    RoutingKey,
+    key_of_cob_id,
+    routing_key,
+)
 from canopen_proto.group import Entrance, Group
 from canopen_proto.guarding import GuardingMaster, NodeGuardingLost
 from canopen_proto.heartbeat import HeartbeatConsumer, HeartbeatLost, HeartbeatReceived, NodeBooted
@@ -48,7 +59,7 @@ from canopen_proto.pdo.consumer import PdoConsumer, PdoReceived
 from canopen_proto.pdo.mapping import Mapping
 from canopen_proto.pdo.multiplexed import MpdoListener, MpdoReceived, destination_frame, suits_mpdo
 from canopen_proto.pdo.producer import HeldRpdos, PdoProducer
-from canopen_proto.pdo.settings import MAX_PDOS
+from canopen_proto.pdo.settings import COB_ID, FIRST_PDO_RECORD, LAST_PDO_RECORD, MAX_PDOS, place_of
 from canopen_proto.sdo.client import Block, SdoAborted, SdoClient, SdoDownloaded, SdoUploaded
 from canopen_proto.sdo.transfer import Channel
 
@@ -71,6 +82,7 @@ class RemoteNode(Group):
         "_listeners",
         "_mpdo_listener",
         "_mpdo_rpdos",
+        "_read_pdos",
         "_sync_listeners",
         "_wanted",
         "_writes",
@@ -86,10 +98,12 @@ class RemoteNode(Group):
         "last_sync",
         "nmt_state",
         "node_id",
+        "pdo_writes",
         "rpdos",
         "sdo",
         "sdo_channels",
         "tpdos",
+        "unread_pdos",
         "values",
     )
 
@@ -120,6 +134,9 @@ class RemoteNode(Group):
         self.guarding = GuardingMaster(self.inner, node_id)
         self.rpdos: dict[int, PdoProducer] = {}
         self.tpdos: dict[int, PdoConsumer] = {}
+        self.unread_pdos: set[tuple[Direction, int]] = set()
+        self._read_pdos: set[tuple[Direction, int]] = set()
+        self.pdo_writes = 0  # how often we have written a CAN-ID or a mapping: what was read meanwhile may be half old, half new
         self._mpdo_listener = MpdoListener(self.inner, node_id, self.values)
         self._mpdo_rpdos: dict[int, RoutingKey] = {}  # RPDO number -> key
         self.foreign_writes = ForeignWrites(self.inner, node_id, dictionary, self.rpdos)
@@ -299,22 +316,26 @@ class RemoteNode(Group):
             return self.add_tpdo(number, key, mapping, now)
         return self.add_rpdo(number, key, mapping, transmission_type)
 
-    def add_tpdo(self, number: int, key: RoutingKey, mapping: Mapping, now: Time) -> PdoConsumer:
+    def add_tpdo(self, number: int, key: RoutingKey, mapping: Mapping, now: Time, *, is_read: bool = False) -> PdoConsumer:
         """Receive the device's TPDO `number` (1..512) on a CAN-ID (a routing key). mapping: its objects; their values go to
-        `values`. It replaces the TPDO of this number."""
+        `values`. It replaces the TPDO of this number. is_read: that is how the device has it; see `unread_pdos`."""
         self._check_pdo(Direction.TPDO, number, key)
         self.remove_pdo(Direction.TPDO, number)
         consumer = PdoConsumer(self.inner, self.node_id, number, key, mapping, self.values.store)
         consumer.set_enabled(True, now)  # a TPDO that comes shows that the node is Operational, whoever started it
         self.tpdos[number] = consumer
+        if is_read:
+            self._read_pdos.add((Direction.TPDO, number))
         self._members.attach(consumer)
         self._reroute()
         return consumer
 
-    def add_rpdo(self, number: int, key: RoutingKey, mapping: Mapping, transmission_type: int = 1) -> PdoProducer:
+    def add_rpdo(
+        self, number: int, key: RoutingKey, mapping: Mapping, transmission_type: int = 1, *, is_read: bool = False
+    ) -> PdoProducer:
         """Send the device's RPDO `number` (1..512) on a CAN-ID (a routing key), once `enable_rpdo` was called. mapping: its
         objects; their values are taken from `values`. transmission_type: 1..240 = sent at every n-th SYNC, 254 and 255 = when
-        triggered. It replaces the RPDO of this number."""
+        triggered. It replaces the RPDO of this number. is_read: that is how the device has it; see `unread_pdos`."""
         self._check_pdo(Direction.RPDO, number, key)
         before = self.rpdos.get(number)
         self.remove_pdo(Direction.RPDO, number)
@@ -322,6 +343,8 @@ class RemoteNode(Group):
         if before is not None and (before.key, before.mapping.entries) == (producer.key, mapping.entries):
             producer.sent_at = before.sent_at  # the device may still hold the data of the one before
         self.rpdos[number] = producer
+        if is_read:
+            self._read_pdos.add((Direction.RPDO, number))
         self._members.attach(producer)
         self.foreign_writes.renew()
         return producer
@@ -338,6 +361,8 @@ class RemoteNode(Group):
     def remove_pdo(self, direction: Direction, number: int) -> None:
         """Stop exchanging this PDO or MPDO; does nothing if it is not exchanged. direction: as the device sees it. number:
         1..512."""
+        self.unread_pdos.discard((direction, number))
+        self._read_pdos.discard((direction, number))
         machine = (self.tpdos if direction is Direction.TPDO else self.rpdos).pop(number, None)
         if machine is not None:
             self._members.detach(machine)
@@ -352,10 +377,14 @@ class RemoteNode(Group):
 
     def enable_rpdo(self, number: int, now: Time, enabled: bool = True) -> None:
         """Send an RPDO while the node is Operational, or stop it. Set `values` first: the next SYNC sends them. A boot of the
-        node stops it too. number: 1..512, of one that was added, else LocalProtocolError. enabled: False stops it."""
+        node stops it too. number: 1..512, of one that was added and is not in `unread_pdos`, else LocalProtocolError. enabled:
+        False stops it."""
         producer = self.rpdos.get(number)
         if producer is None:
             raise LocalProtocolError(f"node {self.node_id} has no RPDO {number} that we send; add_pdo makes one")
+        if enabled and (Direction.RPDO, number) in self.unread_pdos:
+            text = f"RPDO {number} of node {self.node_id} was set up anew by SDO, and not read since; exchange it again first"
+            raise LocalProtocolError(text)
         (self._wanted.add if enabled else self._wanted.discard)(number)
         producer.set_enabled(enabled and self.is_operational, now)
 
@@ -390,7 +419,8 @@ class RemoteNode(Group):
 
         Returns False, and changes nothing, if the device holds none.
         """
-        held = self.held.carrying(mux, self.rpdos.values())
+        known = [each for number, each in self.rpdos.items() if (Direction.RPDO, number) not in self.unread_pdos]
+        held = self.held.carrying(mux, known)
         if held:
             self.values.store[mux] = value
         for producer in held:
@@ -543,7 +573,7 @@ class RemoteNode(Group):
         if variable is None or self._is_ours(variable.mux):
             return
         try:
-            value = variable.decode(report.data)
+            value = variable.codec.decode(report.data, variable)
         except ValueRangeError:
             return  # a length that is not the object's: the caller that asked sees the bytes
         self._decoded = (report, variable.codec, value)
@@ -559,7 +589,10 @@ class RemoteNode(Group):
 
     def _on_downloaded(self, report: SdoDownloaded, now: Time) -> None:
         written, which = self._writes.pop(report.request_id, None), mux(report.index, report.subindex)
-        self._in_doubt.pop(which, None)
+        if self._in_doubt:
+            self._in_doubt.pop(which, None)
+        if FIRST_PDO_RECORD <= report.index <= LAST_PDO_RECORD:
+            self._on_pdo_written(report.index, report.subindex, None if written is None else written[1], now)
         if written is not None:
             self.values.store[which] = written[1]
         elif which in self.commanded:
@@ -567,8 +600,31 @@ class RemoteNode(Group):
 
     def _on_aborted(self, report: SdoAborted, now: Time) -> None:
         written, which = self._writes.pop(report.request_id, None), mux(report.index, report.subindex)
-        if report.not_confirmed and which in self.commanded:
-            self._in_doubt[which].add(None if written is None else written[1])
+        if report.not_confirmed:
+            if which in self.commanded:
+                self._in_doubt[which].add(None if written is None else written[1])
+            if FIRST_PDO_RECORD <= report.index <= LAST_PDO_RECORD:
+                self._on_pdo_written(report.index, report.subindex, None, now)
+
+    def _on_pdo_written(self, index: int, subindex: int, value: Value | None, now: Time) -> None:
+        """Exchange a PDO no more whose mapping or CAN-ID we have written, or may have written. value: None = unknown."""
+        place = place_of(index)
+        if place is None or not (place.is_mapping or subindex == COB_ID):
+            return
+        self.pdo_writes += 1
+        where = (place.direction, place.number)
+        if where not in self._read_pdos:
+            return
+        rpdo = self.rpdos[place.number] if place.direction is Direction.RPDO else None
+        key = self.tpdos[place.number].key if rpdo is None else rpdo.key
+        if not place.is_mapping and isinstance(value, int) and key_of_cob_id(value) == key:
+            return  # it is destroyed or created, on the CAN-ID that it has
+        if rpdo is not None:
+            self._wanted.discard(place.number)
+            rpdo.set_enabled(False, now)
+        else:
+            self.remove_pdo(Direction.TPDO, place.number)
+        self.unread_pdos.add(where)
 
 
 class _PdoEntrance(Entrance):
@@ -577,26 +633,19 @@ class _PdoEntrance(Entrance):
     That is for the usual frame: of the right length, whose data take effect at once. All others go the long way.
     """
 
-    __slots__ = ("_consumer", "_heard_at", "_listeners")
+    __slots__ = ("_consumer", "_heard_at", "_listeners", "_root")
 
     def __init__(self, node: RemoteNode, consumer: PdoConsumer) -> None:
         super().__init__(node, consumer)
         self._consumer = consumer
+        self._root = self.out.root
         self._heard_at = node.heard_at
         self._listeners = node._listeners
 
     def receive(self, frame: Frame, now: Time) -> None:
         consumer, data = self._consumer, frame.data
-        mapping, key = consumer.mapping, consumer.key
-        layout = mapping.layout
-        if (
-            layout is None
-            or key is None
-            or len(data) != mapping.byte_length
-            or consumer.synchronous
-            or consumer.event_time
-            or not consumer.enabled
-        ):
+        mapping, layout = consumer.mapping, consumer.at_once
+        if layout is None or len(data) != mapping.byte_length:
             super().receive(frame, now)
             return
         values = layout.unpack(data)
@@ -608,12 +657,16 @@ class _PdoEntrance(Entrance):
             store[each] = values[position]
             heard_at[each] = time
             position += 1  # noqa: SIM113 - as in `Mapping.unpack_into`
-        root, events = self.out.root, self._events
+        root = self._root
         if not root.quiet:
-            events.append(PdoReceived(consumer.node_id, consumer.number, key, mapping, data, values, root.timestamp))
+            report = PdoReceived(consumer.node_id, consumer.number, frame.key, mapping, data, values, root.timestamp)
+            self._events.append(report)
+        if not self._listeners:
+            return
+        events = self._events
         mark = len(events)
         for listener in self._listeners:
-            listener(mapping.muxes, now)
+            listener(muxes, now)
         while mark < len(events):  # what a listener has reported, as `Entrance.receive` does
             reaction = self._reactions.get(type(events[mark]))
             if reaction is not None:
@@ -627,11 +680,12 @@ class _HeartbeatEntrance(Entrance):
     That is for the usual frame: the state is the known one, and nothing was lost. All others go the long way.
     """
 
-    __slots__ = ("_consumer", "_node")
+    __slots__ = ("_consumer", "_node", "_root")
 
     def __init__(self, node: RemoteNode, consumer: HeartbeatConsumer) -> None:
         super().__init__(node, consumer)
         self._consumer = consumer
+        self._root = self.out.root
         self._node = node
 
     def receive(self, frame: Frame, now: Time) -> None:
@@ -643,7 +697,7 @@ class _HeartbeatEntrance(Entrance):
         node = self._node
         consumer.last_heard = now
         consumer._begun = True
-        root = self.out.root
+        root = self._root
         if not root.quiet:
             self._events.append(HeartbeatReceived(consumer.node_id, state, root.timestamp))
         timeout = consumer.timeout

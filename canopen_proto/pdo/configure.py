@@ -5,6 +5,7 @@
     use_device_pdo         one PDO, as the device has it
     exchange_device_pdos   all PDOs, as the device has them. Its mapping decides what the bytes of a PDO mean: if its file says
                            something else, values would be wrong and nobody would notice. So each difference is returned
+    renew_tpdos            those TPDOs that were exchanged until we set them up anew
 
 `configure_pdo` is the one that writes, in the sequence of CiA 301 v4.2.0, 7.5.2.36: destroy the PDO, disable its mapping, write
 the entries, their number and the transmission type, create the PDO. The old settings are read first. If a step is refused, or the
@@ -28,6 +29,7 @@ from canopen_proto.frame import RoutingKey
 from canopen_proto.machine import MILLISECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux, mapped, split_mux
 from canopen_proto.pdo.mapping import MAX_ENTRIES, Mapping, MappingError, entries_of
+from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.pdo.settings import (
     COB_ID,
     CYCLIC_TYPES,
@@ -90,14 +92,22 @@ class PdoNode(ObjectAccess, Protocol):
     """A node whose PDOs can be read, written and exchanged: a RemoteNode, which stands above this room."""
 
     sdo: SdoClient
+    pdo_writes: int
+    rpdos: dict[int, PdoProducer]
+    unread_pdos: set[tuple[Direction, int]]
 
     def add_pdo(self, description: PdoDescription, now: Time, *, number: int | None = None, transmission_type: int = 1) -> object:
         """See RemoteNode."""
 
-    def add_tpdo(self, number: int, key: RoutingKey, mapping: Mapping, now: Time) -> object:
+    def add_tpdo(self, number: int, key: RoutingKey, mapping: Mapping, now: Time, *, is_read: bool = False) -> object:
         """See RemoteNode."""
 
-    def add_rpdo(self, number: int, key: RoutingKey, mapping: Mapping, transmission_type: int = 1) -> object:
+    def add_rpdo(
+        self, number: int, key: RoutingKey, mapping: Mapping, transmission_type: int = 1, *, is_read: bool = False
+    ) -> object:
+        """See RemoteNode."""
+
+    def remove_pdo(self, direction: Direction, number: int) -> None:
         """See RemoteNode."""
 
 
@@ -107,9 +117,22 @@ class PdoNode(ObjectAccess, Protocol):
 def read_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
     """Read the present settings of a PDO of the device (number: 1..512), without its times. direction: as the device sees it.
 
-    Raises SdoTransferError if the device has no such PDO; InvalidPdoError or UnexpectedLengthError if its settings are
-    impossible.
+    It reads once more if we write a PDO of the node meanwhile. Raises SdoTransferError if the device has no such PDO;
+    InvalidPdoError or UnexpectedLengthError if its settings are impossible.
     """
+    while True:
+        writes = node.pdo_writes
+        try:
+            settings = yield from _read_pdo(node, direction, number)
+        except InvalidPdoError:
+            if writes == node.pdo_writes:
+                raise
+        else:
+            if writes == node.pdo_writes:
+                return settings
+
+
+def _read_pdo(node: PdoNode, direction: Direction, number: int) -> Procedure[PdoSettings]:
     communication, mapping = communication_index(direction, number), mapping_index(direction, number)
     cob_id = yield from _number(node, communication, COB_ID, 4)
     transmission_type = yield from _number(node, communication, TRANSMISSION_TYPE, 1)
@@ -132,6 +155,10 @@ def _number(node: PdoNode, index: int, subindex: int, size: int) -> Procedure[in
 
 def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings]:
     """Write the settings of a PDO to the device; return its old settings, with those times that were written.
+
+    A PDO that is exchanged as the device has it goes on with the new settings. A TPDO is received by its new mapping, and not at
+    all while it is written. An RPDO is sent again once it is enabled anew (`RemoteNode.enable_rpdo`). A PDO that its user has
+    described (`RemoteNode.add_pdo`) stays as described.
 
     The node must be Pre-operational for most devices. Raises PdoRefusedError, which names the step, the abort and the settings in
     force now; or, as `read_pdo` does, an error while reading the old settings: nothing was written then.
@@ -167,6 +194,7 @@ def configure_pdo(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings
                 message += f"; and its old settings could not be put back: {failed}"
                 raise PdoRefusedError(message, step=done + 1, restored=False) from refused
         raise PdoRefusedError(f"{message}; it has its old settings", step=done + 1, restored=True) from refused
+    yield from _renew(node, settings)
     return before
 
 
@@ -175,6 +203,22 @@ def _put_back(node: PdoNode, before: PdoSettings, settings: PdoSettings, done: i
     present = settings.cob_id if done == count - 1 else before.cob_id  # a strict device wants this COB-ID when it is destroyed
     for step in before.steps(present):
         yield from download(node.sdo, *step)
+    yield from _renew(node, before)
+
+
+def _renew(node: PdoNode, settings: PdoSettings) -> Procedure[None]:
+    """Go on with a PDO that was exchanged when its settings were written. settings: those that the device has now."""
+    if settings.place not in node.unread_pdos:
+        return
+    if not settings.is_valid or not settings.entries:
+        node.remove_pdo(*settings.place)
+        return
+    try:
+        mapping = _mapping_of(node, settings, lacks_objects=True)
+    except InvalidPdoError:
+        return  # it stays in `unread_pdos`: whoever exchanges it next is told why it cannot be
+    rpdo = node.rpdos.get(settings.number)  # one that is sent when it is triggered is not sent at each SYNC from now on
+    yield from _exchange(node, settings, mapping, sends_at_sync=rpdo is None or rpdo.transmission_type in CYCLIC_TYPES)
 
 
 def steps_to(node: PdoNode, settings: PdoSettings) -> Procedure[list[Write]]:
@@ -276,15 +320,41 @@ def exchange_device_pdos(node: PdoNode) -> Procedure[tuple[PdoDifference, ...]]:
                 raise
         except InvalidPdoError:
             continue  # an MPDO, or impossible settings: there is no mapping to use
+        if present is not None and direction is Direction.RPDO:
+            present = yield from _read_its_values(node, present)
         wanted = described.get((direction, number))
         if _key_and_objects(present) != _key_and_objects(wanted):
             differences.append(PdoDifference(direction, number, wanted, present))
         if present is not None:
             mapping = _mapping_of(node, present, lacks_objects=True)
-            if direction is Direction.RPDO:
-                yield from read_commanded(node, mapping.muxes)
             yield from _exchange(node, present, mapping, sends_at_sync=True)
+        elif (direction, number) in node.unread_pdos:
+            node.remove_pdo(direction, number)
     return tuple(differences)
+
+
+def renew_tpdos(node: PdoNode) -> Procedure[None]:
+    """Receive the TPDOs again that we have set up anew since they were read (`RemoteNode.unread_pdos`), as the device has them
+    now. One that is not valid at present stays there. RPDOs are left alone. Raises SdoTransferError, UnexpectedLengthError."""
+    for direction, number in sorted(each for each in node.unread_pdos if each[0] is Direction.TPDO):
+        try:
+            settings = yield from read_pdo(node, direction, number)
+        except InvalidPdoError:
+            continue  # an MPDO, or impossible settings
+        if settings.is_valid and settings.entries:
+            yield from _renew(node, settings)
+
+
+def _read_its_values(node: PdoNode, settings: PdoSettings) -> Procedure[PdoSettings | None]:
+    """Read the values that an RPDO is going to send. Return its settings, which are others if we have written a PDO of the node
+    meanwhile; None: it is not valid any more, or carries nothing."""
+    while settings.is_valid and settings.entries:
+        writes = node.pdo_writes
+        yield from read_commanded(node, _mapping_of(node, settings, lacks_objects=True).muxes)
+        if writes == node.pdo_writes:
+            return settings
+        settings = yield from read_pdo(node, *settings.place)
+    return None
 
 
 def _key_and_objects(settings: PdoSettings | None) -> object:
@@ -320,10 +390,10 @@ def _exchange(node: PdoNode, settings: PdoSettings, mapping: Mapping, *, sends_a
     """Exchange a PDO on our side. sends_at_sync: see `exchange_pdos`."""
     kind = settings.transmission_type
     if settings.direction is Direction.TPDO:
-        yield from act(lambda now: node.add_tpdo(settings.number, settings.key, mapping, now))
+        yield from act(lambda now: node.add_tpdo(settings.number, settings.key, mapping, now, is_read=True))
     else:
         kind = EACH_SYNC if sends_at_sync and kind not in CYCLIC_TYPES else kind
-        yield from act(lambda now: node.add_rpdo(settings.number, settings.key, mapping, kind))
+        yield from act(lambda now: node.add_rpdo(settings.number, settings.key, mapping, kind, is_read=True))
 
 
 def check_rpdo(node: PdoNode, settings: PdoSettings) -> None:

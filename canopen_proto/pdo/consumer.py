@@ -27,6 +27,7 @@ Left out: the inhibit time of an RPDO, to which the standard gives no meaning.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable
 from typing import Any, Final, TypeVar, overload
 
@@ -60,6 +61,7 @@ class PdoReceived(Event):
 
     __slots__ = ("components", "data", "key", "mapping", "number", "timestamp")
     __match_args__ = ("node_id", "number", "key", "mapping", "data", "components", "timestamp")
+    is_usual = True
 
     def __init__(
         self,
@@ -149,7 +151,8 @@ class PdoConsumer(Machine):
     node_id: 1..127, the device itself, or the node whose TPDO the master receives. number: 1..512, or 0. key: the routing key of
     the frames; None while the PDO is not valid. store: mux -> value, written without a check of limits. event_time: ns; 0 = not
     watched. Source: CiA 301 v4.2.0, 7.2.2, 7.5.2.35, 7.5.2.36. mapping: its objects; without entries, nothing is received.
-    transmission_type: 0..240 = the data take effect at the next SYNC; above, at once.
+    transmission_type: 0..240 = the data take effect at the next SYNC; above, at once. at_once: what decodes a frame of the right
+    length that takes effect at once and is not watched; None if no frame does.
     """
 
     __slots__ = (
@@ -157,6 +160,7 @@ class PdoConsumer(Machine):
         "_held_timestamp",
         "_window",
         "_window_end",
+        "at_once",
         "enabled",
         "event_time",
         "key",
@@ -183,6 +187,7 @@ class PdoConsumer(Machine):
         self.number = number
         self.store = store
         self.enabled = False
+        self.at_once: struct.Struct | None = None
         self.key: RoutingKey | None = None
         self._held: bytes | None = None  # the data that wait for a SYNC
         self._held_timestamp: int | None = None
@@ -211,12 +216,18 @@ class PdoConsumer(Machine):
             self.key = key
             self._reroute()
         self._forget()
+        self._renew()
 
     def set_enabled(self, enabled: bool, now: Time) -> None:
         """Set whether the node is in NMT state Operational. Leaving it drops data held for a SYNC and ends the watch."""
         if enabled != self.enabled:
             self.enabled = enabled
             self._forget()
+            self._renew()
+
+    def _renew(self) -> None:
+        is_usual = self.is_live and not self.synchronous and not self.event_time
+        self.at_once = self.mapping.layout if is_usual else None
 
     def set_window(self, window: Time) -> None:
         """Set how long after a SYNC synchronous PDOs are accepted. window: ns; 0 = until the next SYNC. Holds from the next SYNC

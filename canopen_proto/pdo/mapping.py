@@ -27,6 +27,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as ReadOnlyDict
+from operator import itemgetter
 from typing import Any, Final
 
 from canopen_proto.compiling import mypyc_attr
@@ -138,7 +139,9 @@ class Mapping:
     have that name, or "6401:01#2" if the object is mapped a second time. Raises MappingError for more than 64 bits.
     """
 
-    __slots__ = ("_fields", "_places", "bit_length", "byte_length", "components", "entries", "labels", "layout", "muxes")
+    __slots__ = (
+        "_fields", "_places", "_values_of", "bit_length", "byte_length", "components", "entries", "labels", "layout", "muxes",
+    )  # fmt: skip
 
     def __init__(self, entries: Iterable[MappedEntry] = ()) -> None:
         self.entries: tuple[MappedEntry, ...] = tuple(entries)
@@ -162,6 +165,8 @@ class Mapping:
                 self._fields.append(_field(entry, offset))
             offset += entry.bit_length
         self.layout = _layout(self.entries)
+        # Takes the values out of a store at once; of a single one it would make no tuple
+        self._values_of = itemgetter(*self.muxes) if len(self.muxes) > 1 else None
 
     @classmethod
     def from_description(cls, description: PdoDescription) -> Mapping:
@@ -275,8 +280,9 @@ class Mapping:
 
     def pack_from(self, store: ReadOnlyDict[Mux, Value]) -> bytes:
         """Return the PDO's bytes from a store by mux. A value that the store lacks counts as zero. Raises ValueRangeError."""
+        values_of = self._values_of
         try:
-            return self.pack([store[mux] for mux in self.muxes])
+            return self.pack([store[mux] for mux in self.muxes] if values_of is None else values_of(store))
         except KeyError:
             return self.pack([store.get(entry.mux, zero_of(entry.data_type)) for entry in self.components])
 

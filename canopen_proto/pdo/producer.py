@@ -34,7 +34,7 @@ from typing import Final
 from canopen_proto.compiling import mypyc_attr
 from canopen_proto.datatypes import Value, ValueRangeError
 from canopen_proto.dictionary import PdoDescription
-from canopen_proto.frame import REMOTE, Frame, RoutingKey, can_id_of, flags_of, frame_for_key, routing_key
+from canopen_proto.frame import KEY_EXTENDED, REMOTE, Frame, RoutingKey, can_id_of, flags_of, frame_for_key, routing_key
 from canopen_proto.machine import MILLISECOND, NEVER, Event, Machine, Outbox, Time, check_node_id
 from canopen_proto.multiplexer import Mux
 from canopen_proto.pdo.consumer import EVENT_DRIVEN, LAST_SYNCHRONOUS
@@ -288,7 +288,8 @@ class PdoProducer(Machine):
                 self.out.events.append(PdoPeriodsSkipped(self.node_id, self.number, self.key, skipped))
 
     def _emit(self, key: RoutingKey, now: Time) -> None:
-        self.out.frames.append(frame_for_key(key, self.mapping.pack_from(self.store)))
+        data = self.mapping.pack_from(self.store)
+        self.out.frames.append(frame_for_key(key, data) if key & KEY_EXTENDED else Frame(key, data))
         self.sent_at = now
         self._triggered = False
         if self.transmission_type >= FIRST_EVENT_DRIVEN:
@@ -351,7 +352,9 @@ class HeldRpdos:
 
     def on_sync(self, now: Time, heard: bool) -> None:
         """Note a SYNC. heard: it was received, not sent."""
-        self._since = max(self._since, now - SYNC_TRANSIT if heard else now)
+        since = now - SYNC_TRANSIT if heard else now
+        if since > self._since:
+            self._since = since
         if self._by_hand:
             self._by_hand = {each for each in self._by_hand if self._may_be_held(each)}
 

@@ -59,6 +59,9 @@ EVENT_DRIVEN: Final = (254, 255)
 _FIRST: Final = {Direction.RPDO: indices.RPDO1_COMMUNICATION_PARAMETER, Direction.TPDO: indices.TPDO1_COMMUNICATION_PARAMETER}
 _MAPPING: Final = 0x200  # from the communication to the mapping parameter
 
+FIRST_PDO_RECORD: Final = indices.RPDO1_COMMUNICATION_PARAMETER
+LAST_PDO_RECORD: Final = indices.TPDO1_MAPPING_PARAMETER + MAX_PDOS - 1
+
 
 class PdoPlace(NamedTuple):
     """The PDO whose record is at an index. is_mapping: it is the mapping record, not the communication record."""

@@ -28,6 +28,7 @@ from canopen_proto import indices
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Direction, ObjectDictionary, Variable
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR, TPDO1
 from canopen_proto.machine import MILLISECOND, Time
 from canopen_proto.multiplexer import Mux, mapped, mapping_entry, mux, mux_text, split_mux
@@ -194,7 +195,7 @@ class PdoSlots:
             if pdo.direction is not direction:
                 continue
             if slot.capacity < len(wanted):
-                has = f"has room for {slot.capacity} objects" if slot.capacity else "has a fixed mapping"
+                has = f"has room for {counted(slot.capacity, 'object')}" if slot.capacity else "has a fixed mapping"
                 obstacles.append(f"{pdo.name} {has}")
                 continue
             cob_id = _own_cob_id(slot, self._node_id)
@@ -273,7 +274,13 @@ def shown_entries(dictionary: ObjectDictionary, entries: Iterable[int]) -> str:
     for index, subindex, bits in map(mapped, entries):
         variable = dictionary.get(index, subindex)
         is_dummy = index < 0x1000
-        words.append(f"{bits} bits empty" if is_dummy else mux_text(mux(index, subindex)) if variable is None else variable.label)
+        words.append(
+            f"{counted(bits, 'bit')} empty"
+            if is_dummy
+            else mux_text(mux(index, subindex))
+            if variable is None
+            else variable.label
+        )
     return ", ".join(words)
 
 
