@@ -60,8 +60,8 @@ if TYPE_CHECKING:
     from canopen_proto.drives.axis.failures import StateLostError as StateLostError
     from canopen_proto.drives.axis.failures import TakenOverError as TakenOverError
     from canopen_proto.drives.axis.failures import fault_of as fault_of
-    from canopen_proto.drives.axis.following import OutOfBoundsError as OutOfBoundsError
-    from canopen_proto.drives.axis.following import watch_bounds as watch_bounds
+    from canopen_proto.drives.axis.following_procedures import OutOfBoundsError as OutOfBoundsError
+    from canopen_proto.drives.axis.following_procedures import watch_bounds as watch_bounds
     from canopen_proto.drives.axis.halting import halt as halt
     from canopen_proto.drives.axis.halting import halt_after as halt_after
     from canopen_proto.drives.axis.homing import HomingProgressed as HomingProgressed

@@ -26,9 +26,9 @@ Source: IEC 61800-7-201 (CiA 402-2).
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Final, Protocol
+from typing import Final
 
-from canopen_proto.drives.axis.axis_node import node_of_axis
+from canopen_proto.drives.axis.axis_node import AxisWatchdog, node_of_axis
 from canopen_proto.drives.axis.occupancy import Occupancy
 from canopen_proto.drives.axis.scale import Scale
 from canopen_proto.drives.axis.set_points import AxisSetPoints
@@ -41,9 +41,9 @@ from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.states import FAULT_STATES, State, state_of
 from canopen_proto.machine import NEVER, Event, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode
 
+_STATUSWORD: Final = objects.STATUSWORD
 OBEYED: Final = -NEVER
 """`Axis.started_at` of a drive that has obeyed every start."""
 
@@ -61,16 +61,6 @@ class AxisStateChanged(Event):
         self.previous = previous
         self.state = state
         self.statusword = statusword
-
-
-class AxisWatchdog(Protocol):
-    """Makes a drive stop by itself if its master is gone; see drives/axis/watchdog.py."""
-
-    def hold(self) -> Procedure[None]:
-        """Take hold of the drive: it is about to be enabled."""
-
-    def let_go(self) -> Procedure[None]:
-        """Let go of the drive: it stands and is disabled."""
 
 
 class Axis:
@@ -216,12 +206,10 @@ class Axis:
         """Return whether an event with a field `axis`, such as AxisStateChanged, is about this axis."""
         return report.node_id == self.node.node_id and getattr(report, "axis", None) == self.number
 
-    def fresh_statusword(self, now: Time, not_before: Time = -NEVER) -> int | None:
-        """Return 0x6041 if it was heard at `not_before` or later and is not older than FRESH (100 ms), else None."""
+    def fresh_statusword(self, now: Time) -> int | None:
+        """Return 0x6041 if it is not older than FRESH (100 ms), else None."""
         heard = self.node.heard_at.get(objects.STATUSWORD)
-        if heard is None or heard < not_before or now - heard > FRESH:
-            return None
-        return self._int(objects.STATUSWORD)
+        return None if heard is None or now - heard > FRESH else self._int(objects.STATUSWORD)
 
     def identify(self, vendor_id: int | None) -> None:
         """Fill in open settings (None) by the drive's vendor-ID. Later calls change nothing. vendor_id: None: it has none."""
@@ -246,7 +234,7 @@ class Axis:
         return value if isinstance(value, int) else 0
 
     def _on_values(self, muxes: Collection[Mux], now: Time) -> None:
-        if objects.STATUSWORD in muxes and (word := self.statusword) != self._shown:
+        if _STATUSWORD in muxes and (word := self._int(_STATUSWORD)) != self._shown:
             self._shown = word
             self._enter(state_of(word))
 

@@ -21,6 +21,7 @@ from canopen_proto.multiplexer import Mux, mux_text, split_mux
 from canopen_proto.nmt import NmtState
 from canopen_proto.pdo.producer import PdoProducer
 from canopen_proto.procedures.objects import ObjectAccess
+from canopen_proto.procedures.steps import Procedure
 from canopen_proto.remote_node import FRESH, RemoteNode
 from canopen_proto.sdo.client import Block, SdoClient, SdoUploaded
 
@@ -94,6 +95,16 @@ class AxisNode(ObjectAccess, Protocol):
         on_sync: Callable[[Time], None] | None = None,
     ) -> None:
         """See RemoteNode."""
+
+
+class AxisWatchdog(Protocol):
+    """Makes a drive stop by itself if its master is gone; see drives/axis/watchdog.py."""
+
+    def hold(self) -> Procedure[None]:
+        """Take hold of the drive: it is about to be enabled."""
+
+    def let_go(self) -> Procedure[None]:
+        """Let go of the drive: it stands and is disabled."""
 
 
 def node_of_axis(node: RemoteNode, axis: int) -> AxisNode:

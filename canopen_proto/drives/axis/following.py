@@ -24,55 +24,26 @@ what such a drive works against.
 **Late SYNC.** A drive that gets its SYNC late, because the computer that sends it was busy, may stop following for no other
 reason. `late_sync` tells by how much SYNC was late, so that an error can name that cause first.
 
-**Values that no PDO carries** (`unsent`) must be read: `read_unsent` does that.
-
-    limit = yield from following_limit(axis, (yield from read_limits(axis)))
-    yield from start_interpolation(axis, cycle_time)
-    following.begin(limit, Mode.INTERPOLATED_POSITION, cyclic={STATUSWORD: 1, POSITION_ACTUAL_VALUE: 1})
-    network.run(read_unsent([following]), now)
-
-**Velocities and torques.** `watch_bounds` is the watch together with its consequence: the drive is halted. Run it beside the loop
-that gives the set-points; it ends only by an error, or when it is cancelled:
-
-    bounds = yield from bounds_of(axis, max_speed)
-    yield from start_cyclic_torque(axis, cycle_time)
-    yield from watch_bounds(following, bounds, Mode.CYCLIC_SYNCHRONOUS_TORQUE, cyclic=cyclic)
+The procedures beside the watch are in following_procedures.py.
 
 Source: IEC 61800-7-201 (CiA 402-2): statusword, interpolated position mode, cyclic synchronous position mode, following error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Final, NamedTuple, NoReturn
+from collections.abc import Callable, Collection, Mapping
+from typing import Final, NamedTuple
 
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.bounds import MAX_MISSED, MotionBounds
-from canopen_proto.drives.axis.controlword import put
-from canopen_proto.drives.axis.failures import DriveError
 from canopen_proto.drives.axis.following_error import LAG, UNCERTAIN, FollowingError
-from canopen_proto.drives.axis.halting import halt_after
 from canopen_proto.drives.axis.limits import Limit
-from canopen_proto.drives.axis.set_points import SET_POINT_OF
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode, ModeStatus, mode_name
 from canopen_proto.drives.cia402.states import State, StatusBit
-from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, LocalProtocolError, Outcome, Time
-from canopen_proto.multiplexer import Mux, index_of, split_mux
+from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Time
+from canopen_proto.multiplexer import Mux, index_of
 from canopen_proto.nmt import NmtState
-from canopen_proto.procedures.objects import ABSENT, value_of
-from canopen_proto.procedures.steps import (
-    Cancelled,
-    Procedure,
-    ProcedureError,
-    SdoTransferError,
-    Wait,
-    act,
-    all_of,
-    current_time,
-    sleep,
-)
-from canopen_proto.sdo.client import SdoAborted, SdoUploaded
 
 SILENT_SYNCS: Final = 3
 """More than one: a drive is not lost because a frame is."""
@@ -82,10 +53,6 @@ LATE_SYNC_TIME: Final = SECOND
 """A SYNC that was late within this time may be why a drive does not follow."""
 CATCH_UP_TIME: Final = 200 * MILLISECOND
 """A drive that limits its speed gets back to its set-points in this time, if a SYNC came at the wrong time."""
-READ_INTERVAL: Final = 5 * MILLISECOND
-"""The least mean time between two requests on a bus: some 5 % of the bus load at 1 Mbit/s."""
-UNANSWERED: Final = 3
-"""SDO time-outs for which an object may stay unread: an answer may be lost, and another client may disturb the transfer."""
 
 _FOLLOWS: Final = ModeStatus.IP_MODE_ACTIVE
 assert _FOLLOWS == ModeStatus.FOLLOWS_COMMAND  # bit 12 in interpolated position and in the cyclic synchronous modes alike
@@ -212,6 +179,7 @@ class _SyncTiming:
     def begin(self, period: Time, *, forgives: bool) -> None:
         """period: ns from SYNC to SYNC; 0: not known, and nothing is judged."""
         self._period, self._forgives = period, forgives
+        self._quarter = period // 4  # what comes this much later or earlier is in time
         self.forgiven = 0
         self._latest: Time = 0  # the most by which a SYNC was late since `_late_at` - LATE_SYNC_TIME
         self._late_at: Time = 0
@@ -223,7 +191,7 @@ class _SyncTiming:
             return
         before, self._last = self._last, now
         late = 0 if before is None else now - before - self._period
-        if abs(late) > self._period // 4:
+        if not -self._quarter <= late <= self._quarter:
             if late > 0 and late >= (self._latest if now - self._late_at <= LATE_SYNC_TIME else 0):
                 self._latest, self._late_at = late, now
             self.forgiven = -(-CATCH_UP_TIME // self._period) if self._forgives else 0
@@ -238,7 +206,7 @@ class _SyncTiming:
         now = self._last if now is None else now
         waited = now - self._last - self._period
         recent = self._latest if now - self._late_at <= LATE_SYNC_TIME else 0
-        return max(recent, waited if waited > self._period // 4 else 0)
+        return max(recent, waited if waited > self._quarter else 0)
 
 
 # ---- the watch ----
@@ -502,123 +470,3 @@ RULES: Final = (
     FollowingRule("boot-up", _BOOT_UP, lambda watch: (), "was reset, or lost its power"),
 )
 _RULES_FOR: Final = {each.looks_at: tuple(rule for rule in RULES if rule.looks_at == each.looks_at) for each in RULES}
-
-
-# ---- procedures beside the watch ----
-
-_TURN: Final = (TurnToRead,)
-_ANSWERS: Final = (SdoUploaded, SdoAborted)
-
-
-def read_unsent(drives: Sequence[Following]) -> Procedure[None]:
-    """Read the watched objects that the drives do not send at SYNCs (`Following.unsent`), until cancelled.
-
-    The drives take turns behind the SYNCs, one request each, at least READ_INTERVAL apart. Without SYNC no drive follows
-    set-points, and nothing is read. A change is seen after as many cycles as there are objects to read. Each drive has its own
-    request: a drive that does not answer delays no other.
-
-    A request overtakes all that wait for the same drive, but not a transfer under way: an SDO channel serves one at a time. If
-    the node has several channels (`RemoteNode.add_sdo_channel`), a free one is used. A drive is lost if an object could not be
-    read for UNANSWERED times its SDO time-out. An object that a drive does not have is not read again.
-    """
-    yield from all_of(*(_watch(drive, number, len(drives)) for number, drive in enumerate(drives, start=1)))
-
-
-def _watch(drive: Following, turn: int, turns: int) -> Procedure[None]:
-    node = drive.axis.node
-    not_before = yield from current_time()
-    while drive.unsent:
-        for mux in sorted(drive.unsent):
-            drive.await_turn(turn, not_before)
-            yield Wait(None, node, drive.axis.is_told_by, _TURN)
-            turn, not_before = turns, (yield from current_time()) + turns * READ_INTERVAL
-            if mux in drive.unsent:  # else its first PDO has come meanwhile
-                yield from _read(drive, mux)
-
-
-def _read(drive: Following, mux: Mux) -> Procedure[None]:
-    """Read an object, repeatedly until it succeeds; the drive is lost if it does not."""
-    node = drive.axis.node
-    patience = UNANSWERED * node.sdo.timeout
-    deadline = (yield from current_time()) + patience
-    why = "another SDO transfer with it is under way"
-    while drive.is_on:
-        try:
-            if (yield from _ask(drive, mux, deadline)):
-                return
-        except SdoTransferError as failed:
-            if failed.abort_code in ABSENT:
-                drive.unsent.discard(mux)
-                return
-            why = str(failed)
-        except (ProcedureError, LocalProtocolError) as error:
-            why = str(error)
-        if (yield from current_time()) >= deadline:
-            drive.lose(f"cannot be watched: 0x{index_of(mux):04X} could not be read for {patience / SECOND:g} s: {why}")
-            return
-        yield from sleep(READ_INTERVAL)
-
-
-def _ask(drive: Following, mux: Mux, deadline: Time) -> Procedure[bool]:
-    """Read an object, ahead of the requests that wait for the drive; return False if there is no outcome by the deadline."""
-    node = drive.axis.node
-    index, subindex = split_mux(node.on_device(mux))
-    client = next((each for each in (node.sdo, *drive.axis.remote.sdo_channels) if not each.busy), node.sdo)
-    request_id = yield from act(lambda now: client.upload(index, subindex, now, urgent=True))
-    try:
-        left = max(0, deadline - (yield from current_time()))
-        outcome = yield Wait(left, node, lambda answer: isinstance(answer, Outcome) and answer.request_id == request_id, _ANSWERS)
-    except Cancelled:
-        yield from act(lambda now: node.cancel(request_id, now))
-        raise
-    if isinstance(outcome, SdoAborted):
-        raise SdoTransferError(outcome, "reading")
-    if outcome is None:
-        yield from act(lambda now: node.cancel(request_id, now))
-        return False
-    value_of(node, node.dictionary.variable(mux), outcome)
-    return True
-
-
-class OutOfBoundsError(DriveError):
-    """The watch on a drive that follows velocities or torques found something: a limit that was left, silence, another mode."""
-
-
-def watch_bounds(
-    following: Following,
-    bounds: MotionBounds,
-    mode: int,
-    *,
-    cyclic: Mapping[Mux, int],
-    silent_syncs: int = SILENT_SYNCS,
-    max_missed: int = MAX_MISSED,
-) -> Procedure[NoReturn]:
-    """Watch a drive in csv or cst until it has to be stopped, and halt it then.
-
-    following: of its axis. bounds, mode, cyclic, silent_syncs, max_missed: as of `Following.begin_with_bounds`. Raises
-    OutOfBoundsError, which says what was found. Halts the drive too if it is cancelled. If the halt fails, a note says so.
-    """
-    axis = following.axis
-
-    def forget() -> Procedure[None]:
-        return act(lambda now: put(axis, SET_POINT_OF[mode], 0, now))
-
-    following.begin_with_bounds(bounds, mode, cyclic=cyclic, silent_syncs=silent_syncs, max_missed=max_missed)
-    try:
-        yield from all_of(_until_lost(following), read_unsent([following]))
-        raise AssertionError("the watch ends by an error")
-    except (Cancelled, Exception) as cause:
-        following.end()
-        yield from halt_after(axis, cause, forget)
-        raise
-
-
-def _until_lost(following: Following) -> Procedure[None]:
-    axis = following.axis
-
-    def concerns(report: Event) -> bool:
-        return isinstance(report, FollowingLost) and axis.is_told_by(report)
-
-    lost = yield Wait(None, axis.node, concerns, (FollowingLost,))
-    assert isinstance(lost, FollowingLost)
-    raise OutOfBoundsError(axis, lost.cause)

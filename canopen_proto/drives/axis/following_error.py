@@ -1,4 +1,4 @@
-"""`FollowingError`: how far one drive is off its set-points, cycle by cycle. `following_limit` finds how far it may be.
+"""`FollowingError`: how far one drive is off its set-points, cycle by cycle.
 
 The error is the set-point of a cycle minus the position of the same cycle: a set-point sent behind SYNC n is reached at SYNC
 n + `lag`, whose PDO shows it. This pairing may be some cycles wrong: adapters hold frames back, and drives buffer set-points. So
@@ -16,20 +16,15 @@ Source: IEC 61800-7-201 (CiA 402-2): following error, following error window 606
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Collection
 from itertools import islice
 from typing import Final
 
 from canopen_proto.drives.axis.axis import Axis
-from canopen_proto.drives.axis.failures import as_drive_errors
-from canopen_proto.drives.axis.limits import DEFAULT_SPEED, Limit, SetPointLimits
+from canopen_proto.drives.axis.limits import Limit
 from canopen_proto.drives.cia402 import objects
-from canopen_proto.machine import MILLISECOND, SECOND
 from canopen_proto.multiplexer import Mux
-from canopen_proto.procedures.objects import read_if_present
-from canopen_proto.procedures.steps import Procedure
 
 LAG: Final = 2
 """SYNCs from sending a set-point to reaching it: sent behind SYNC n, taken at n + 1, reached at n + 2, whose PDO shows it."""
@@ -45,11 +40,6 @@ AROUND: Final = 2
 MAX_PDOS: Final = 4
 """PDOs with a position, of one drive."""
 
-DEFAULT_TIME: Final = 100 * MILLISECOND
-"""How far behind a drive may be by default, at its top speed: position controllers without feed-forward lag by 10 to 50 ms."""
-OFF: Final = 0x7FFF_FFFF
-"""A window of 0x6065 that no INTEGER32 can leave; 0xFFFFFFFF switches the drive's own watch off."""
-
 
 class FollowingError:
     """The following error of one drive. It has no clock: it is told each SYNC and each position.
@@ -61,6 +51,7 @@ class FollowingError:
         self.limit = Limit(0.0, "")
         self.present = self.largest = 0.0
         self._axis = axis
+        self._store = axis.node.values.store  # as near as can be: looked at for each PDO
         self._lag = LAG
         self._window = 1  # set-points that a position is compared with
         self._points: deque[int] = deque()  # the set-points of the last SYNCs, in counts
@@ -90,11 +81,12 @@ class FollowingError:
             self._pdos[kind] += 1
         elif len(muxes) > 1 and len(self._pdos) < MAX_PDOS:
             self._pdos[kind] = 1
-        counts = self._axis.position_counts
-        assert counts is not None  # it has just come
+        counts = self._store[objects.POSITION_ACTUAL_VALUE]  # it has just come
+        if not isinstance(counts, int):
+            counts = 0
         self._position = counts
-        self.present = self._axis.scale.way_from_counts(self._points[-1 - self._lag] - counts)
-        distance = abs(self.present)
+        self.present = present = self._axis.scale.way_from_counts(self._points[-1 - self._lag] - counts)
+        distance = abs(present)
         if distance > self.largest:
             self.largest = distance
         return distance > self.limit.value
@@ -118,23 +110,3 @@ class FollowingError:
         window = round(self._axis.scale.counts_of_amount(self.limit.value))
         is_on_path = any(abs(points[place] - self._position) <= window for place in around)
         return missing if missing > FEW and is_on_path else 0
-
-
-@as_drive_errors
-def following_limit(axis: Axis, limits: SetPointLimits) -> Procedure[Limit]:
-    """Return how far off its set-points a drive may be: by its settings, else by its window 0x6065, else by its speed limit.
-
-    The drive's time-out 0x6066 is not awaited: after it, the drive would stop by itself. limits: of its set-points. By default a
-    drive may be off by its way in DEFAULT_TIME at its speed limit (at DEFAULT_SPEED if the user lifted the limit). Raises
-    SdoTransferError.
-    """
-    limit = axis.settings.following_error_limit
-    if limit is not None:
-        return Limit(limit, "the settings (following_error_limit)")
-    window = yield from read_if_present(axis.node, objects.FOLLOWING_ERROR_WINDOW)
-    if isinstance(window, int) and 0 < window < OFF:
-        return Limit(axis.scale.amount_from_counts(window), "0x6065 of the drive")
-    speed = limits.speed.value if math.isfinite(limits.speed.value) else axis.scale.amount_from_counts(DEFAULT_SPEED)
-    way = f"its way in {DEFAULT_TIME / SECOND:g} s at {speed:.4g} per second"
-    source = f"default, {way}; following_error_limit of its settings raises it"
-    return Limit(speed * DEFAULT_TIME / SECOND, source)

@@ -39,6 +39,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.drives.axis.axis import Axis
 from canopen_proto.drives.axis.axis_node import AxisNode
 from canopen_proto.drives.axis.failures import as_drive_errors
@@ -46,7 +47,7 @@ from canopen_proto.drives.axis.units import DriveUnits, read_number, read_units
 from canopen_proto.drives.cia402 import objects
 from canopen_proto.drives.cia402.modes import Mode
 from canopen_proto.drives.trajectory.limit_check import JointLimits
-from canopen_proto.machine import SECOND, Time
+from canopen_proto.machine import SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import Mux
 from canopen_proto.procedures.steps import Procedure
 
@@ -114,6 +115,26 @@ class SetPointLimits:
         """The limits for a path of this joint: to plan it, to check it, and to stop on it."""
         lowest, highest = (None if limit is None else limit.value for limit in (self.lowest, self.highest))
         return JointLimits(lowest, highest, self.speed.value, self.max_acceleration.value, self.max_jerk.value)
+
+    def allows(self, start: float, target: float, time: Time) -> bool:
+        """Return whether a set-point may be given: `excess` has nothing against it, and it fits the drive's object.
+
+        In one call what each joint is asked in each cycle. False: see `excess`, and what is said of the object by `Scale` and
+        `AxisSetPoints.check`. start, target, time: as of `excess`.
+        """
+        lowest, highest = self.lowest, self.highest
+        if not (
+            abs(target - start) * SECOND / time <= self.speed.value * EXACT
+            and (lowest is None or lowest.value <= target)
+            and (highest is None or target <= highest.value)
+        ):
+            return False  # or it is no number, or a joint comes back from beyond a limit
+        axis = self.axis
+        try:
+            axis.set_points.check(axis.scale.to_counts(target))
+        except (LocalProtocolError, ValueRangeError):
+            return False
+        return axis.scale.is_known
 
     def excess(self, start: float, target: float, time: Time) -> Excess | None:
         """Return the limit that a straight way from `start` to `target` within `time` ns exceeds; None if it is allowed."""

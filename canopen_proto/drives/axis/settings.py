@@ -49,7 +49,7 @@ class AxisSettings:
     drives that take 0x607C with the other sign. None: the drive's own value stays; see homing_parameters.py.
     homing_timeout: ns for a whole homing. state_timeout: ns for one change of state or mode.
     following_error_limit: how far off its set-points the drive may be, in the user's unit, before it counts as lost; None: the
-    limit that `following_error.following_limit` finds; math.inf: no limit.
+    limit that `following_procedures.following_limit` finds; math.inf: no limit.
     keeps_reference: whether the drive knows its position after a reset or a loss of power (an absolute encoder). Such a drive
     need not be homed again.
     shows_following: whether bit 12 of the statusword shows in ip, csp, csv and cst that the drive follows its set-points. False:

@@ -157,9 +157,9 @@ def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count:
                 _between(jump + a1, begin, jump + a, begin),
                 Extremes(0.0, begin, jerk, begin),
             )
-        v1, a1, j1 = derivatives_at(d, c1, c2, c3, c4, c5)
         end = begin + d
         if c4 == 0.0 == c5:  # of constant jerk, as nearly all are
+            v1, a1, j1 = c1 + d * (a + d * (3.0 * c3)), a + d * j, j
             speed = _between(c1, begin, v1, end)
             if a < 0.0 < a1 or a1 < 0.0 < a:
                 turn = c1 - a * a / (2.0 * j)
@@ -169,6 +169,7 @@ def demands_of(path: Path, joint: int, cycle_time: float, first: int = 0, count:
                     speed = Extremes(speed.low, speed.low_time, turn, begin - a / j)
             yield Demand(begin, speed, _between(a, begin, a1, end), Extremes(j, begin, j, begin))
         else:
+            v1, a1, j1 = derivatives_at(d, c1, c2, c3, c4, c5)
             yield Demand(
                 begin,
                 extremes_of((c1, a, 3.0 * c3, 4.0 * c4, 5.0 * c5), d, begin),

@@ -44,7 +44,7 @@ _STEEPNESS: Final[tuple[float, ...]] = (1.0, 2.0, 4.0, 8.0, 16.0)
 _SEEN_CYCLES: Final = 3
 """Cycles for which a drive that computes a jerk from its positions still sees a knot."""
 
-_TRIED_STEEPNESS: Final = (3.0, 8.0)
+_TRIED_STEEPNESS: Final[tuple[float, ...]] = (3.0, 8.0)
 """The ratios J / A² of a stop that is checked along its own way."""
 _LADDER: Final = 1.2
 """Each stop that is tried takes so many times as long as the one before."""
@@ -102,30 +102,34 @@ class Margin:
         While joints gather speed, the rate can fall only slowly, with what the path leaves of their jerk. Braking behind that may
         be over sooner, and no further on the path; then the rate is held until there.
         """
-        stop = self.braking_at(time, rate, change)
+        ramps = self._own_stops(time, rate, change)
+        stop = self.braking_at(time, rate, change, ramps)
         if change != 0.0 or rate <= 0.0 or not self.rests_at_end:
             return stop
         left = self._duration - time
         lasts = rest_time(stop, left)
-        ramp = max([self._own_stop(joint, time, rate, change) for joint in range(len(self._stretches))])
-        latest = time + rate * (_WORTH * lasts - ramp)
+        latest = time + rate * (_WORTH * lasts - max(ramps))
         places = [place for needs in self._needs if time < (place := _end_of_gathering(needs, time)) < latest]
         if not places:
             return stop
         place = max(places)
         hold = (place - time) / rate
-        later = self.braking_at(place, rate, 0.0)
+        later = self.braking_at(place, rate, 0.0, self._own_stops(place, rate, 0.0), _WORTH * lasts - hold)
         if later.wanted != 0.0 or hold + later.duration > _WORTH * lasts:
             return stop
         held = SpeedChange(rate, 0.0, 0.0, later.max_acceleration, later.max_jerk, hold)
         return held if held.distance <= min(left, stop.at(lasts)[0]) else stop
 
-    def braking_at(self, time: float, rate: float, change: float) -> SpeedChange:
-        """Return the shortest stop whose braking begins at this time of the path. time, rate, change: as of `stop_at`.
+    def braking_at(
+        self, time: float, rate: float, change: float, ramps: Sequence[float] | None = None, worth: float = math.inf
+    ) -> SpeedChange:
+        """Return the shortest stop whose braking begins at this time of the path. time, rate, change: as of `stop_at`. ramps: the
+        `_own_stops`, if they are known. worth: a stop that takes longer, in s, is as good as any other one.
 
         It looks at the place itself, then as far as the stop would go that this place allows, and so on until a stop ends within
         what was looked at. Then it tries whether a stronger one, or the end of the path, is sooner: see `rest_time`.
         """
+        ramps = self._own_stops(time, rate, change) if ramps is None else ramps
         anywhere = self.braking(rate, change)
         room = _Room()
         since, until = time - _SEEN_CYCLES * self._cycle_time, time
@@ -139,13 +143,16 @@ class Margin:
                 nexts[joint] = number
             found = room.braking(rate, change)
             if found is None or found.duration >= anywhere.duration:
-                return self._sooner(time, rate, change, anywhere)
+                return self._sooner(time, rate, change, anywhere, ramps, worth)
             if time + found.distance <= until:
-                return self._sooner(time, rate, change, found)
+                return self._sooner(time, rate, change, found, ramps, worth)
             until = time + found.distance
 
-    def _sooner(self, time: float, rate: float, change: float, known: SpeedChange) -> SpeedChange:
+    def _sooner(
+        self, time: float, rate: float, change: float, known: SpeedChange, ramps: Sequence[float], worth: float
+    ) -> SpeedChange:
         """Return a stop that is over sooner than the known one if there is one that surely keeps the limits, else the known one.
+        ramps, worth: as of `braking_at`.
 
         The end of the path may be that stop. Of the others the shortest ones are tried first, and the joint that refused the last
         one is asked first about the next.
@@ -155,13 +162,15 @@ class Margin:
             onwards = max(0.0, rate + change * abs(change) / (2.0 * self.max_onset))
             until_end = SpeedChange(rate, change, onwards, self.max_change, self.max_onset)
             known = min(known, until_end, key=lambda each: rest_time(each, left))
-        ramps = [self._own_stop(joint, time, rate, change) for joint in range(len(self._stretches))]
         order = sorted(range(len(ramps)), key=ramps.__getitem__, reverse=True)
         seen = _SEEN_CYCLES * self._cycle_time
         room = _CHECKS
         within = rest_time(known, left) * _WORTH
         takes = max(2.0 / FASTEST_CHANGE, ramps[order[0]])
         while takes < within and room > 0:
+            # Without a change of the rate now, a stop takes `takes`, or less if its peak is not reached: 2 sqrt(r / J) then
+            if change == 0.0 and takes * _least_part(rate) > worth:
+                return known
             for steepness in _TRIED_STEEPNESS:
                 most = (rate + 1.0 / steepness) / takes
                 onset = steepness * most * most
@@ -184,6 +193,10 @@ class Margin:
             takes *= _LADDER
         return known
 
+    def _own_stops(self, time: float, rate: float, change: float) -> list[float]:
+        """Return the seconds that each joint would need to stop by its own ramp."""
+        return [self._own_stop(joint, time, rate, change) for joint in range(len(self._stretches))]
+
     def _own_stop(self, joint: int, time: float, rate: float, change: float) -> float:
         """Return the seconds that the joint would need to stop by its own ramp; 0 if it has not both limits."""
         limits = self._limits[joint]
@@ -192,7 +205,7 @@ class Margin:
         speed, acceleration = motion_at(self._stretches[joint], time)
         now = acceleration * rate * rate + speed * change
         now = min(max(now, -limits.acceleration), limits.acceleration)
-        return SpeedChange(speed * rate, now, 0.0, limits.acceleration, limits.jerk).duration
+        return SpeedChange.seconds(speed * rate, now, 0.0, limits.acceleration, limits.jerk)
 
 
 def margin_in_steps(
@@ -230,6 +243,12 @@ def margin_in_steps(
         rests_at_end = rests_at_end and _rests(end, joint, REST * most_speed, REST * most_acceleration)
     rests = rests_at_start, rests_at_end
     return Margin(path.duration, limits, cycle_time, all_needs, all_stretches, room.best(longest_stop), rests)
+
+
+def _least_part(rate: float) -> float:
+    """Return which part of `takes` the stops from this rate that are tried need at least."""
+    parts = [1.0 if rate * each >= 1.0 else 2.0 * math.sqrt(rate * each) / (rate * each + 1.0) for each in _TRIED_STEEPNESS]
+    return min(parts) * (1.0 - 1e-9)
 
 
 def rest_time(stop: SpeedChange, left: float) -> float:

@@ -21,6 +21,7 @@ from canopen_proto.machine import LocalProtocolError
 
 MAX_DEGREE: Final = 5
 """Enough for position, velocity and acceleration at both ends of a segment."""
+_NONE: Final = (0.0,) * (MAX_DEGREE + 1)
 TIME_TOLERANCE: Final = 1e-9
 """By how much the durations of two joints may differ: in s, and as a part of durations above 1 s. Sums of floats need less."""
 POSITION_TOLERANCE: Final = 1e-8
@@ -136,7 +137,7 @@ def _pieces(joint: int, row: Sequence[Segment]) -> list[Piece]:
     for number, (duration, coefficients) in enumerate(row):
         if not (0.0 < duration < math.inf and 1 <= len(coefficients) <= MAX_DEGREE + 1 and all(map(math.isfinite, coefficients))):
             raise _no_segment(joint, number, begin, duration, coefficients)
-        c0, c1, c2, c3, c4, c5 = [*map(float, coefficients), 0.0, 0.0, 0.0, 0.0, 0.0][: MAX_DEGREE + 1]
+        c0, c1, c2, c3, c4, c5 = (*map(float, coefficients), *_NONE[len(coefficients) :])
         if number and abs(c0 - end) > POSITION_TOLERANCE * max(1.0, abs(end)):
             raise PathError(
                 f"{_name_of(joint, number, begin)} starts at {c0!r}, but the segment before ends at {end!r}. "

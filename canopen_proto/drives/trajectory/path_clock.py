@@ -178,9 +178,12 @@ class PathClock:
         if self._time >= duration - TIME_TOLERANCE * max(1.0, duration):
             self._time = duration
             rate = change = 0.0
+        point = self.path.at(self._time)
+        if rate == 1.0 and change == 0.0:
+            return point  # as planned, in nearly all cycles
         rate = max(0.0, rate)
         square = rate * rate
-        positions, velocities, accelerations = self.path.at(self._time)
+        positions, velocities, accelerations = point
         return PathPoint(
             positions,
             [velocity * rate for velocity in velocities],
@@ -210,7 +213,7 @@ class PathClock:
         """Begin to brake if the end would be missed otherwise. Return the part of the cycle that passed before."""
         if self._spare(cycle_time) >= 0.0:
             return 0.0
-        early, _ = turning_point(lambda after: not self._spare(after) >= 0.0, 0.0, cycle_time, _HALVINGS)
+        early, _ = turning_point(lambda after: not self._spare(after) >= 0.0, cycle_time, _HALVINGS)
         self._elapsed += early
         self._aim_at(0.0)
         self._is_ending = True

@@ -74,9 +74,10 @@ def with_constant_jerk(
     )
 
 
-def turning_point(is_late: Callable[[float], bool], early: float, late: float, halvings: int) -> tuple[float, float]:
-    """Return the last time found at which `is_late` is false, and the first at which it is true, between `early` and `late`.
+def turning_point(is_late: Callable[[float], bool], late: float, halvings: int) -> tuple[float, float]:
+    """Return the last time found at which `is_late` is false, and the first at which it is true, between 0 and `late`.
     halvings: of that interval."""
+    early = 0.0
     for _ in range(halvings):
         middle = 0.5 * (early + late)
         if is_late(middle):

@@ -43,21 +43,14 @@ class SpeedChange:
         self.wanted: Final = wanted
         self.max_acceleration: Final = max_acceleration
         self.max_jerk: Final = max_jerk
-        without = speed + acceleration * abs(acceleration) / (2.0 * max_jerk)  # the speed if the acceleration just ends
-        towards = 1.0 if wanted >= without else -1.0
-        gain, given = towards * (wanted - speed), towards * acceleration
-        peak = math.sqrt(max(0.0, max_jerk * gain + 0.5 * given * given))
-        held = 0.0
-        if peak > max_acceleration:
-            peak = max_acceleration
-            held = max(0.0, gain - (2.0 * peak * peak - given * given) / (2.0 * max_jerk)) / peak
+        towards, grows, held, falls = _times(speed, acceleration, wanted, max_acceleration, max_jerk)
         time, distance = hold, hold * speed
         self.phases: Final[list[Phase]] = [(0.0, 0.0, speed, 0.0, 0.0)] if hold else []
         """That of `hold`, if there is one; three, the jerk of the middle one is 0; then what follows, for ever."""
         for lasts, jerk in (
-            (max(0.0, peak - given) / max_jerk, towards * max_jerk),
+            (grows, towards * max_jerk),
             (held, 0.0),
-            (peak / max_jerk, -towards * max_jerk),
+            (falls, -towards * max_jerk),
         ):
             self.phases.append((time, distance, speed, acceleration, jerk))
             time += lasts
@@ -67,6 +60,12 @@ class SpeedChange:
         """Seconds until the speed is the wanted one."""
         self.distance: Final = distance
         """The way until then."""
+
+    @staticmethod
+    def seconds(speed: float, acceleration: float, wanted: float, max_acceleration: float, max_jerk: float) -> float:
+        """Return the duration of a change with these values, which must make one: see the class. It costs a third of a change."""
+        _, grows, held, falls = _times(speed, acceleration, wanted, max_acceleration, max_jerk)
+        return grows + held + falls
 
     def at(self, time: float) -> tuple[float, float, float]:
         """Return the distance, the speed and the acceleration `time` seconds (0 or more) after the start."""
@@ -85,4 +84,19 @@ class SpeedChange:
         beyond = distance - self.distance
         if beyond > 0.0:
             return self.duration + beyond / self.wanted if self.wanted > 0.0 else math.inf
-        return turning_point(lambda time: not self.at(time)[0] < distance, 0.0, self.duration, _HALVINGS)[1]
+        return turning_point(lambda time: not self.at(time)[0] < distance, self.duration, _HALVINGS)[1]
+
+
+def _times(
+    speed: float, acceleration: float, wanted: float, max_acceleration: float, max_jerk: float
+) -> tuple[float, float, float, float]:
+    """Return the sign of the change, and for how long the acceleration grows, is held, and falls."""
+    without = speed + acceleration * abs(acceleration) / (2.0 * max_jerk)  # the speed if the acceleration just ends
+    towards = 1.0 if wanted >= without else -1.0
+    gain, given = towards * (wanted - speed), towards * acceleration
+    peak = math.sqrt(max(0.0, max_jerk * gain + 0.5 * given * given))
+    held = 0.0
+    if peak > max_acceleration:
+        peak = max_acceleration
+        held = max(0.0, gain - (2.0 * peak * peak - given * given) / (2.0 * max_jerk)) / peak
+    return towards, max(0.0, peak - given) / max_jerk, held, peak / max_jerk

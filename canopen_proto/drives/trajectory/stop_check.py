@@ -41,6 +41,11 @@ def stretches_of(pieces: Sequence[Piece], first: int, count: int) -> list[Stretc
     for number in range(max(0, first - 1), min(first + count, len(pieces))):
         begin, duration, _, c1, c2, c3, c4, c5 = pieces[number]
         is_jump = number > 0 and jumps(velocity, acceleration, c1, 2.0 * c2)
+        if c4 == 0.0 == c5:  # of constant jerk, as nearly all are: the same numbers, from fewer products
+            velocity, acceleration = c1 + duration * (2.0 * c2 + duration * (3.0 * c3)), 2.0 * c2 + duration * (6.0 * c3)
+            if number >= first:
+                found.append((begin, begin + duration, c1, c2, c3, c4, c5, abs(6.0 * c3), 0.0, 0.0, is_jump))
+            continue
         velocity, acceleration, jerk = derivatives_at(duration, c1, c2, c3, c4, c5)
         if number >= first:
             fifth, fourth = 120.0 * abs(c5), max(abs(24.0 * c4), abs(24.0 * c4 + 120.0 * c5 * duration))
@@ -67,9 +72,11 @@ def pieces_of(stop: SpeedChange, time: float) -> list[StopPiece]:
         place = time + distance
         for _ in range(_PARTS):
             further, slower, last = with_constant_jerk(lasts, place, rate, change, onset)
-            slower = max(0.0, slower)
-            highest = rate - change * change / (2.0 * onset) if last < 0.0 < change else max(rate, slower)
-            lowest = min(rate, slower)
+            if not slower > 0.0:
+                slower = 0.0
+            lowest, highest = (slower, rate) if slower < rate else (rate, slower)
+            if last < 0.0 < change:
+                highest = rate - change * change / (2.0 * onset)
             if change <= 0.0 and last <= 0.0:
                 steepest, mildest = 3.0 * highest * min(change, last), 3.0 * lowest * max(change, last)
             else:
@@ -98,6 +105,8 @@ def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limi
         before -= 1
     count = len(stretches)
     goal = stretches[-1][1]
+    is_known = False  # what holds at the begin of a piece, from the end of the one before
+    known_v = known_a = known_j = 0.0
     for place, rate, change, further, slower, last, lasts, onset, cube, low_cube, steepest, mildest in pieces:
         if place >= goal:
             return True
@@ -106,15 +115,19 @@ def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limi
         is_first = True
         while True:
             begin, end, c1, c2, c3, c4, c5, third, fourth, fifth, _ = stretches[number]
-            t, u = max(0.0, place - begin), min(further, end) - begin
+            t, u = place - begin, (end if end < further else further) - begin
+            if not t > 0.0:  # written out, here and below: `min` and `max` would take a fourth of all
+                t = 0.0
             bow = (u - t) * (u - t) / 8.0
             if c4 == 0.0 == c5:  # of constant jerk, as nearly all are
                 v, w = c1 + t * (2.0 * c2 + t * 3.0 * c3), c1 + u * (2.0 * c2 + u * 3.0 * c3)
                 j = k = 6.0 * c3
                 a, b = 2.0 * c2 + t * j, 2.0 * c2 + u * j
             else:
-                v, a, j = derivatives_at(t, c1, c2, c3, c4, c5)
+                v, a, j = (known_v, known_a, known_j) if is_known else derivatives_at(t, c1, c2, c3, c4, c5)
                 w, b, k = derivatives_at(u, c1, c2, c3, c4, c5)
+                known_v, known_a, known_j = w, b, k
+            is_known = further <= end and u > 0.0 and (c4 != 0.0 or c5 != 0.0)
             if is_first:
                 first_acceleration = a * rate * rate + v * change
                 is_first = False
@@ -136,7 +149,10 @@ def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limi
             else:
                 least += min(b * steepest, a * mildest)
                 greatest += max(a * steepest, b * mildest)
-            lowest_jerk, highest_jerk = min(lowest_jerk, least), max(highest_jerk, greatest)
+            if least < lowest_jerk:
+                lowest_jerk = least
+            if greatest > highest_jerk:
+                highest_jerk = greatest
             if further <= end or number + 1 == count:
                 break
             number += 1
@@ -144,7 +160,9 @@ def keeps_limits(pieces: Sequence[StopPiece], stretches: Sequence[Stretch], limi
                 return False
         if lowest_jerk < -most_jerk or highest_jerk > most_jerk:
             return False
-        low, high = min(first_acceleration, last_acceleration), max(first_acceleration, last_acceleration)
+        low, high = first_acceleration, last_acceleration
+        if high < low:
+            low, high = high, low
         if lowest_jerk < 0.0 < highest_jerk:
             gain, width = last_acceleration - first_acceleration, highest_jerk - lowest_jerk
             high = first_acceleration + highest_jerk * (gain - lowest_jerk * lasts) / width
