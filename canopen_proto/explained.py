@@ -5,6 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
+def counted(number: int, what: str) -> str:
+    """Return a text such as "1 entry", "2 entries". what: in the singular."""
+    if number == 1:
+        return f"{number} {what}"
+    if what.endswith("y") and what[-2:-1] not in "aeiou":
+        return f"{number} {what[:-1]}ies"
+    return f"{number} {what}{'es' if what.endswith(('s', 'x', 'sh', 'ch')) else 's'}"
+
+
 class Explained:
     """The base of errors and reports that explain themselves. `str` gives the screen for people; the fields are for programs.
 

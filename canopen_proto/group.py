@@ -33,21 +33,21 @@ class Members:
     """The machines on one outbox: their routes and their deadlines.
 
     routes: by key, the machines that want its frames, in the order of their attachment. receivers: by key, what to hand these
-    frames to, see `Machine.receiver_of`; near: the same for the lowest keys, as a list. heap: the wakes that are held, the
-    nearest first.
+    frames to, see `Machine.receiver_of`. lone: for the lowest keys, as a list, the one receiver; None if there are none or
+    several. heap: the wakes that are held, the nearest first.
     """
 
-    __slots__ = ("_keys", "_out", "_sequence", "heap", "near", "receivers", "routes")
+    __slots__ = ("_keys", "_out", "_sequence", "heap", "lone", "receivers", "routes")
 
-    def __init__(self, out: Outbox, near: int = 0) -> None:
-        """near: how many keys to have in a list, for a group that is handed every frame of a bus."""
+    def __init__(self, out: Outbox, lone: int = 0) -> None:
+        """lone: how many keys to have in that list, for a group that is handed every frame of a bus."""
         self._out = out
         self._keys: dict[Machine, tuple[RoutingKey, ...]] = {}
         self.heap: list[tuple[Time, int, Machine]] = []
         self._sequence = 0
         self.routes: dict[RoutingKey, tuple[Machine, ...]] = {}
         self.receivers: dict[RoutingKey, tuple[Machine, ...]] = {}
-        self.near: list[tuple[Machine, ...]] = [()] * near
+        self.lone: list[Machine | None] = [None] * lone
 
     def __iter__(self) -> Iterator[Machine]:
         return iter(self._keys)
@@ -103,8 +103,8 @@ class Members:
             self.receivers[key] = tuple(machine.receiver_of(key) for machine in machines)
         else:
             del self.routes[key], self.receivers[key]
-        if key < len(self.near):
-            self.near[key] = self.receivers.get(key, ())
+        if key < len(self.lone):
+            self.lone[key] = self.receivers[key][0] if len(machines) == 1 else None
 
     def refresh(self) -> None:
         """Apply what the members announced: changed CAN-IDs and nearer deadlines."""
@@ -140,7 +140,8 @@ class Members:
 
     def handle_timeout(self, now: Time) -> None:
         """Wake each member whose deadline has come, once, in the order of their deadlines."""
-        self.refresh()
+        if self._out.armed or self._out.rerouted:
+            self.refresh()
         heap = self.heap
         due = []
         while heap and heap[0][0] <= now:

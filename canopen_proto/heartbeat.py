@@ -66,6 +66,7 @@ class HeartbeatReceived(Event):
 
     __slots__ = ("state", "timestamp")
     __match_args__ = ("node_id", "state", "timestamp")
+    is_usual = True
 
     def __init__(self, node_id: int, state: NmtState, timestamp: int | None) -> None:
         self.node_id = node_id

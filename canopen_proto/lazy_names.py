@@ -3,7 +3,8 @@
 So `from canopen_proto import Frame` loads frame.py and no drive, and `import canopen_proto.network` only what a network needs.
 
 The table of the names is the package's plain imports under TYPE_CHECKING, which type checkers read. They never run, but the
-interpreter has compiled them: the code of the package names each module, and behind it what is imported from there.
+interpreter has compiled them: the code of the package names each module, and behind it what is imported from there. Nothing is
+named behind a module whose names are all imported (`*`): it is the front of a room below, with a table of its own.
 That code is there in .py and .pyc files, in zip files and in frozen programs; a translation to C, as Nuitka's, has none, and has
 to import each name from its module.
 """
@@ -20,19 +21,24 @@ def lazy_names(namespace: dict[str, Any]) -> tuple[Callable[[str], object], Call
 
     def homes() -> dict[str, str]:
         if not home_of:  # the code is fetched for the first name, not for `import canopen_proto.network`
+            from importlib import import_module
+
             spec, module = namespace["__spec__"], ""
             loader = spec.loader
             if not hasattr(loader, "get_code"):  # pytest's, which rewrites the assertions of a package that has a plugin
                 from importlib.machinery import SourceFileLoader
 
                 loader = SourceFileLoader(spec.name, spec.origin)
+            starred = ""  # a module, until one of its names comes
             for name in loader.get_code(spec.name).co_names:
+                if "." in name and starred:
+                    home_of.update(dict.fromkeys(import_module(starred).__all__, starred))
                 if name == __name__:  # the imports under TYPE_CHECKING end here
                     break
                 if "." in name:
-                    module = name
+                    module = starred = name
                 elif module:
-                    home_of[name] = module
+                    home_of[name], starred = module, ""
         return home_of
 
     def get(name: str) -> object:

@@ -65,11 +65,13 @@ class Event:
     class 105 us instead of 7. In the compiled build an event takes 155 ns instead of 28, for its `__init__` would be Python. Rare
     kinds alone cannot be data classes: the compiler fails on a data class whose base has an `__init__` of its own.
 
-    node_id: the node that it is about, 1..127; 0 if it is about the network (SYNC, a procedure), not one node.
+    node_id: the node that it is about, 1..127; 0 if it is about the network (SYNC, a procedure), not one node. is_usual: of this
+    kind, one may come with each frame of the usual traffic; a quiet network leaves them out (`Network.quiet`).
     """
 
     __slots__ = ("node_id",)
     __match_args__: ClassVar[tuple[str, ...]] = ("node_id",)
+    is_usual: ClassVar[bool] = False
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id

@@ -199,6 +199,10 @@ class LssAssignment:
                 self._aside.append(planned.address)
         return written
 
+    def put_aside(self, plan: Iterable[Planned]) -> None:
+        """Search behind the devices of a plan from now on, as if they had their node-IDs: they are selected meanwhile."""
+        self._aside += (planned.address for planned in plan)
+
     def leave(self, plan: Iterable[Planned]) -> None:
         """Leave the devices of a plan alone: nobody agreed to it."""
         for planned in plan:
@@ -360,10 +364,8 @@ def _start(tool: LssTool, address: LssAddress, node_id: int, present: int) -> Pr
         return True, ""
     for attempt in range(TRIES):
         yield from all_waiting(tool)
-        if present != UNCONFIGURED:
+        if present != UNCONFIGURED or attempt:  # Lely's devices wait for a reset after they got their first node-ID
             yield from act(lambda now: tool.reset(present, now))
-        elif attempt:
-            yield from act(tool.reset_unconfigured)
         count = yield from _boot_ups(tool, node_id)
         if count > 1:
             return False, f"two devices booted with the node-ID {node_id}: disconnect one"

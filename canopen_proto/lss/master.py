@@ -27,7 +27,9 @@ from canopen_proto.lss.messages import (
     CIA_TABLE,
     FROM_MASTER,
     FROM_SLAVE,
+    IDENTIFY,
     LENGTH,
+    SELECT,
     LssAddress,
     LssService,
     LssState,
@@ -140,7 +142,7 @@ class LssMaster(Machine):
     def select(self, address: LssAddress, now: Time, *, window: Time = WINDOW, guard: Time | None = None) -> RequestId:
         """Send the one slave with this address into "configuration". It answers SELECTED; it has to be in "waiting". window,
         guard: ns, see this module's text."""
-        frames = [number_message(_SELECT[place], number) for place, number in enumerate(address)]
+        frames = [number_message(SELECT[place], number) for place, number in enumerate(address)]
         return self._ask(frames, LssService.SELECTED, window, guard, now)
 
     def configure_node_id(self, node_id: int, now: Time, *, window: Time = WINDOW, guard: Time | None = None) -> RequestId:
@@ -188,7 +190,7 @@ class LssMaster(Machine):
         """Ask whether slaves with such an address are there; each answers IDENTIFIED. The bounds are inclusive. vendor_id,
         product_code: UNSIGNED32. revisions, serials: least and greatest. window, guard: ns, see this module's text."""
         numbers = (vendor_id, product_code, *revisions, *serials)
-        frames = [number_message(_IDENTIFY[place], number) for place, number in enumerate(numbers)]
+        frames = [number_message(IDENTIFY[place], number) for place, number in enumerate(numbers)]
         return self._ask(frames, LssService.IDENTIFIED, window, guard, now)
 
     def identify_non_configured(self, now: Time, *, window: Time = WINDOW, guard: Time | None = None) -> RequestId:
@@ -279,16 +281,3 @@ class LssMaster(Machine):
 
     def _send(self, data: bytes) -> None:
         self.out.frames.append(Frame(FROM_MASTER, data))
-
-
-_SELECT: Final = (
-    LssService.SELECT_VENDOR, LssService.SELECT_PRODUCT, LssService.SELECT_REVISION, LssService.SELECT_SERIAL,
-)  # fmt: skip
-_IDENTIFY: Final = (
-    LssService.IDENTIFY_VENDOR,
-    LssService.IDENTIFY_PRODUCT,
-    LssService.IDENTIFY_REVISION_LOW,
-    LssService.IDENTIFY_REVISION_HIGH,
-    LssService.IDENTIFY_SERIAL_LOW,
-    LssService.IDENTIFY_SERIAL_HIGH,
-)

@@ -66,6 +66,19 @@ class LssService(IntEnum):
     INQUIRE_NODE_ID = 0x5E
 
 
+SELECT: Final = (LssService.SELECT_VENDOR, LssService.SELECT_PRODUCT, LssService.SELECT_REVISION, LssService.SELECT_SERIAL)
+"""The messages that select a slave, in the order in which they are sent."""
+
+IDENTIFY: Final = (
+    LssService.IDENTIFY_VENDOR,
+    LssService.IDENTIFY_PRODUCT,
+    LssService.IDENTIFY_REVISION_LOW,
+    LssService.IDENTIFY_REVISION_HIGH,
+    LssService.IDENTIFY_SERIAL_LOW,
+    LssService.IDENTIFY_SERIAL_HIGH,
+)
+"""The messages that ask whether a slave is there, in the order in which they are sent."""
+
 _WAITING: Final = frozenset({LssState.WAITING})
 _CONFIGURATION: Final = frozenset({LssState.CONFIGURATION})
 _BOTH: Final = _WAITING | _CONFIGURATION
@@ -73,25 +86,12 @@ _BOTH: Final = _WAITING | _CONFIGURATION
 STATES: Final[Mapping[LssService, frozenset[LssState]]] = MappingProxyType(
     {
         LssService.SWITCH_GLOBAL: _BOTH,
-        **dict.fromkeys(
-            (LssService.SELECT_VENDOR, LssService.SELECT_PRODUCT, LssService.SELECT_REVISION, LssService.SELECT_SERIAL), _WAITING
-        ),
+        **dict.fromkeys(SELECT, _WAITING),
         LssService.CONFIGURE_NODE_ID: _CONFIGURATION,
         LssService.CONFIGURE_BIT_TIMING: _CONFIGURATION,
         LssService.ACTIVATE_BIT_TIMING: _CONFIGURATION,
         LssService.STORE: _CONFIGURATION,
-        **dict.fromkeys(
-            (
-                LssService.IDENTIFY_VENDOR,
-                LssService.IDENTIFY_PRODUCT,
-                LssService.IDENTIFY_REVISION_LOW,
-                LssService.IDENTIFY_REVISION_HIGH,
-                LssService.IDENTIFY_SERIAL_LOW,
-                LssService.IDENTIFY_SERIAL_HIGH,
-                LssService.IDENTIFY_NON_CONFIGURED,
-            ),
-            _BOTH,
-        ),
+        **dict.fromkeys((*IDENTIFY, LssService.IDENTIFY_NON_CONFIGURED), _BOTH),
         LssService.FASTSCAN: _WAITING,
         **dict.fromkeys(
             (

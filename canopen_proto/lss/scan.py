@@ -29,7 +29,7 @@ from typing import Final
 from canopen_proto.frame import ALL_NODE_IDS, ERROR_CONTROL, MAX_NODE_ID, NMT, Frame, RoutingKey, routing_key
 from canopen_proto.group import Group
 from canopen_proto.lss.master import WINDOW, LssMaster, LssReply
-from canopen_proto.lss.messages import CONFIRM, FIELD_NAMES, UNCONFIGURED, LssAddress, LssService, LssState, number_of
+from canopen_proto.lss.messages import CONFIRM, FIELD_NAMES, LssAddress, LssService, LssState, number_of
 from canopen_proto.machine import MILLISECOND, NEVER, SECOND, Event, Machine, Outbox, RequestId, Time
 from canopen_proto.manager.scan import Scanner
 from canopen_proto.nmt import NmtCommand
@@ -111,12 +111,8 @@ class LssTool(Group):
         for machine in (self.master, self.scanner, _BootUps(self.inner)):
             self._members.attach(machine)
 
-    def reset_unconfigured(self, now: Time) -> None:
-        """Tell the devices without a node-ID to reset their communication: Lely's wait for it after they got one."""
-        self.inner.frames.append(Frame(NMT, bytes((NmtCommand.RESET_COMMUNICATION, UNCONFIGURED))))
-
     def reset(self, node_id: int, now: Time) -> None:
-        """Tell a node to reset its communication: then it takes its pending node-ID."""
+        """Tell a node to reset its communication: then it takes its pending node-ID. UNCONFIGURED: all that have none."""
         self.inner.frames.append(Frame(NMT, bytes((NmtCommand.RESET_COMMUNICATION, node_id))))
 
 

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.explained import counted
 from canopen_proto.frame import MAX_NODE_ID
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.nmt import COMMAND_OF_BYTE, STATE_OF_BYTE, NmtCommand, NmtState
@@ -138,23 +139,25 @@ class NodeRules:
     def consumer(self, node_id: int, subindex: int, value: int) -> None:
         """Take note of an entry of a node's 0x1016. value: node-ID << 16 | ms."""
         producer, time = value >> 16 & 0x7F, (value & 0xFFFF) * MILLISECOND
-        self._consumers.pop((node_id, subindex), None)
+        before = self._consumers.pop((node_id, subindex), None)
         if producer and time and 0 < subindex <= MAX_CONSUMERS:
             self._consumers[node_id, subindex] = (producer, time)
-        self._limit()
+            self._limit(producer)
+        if before is not None:
+            self._limit(before[0])
 
     def no_consumers(self, node_id: int) -> None:
         """Take note that a node's 0x1016 is not known any more."""
         for key in [key for key in self._consumers if key[0] == node_id]:
-            del self._consumers[key]
-        self._limit()
+            self._limit(self._consumers.pop(key)[0])
 
-    def _limit(self) -> None:
-        for number, view in enumerate(self._views):
-            before = view.limit
-            view.limit = min((time for each, time in self._consumers.values() if each == number), default=NEVER)
-            if before < view.limit == NEVER and view.deadline < NEVER:
-                view.wait(view.deadline - before)
+    def _limit(self, producer: int) -> None:
+        """Renew after which silence of a node some consumer of it says so."""
+        view = self._views[producer]
+        before = view.limit
+        view.limit = min((time for each, time in self._consumers.values() if each == producer), default=NEVER)
+        if before < view.limit == NEVER and view.deadline < NEVER:
+            view.wait(view.deadline - before)
 
     def producer(self, node_id: int, period: Time, now: Time) -> None:
         """Take note of a node's producer heartbeat time (0x1017). period: ns."""
@@ -222,7 +225,7 @@ class NodeRules:
     def error_control(self, node_id: int, data: bytes, now: Time) -> list[BusFinding]:
         """Take note of a boot-up, a heartbeat, or a guarding answer."""
         if len(data) != 1:
-            return [BusFinding("length", node_id, f"a heartbeat of {len(data)} bytes; it has one")]
+            return [BusFinding("length", node_id, f"a heartbeat of {counted(len(data), 'byte')}; it has one")]
         view, state = self._views[node_id], data[0] & _STATE
         found = self._beat(node_id, view, data[0], state, now)
         view.wait(now)

@@ -22,6 +22,7 @@ from functools import partial
 from typing import Final, NamedTuple, TypeAlias
 
 from canopen_proto.dictionary import Direction, ObjectDictionary
+from canopen_proto.explained import counted
 from canopen_proto.frame import (
     ALL_NODE_IDS,
     EMCY,
@@ -57,7 +58,7 @@ from canopen_proto.observer.sdo import SdoFollower, Settled
 from canopen_proto.observer.sequences import Sequences, Summary
 from canopen_proto.observer.service_rules import ServiceRules
 from canopen_proto.pdo.settings import place_of
-from canopen_proto.sdo.codec import BLOCK_DOWNLOAD, INITIATE_DOWNLOAD, SPECIFIER
+from canopen_proto.sdo.codec import REQUESTS, SdoFrame
 
 RULES: Final = {
     "toggle": "the toggle bit of a segment, or of a guarding answer, does not alternate",
@@ -97,7 +98,7 @@ _FUNCTION: Final = 0x780
 _BOOT_UP: Final = b"\0"
 _TOGGLE: Final = 0x80
 _PRODUCER_TIME: Final = PRODUCER_HEARTBEAT_TIME.to_bytes(2, "little") + b"\0"
-_DOWNLOADS: Final = (INITIATE_DOWNLOAD, BLOCK_DOWNLOAD)
+_DOWNLOADS: Final = (SdoFrame.DOWNLOAD, SdoFrame.BLOCK_DOWNLOAD)
 
 _Route: TypeAlias = Callable[[Frame, Time, list[BusFinding]], Meaning]
 """Takes a frame of one service of one node. Puts what is wrong into the list."""
@@ -210,6 +211,12 @@ class Observer:
         self._now = max(now, self._now)
         return self._gaps.lost(text, self._now)
 
+    def learn(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
+        """Take a communication parameter that a device is known to hold, because somebody has read or written it elsewhere: a
+        COB-ID, a mapping. It counts like one that the recording has shown, until the device boots. data: little-endian."""
+        if self._parameters.settle(node_id, index, subindex, data):
+            self._renew(node_id, index)
+
     def unfinished(self) -> tuple[Summary, ...]:
         """Return the sequences that are not over yet, and forget them: behind the last frame of a recording."""
         self._sequences.overdue(NEVER)
@@ -316,7 +323,7 @@ class Observer:
             found += self._nodes.command(data[0], data[1], now)
             self._sequences.command(data[0], data[1], now)
         else:
-            found.append(BusFinding("length", 0, f"an NMT command of {len(data)} bytes; it has two"))
+            found.append(BusFinding("length", 0, f"an NMT command of {counted(len(data), 'byte')}; it has two"))
         node_id = data[1] if len(data) > 1 and data[1] <= MAX_NODE_ID else 0
         return Meaning("NMT", node_id, words.of_nmt, frame)
 
@@ -397,7 +404,7 @@ class Observer:
 
     def _request(self, channel: Channel, frame: Frame, now: Time, found: list[BusFinding]) -> Meaning:
         self._nodes.sdo(channel.node_id, now, found, is_answer=False)
-        if frame.data[1:4] == _PRODUCER_TIME and frame.data[0] & SPECIFIER in _DOWNLOADS:
+        if frame.data[1:4] == _PRODUCER_TIME and REQUESTS[frame.data[0]] in _DOWNLOADS:
             self._nodes.is_to_begin(channel.node_id)
         follower = self._follower(channel)
         meaning = follower.take(frame, now, found, is_client=True)

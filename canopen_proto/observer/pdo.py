@@ -19,6 +19,7 @@ from canopen_proto.datatypes import ValueRangeError, bit_length_of
 from canopen_proto.dictionary import Direction, ObjectDictionary
 from canopen_proto.drives.cia402.axes import MAX_AXES
 from canopen_proto.drives.cia402.objects import STATUSWORD
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID, MAX_NODE_ID, RPDO1, TPDO1, Frame, RoutingKey, key_of_cob_id
 from canopen_proto.indices import DEVICE_TYPE
 from canopen_proto.multiplexer import AXIS_STEP, index_of
@@ -88,7 +89,9 @@ class ObservedPdo:
         try:
             values = mapping.unpack(data)
         except ValueRangeError as error:
-            why = f"shorter than its mapping of {self.byte_length} bytes" if len(data) < self.byte_length else str(error)
+            why = (
+                f"shorter than its mapping of {counted(self.byte_length, 'byte')}" if len(data) < self.byte_length else str(error)
+            )
             return Words(f"{why}: {hex_text(data)}")
         is_held = self.direction is Direction.TPDO
         objects = []
@@ -99,7 +102,7 @@ class ObservedPdo:
             texts.append(f"{_name_of(entry, label)} = {text}")
         if len(data) > self.byte_length:
             rest = data[self.byte_length :].hex(" ")
-            texts.append(f"longer than its mapping of {self.byte_length} bytes: {rest} left over")
+            texts.append(f"longer than its mapping of {counted(self.byte_length, 'byte')}: {rest} left over")
         return Words(", ".join(texts), tuple(objects))
 
     def _multiplexed(self, frame: Frame) -> Words:

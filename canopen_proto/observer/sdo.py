@@ -31,6 +31,7 @@ from typing import Final, NamedTuple
 
 from canopen_proto.abort import text_of
 from canopen_proto.dictionary import ObjectDictionary
+from canopen_proto.explained import counted
 from canopen_proto.frame import Frame
 from canopen_proto.machine import MILLISECOND, NEVER, Time
 from canopen_proto.multiplexer import Mux
@@ -296,7 +297,7 @@ class SdoFollower:
         if what is SdoFrame.BLOCK_DOWNLOAD:
             return self._step(f": in blocks{self._announce(request)}")
         self._block_size = request[4]
-        return self._step(f": in blocks of {request[4]} segments")
+        return self._step(f": in blocks of {counted(request[4], 'segment')}")
 
     def _initiate_answer(self, answer: bytes, what: SdoFrame) -> Say:
         is_other = what is SdoFrame.UPLOAD and self._asked is SdoFrame.BLOCK_UPLOAD  # it may change to the other protocol
@@ -329,7 +330,7 @@ class SdoFollower:
             self._phase = _Phase.BLOCK_START
             return self._step(f": in blocks{self._announce(answer)}")
         self._phase, self._block_size = _Phase.BLOCK_SEGMENTS, answer[4]
-        return self._step(f": go on, {answer[4]} segments a block")
+        return self._step(f": go on, {counted(answer[4], 'segment')} a block")
 
     def _value_or_segments(self, frame: bytes) -> Say:
         """Take the initiate frame of the side that has the data, without blocks."""
@@ -349,7 +350,8 @@ class SdoFollower:
         twins = self._twins + 1 if is_twin else 0
         if twins >= _REPEATED:
             self._say(
-                "double id", f"{twins} times a second answer, with another value, to one SDO request: two nodes have one ID"
+                "double id",
+                f"{counted(twins, 'time')} a second answer, with another value, to one SDO request: two nodes have one ID",
             )
             twins = 0
         else:
@@ -442,7 +444,7 @@ class SdoFollower:
         self._keep(segment_data(frame))
         self._last = bool(frame[0] & LAST)
         if not self._last:
-            return self._step(f": segment, {self._length} bytes so far")
+            return self._step(f": segment, {counted(self._length, 'byte')} so far")
         self._check_size()
         if self._is_upload:
             self._end()
@@ -580,12 +582,12 @@ class SdoFollower:
         taken, self._block_size = frame[1], frame[2] or MAX_BLOCK_SIZE
         if not self._sent and frame == self._acknowledgement:
             self._is_doubtful = True
-            return self._step(f": {taken} segments taken, once more")
+            return self._step(f": {counted(taken, 'segment')} taken, once more")
         self._acknowledgement = frame
         if taken > MAX_BLOCK_SIZE:
-            self._say("sdo", f"{taken} segments are acknowledged, and a block has {MAX_BLOCK_SIZE} at most")
+            self._say("sdo", f"{counted(taken, 'segment')} acknowledged, and a block has {MAX_BLOCK_SIZE} at most")
         elif taken > len(self._pending):
-            self._lost_in_block(f"{taken} segments of a block are acknowledged")
+            self._lost_in_block(f"{counted(taken, 'segment')} of a block acknowledged")
         again = ", the others must be sent again" if taken < self._sent else ""
         self._is_whole = self._is_whole and taken <= len(self._pending)
         for content in self._pending[:taken]:
@@ -596,7 +598,7 @@ class SdoFollower:
         self._sent = 0
         self._was_final = False
         self._phase = _Phase.BLOCK_END if is_over else _Phase.BLOCK_SEGMENTS
-        return self._step(f": {taken} segments taken{again}")
+        return self._step(f": {counted(taken, 'segment')} taken{again}")
 
     def _block_end(self, frame: bytes) -> Say:
         self._phase = _Phase.BLOCK_END_ANSWER
@@ -631,7 +633,7 @@ class SdoFollower:
         if size is None:
             return ""
         self._announced = size
-        return f", {size} bytes"
+        return f", {counted(size, 'byte')}"
 
     def _keep(self, data: bytes) -> None:
         self._length += len(data)
@@ -647,7 +649,7 @@ class SdoFollower:
         if not self._is_whole:
             return self._step(": not all of it was heard")
         if self._length > len(self._data):
-            return self._step(f": {self._length} bytes")
+            return self._step(f": {counted(self._length, 'byte')}")
         data = bytes(self._data)
         if self._is_upload:
             self._settle(data)

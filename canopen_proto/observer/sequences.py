@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from canopen_proto.explained import counted
 from canopen_proto.lss import messages as lss
 from canopen_proto.lss.messages import LssService
 from canopen_proto.machine import NEVER, SECOND, Time
@@ -172,7 +173,7 @@ class _Fastscan:
 
     def text(self) -> str:
         """Return the fastscan in words."""
-        count = f"{_counted(self.requests, 'request')}, {duration_text(self.last - self.begin)}"
+        count = f"{counted(self.requests, 'request')}, {duration_text(self.last - self.begin)}"
         numbers = sorted(self.numbers.items())
         found = ", ".join(f"{lss.field_name(part)} 0x{number:08X}" for part, number in numbers)
         if self.is_over:
@@ -210,9 +211,7 @@ class _Boot:
     def text(self) -> str:
         """Return the transfers in words."""
         first = "" if self._aborted is None else f" ({mux_text(self._aborted)}{' first' if self._aborts > 1 else ''})"
-        return (
-            f"{_counted(self._reads, 'value')} read, {self._writes} written, {_counted(self._aborts, 'transfer')} aborted{first}"
-        )
+        return f"{counted(self._reads, 'value')} read, {self._writes} written, {counted(self._aborts, 'transfer')} aborted{first}"
 
 
 _IDENTIFIED: Final = bytes((LssService.IDENTIFIED,))
@@ -223,7 +222,3 @@ _COMMANDS: Final[dict[int, str]] = {
     NmtCommand.RESET_NODE: "reset",
     NmtCommand.RESET_COMMUNICATION: "its communication reset",
 }
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_NO_RTR, MAX_NODE_ID
 from canopen_proto.indices import (
     COB_ID_SYNC,
@@ -100,7 +101,7 @@ class ServiceRules:
         """Take a SYNC. found: takes what is wrong with it."""
         size = len(data)
         if size > 1:
-            found.append(BusFinding("length", 0, f"a SYNC of {size} bytes; it has one for the counter, or none"))
+            found.append(BusFinding("length", 0, f"a SYNC of {counted(size, 'byte')}; it has one for the counter, or none"))
             return
         if not self._lengths or self._lengths[-1] != size:
             self._lengths.append(size)
@@ -123,7 +124,9 @@ class ServiceRules:
     def length(self, service: str, node_id: int, data: bytes) -> list[BusFinding]:
         """Return whether a frame of TIME, EMCY or LSS has a wrong length."""
         size, due = len(data), _LENGTHS[service]
-        return [] if size == due else [BusFinding("length", node_id, f"{_WORDS[service]} of {size} bytes; it has {due}")]
+        return (
+            [] if size == due else [BusFinding("length", node_id, f"{_WORDS[service]} of {counted(size, 'byte')}; it has {due}")]
+        )
 
     def lss(self, data: bytes, now: Time, found: list[BusFinding], *, by_master: bool) -> None:
         """Look whether one device answers an LSS request. Only an identification may have several answers (CiA 305)."""

@@ -11,6 +11,7 @@ from typing import Final
 from canopen_proto.datatypes import ValueRangeError
 from canopen_proto.dictionary import ObjectDictionary
 from canopen_proto.error_codes import error_text, register_names
+from canopen_proto.explained import counted
 from canopen_proto.frame import MAX_NODE_ID, Frame
 from canopen_proto.lss import messages as lss
 from canopen_proto.multiplexer import split_mux
@@ -119,7 +120,7 @@ def of_guarding_request(frame: Frame) -> Words:
 
 
 def of_remote(frame: Frame) -> Words:
-    return Words(f"a remote frame, {frame.dlc} bytes")
+    return Words(f"a remote frame, {counted(frame.dlc, 'byte')}")
 
 
 def of_extended(frame: Frame) -> Words:

@@ -19,8 +19,20 @@ import enum
 from collections.abc import Collection
 from typing import Any, Final, TypeVar
 
+from canopen_proto.group import Group
 from canopen_proto.machine import NEVER, SECOND, Event, Machine, Outbox, Outcome, RequestId, Time
-from canopen_proto.procedures.steps import Act, AllOf, AskForTime, Cancelled, Procedure, ProcedureError, Request, Step, Wait
+from canopen_proto.procedures.steps import (
+    Act,
+    AllOf,
+    AskForTime,
+    Cancelled,
+    Procedure,
+    ProcedureError,
+    Request,
+    Requester,
+    Step,
+    Wait,
+)
 from canopen_proto.sdo.events import SdoProgress
 
 T = TypeVar("T")
@@ -131,6 +143,11 @@ class Runner(Machine):
     def busy(self) -> bool:
         """Whether any procedure runs."""
         return bool(self.tasks)
+
+    @property
+    def waits_for_the_usual(self) -> bool:
+        """Whether a procedure waits for what may come with each frame (`Event.is_usual`), or is asked about each event."""
+        return any(told and (kind is None or kind.is_usual) for kind, told in self._waiting.items())
 
     @property
     def needs_until(self) -> Time:
@@ -321,7 +338,7 @@ class Runner(Machine):
         step = self._leave_step(task)
         if isinstance(step, Request) and task.token is not None:
             del self._requests[task.token]
-            step.requester.cancel(task.token[1], now)
+            _cancel_request(step.requester, task.token[1], now)
             task.token = None
 
     def _leave_step(self, task: _Task) -> Step | None:
@@ -399,6 +416,15 @@ class Runner(Machine):
             failure.add_note(f"and the clean-up of a procedure beside it failed: {parent.clean_up_error}")
             parent.clean_up_error = None
         return [child.result for child in children], failure
+
+
+def _cancel_request(requester: Requester, request_id: RequestId, now: Time) -> None:
+    """Cancel a request. The group of a member, such as the node of an SDO client, reacts to how it ends, as to all else."""
+    owner = requester.out.owner
+    mark = len(requester.out.events)
+    requester.cancel(request_id, now)
+    if isinstance(owner, Group):
+        owner._settle(mark, now)
 
 
 def _kinds_of(step: Wait) -> Collection[type[Event] | None]:

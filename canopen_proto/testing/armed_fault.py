@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from canopen_proto.abort import AbortCode
-from canopen_proto.frame import SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
+from canopen_proto.frame import KEY_REMOTE, SDO_CLIENT_TO_SERVER, SDO_SERVER_TO_CLIENT, Frame
 from canopen_proto.machine import SECOND, LocalProtocolError, Time
 from canopen_proto.multiplexer import split_mux
 from canopen_proto.sdo.codec import (
     ABORT,
-    BLOCK_DOWNLOAD,
-    BLOCK_UPLOAD,
     EXPEDITED,
     EXPEDITED_BITS,
     INITIATE,
-    INITIATE_DOWNLOAD,
-    INITIATE_UPLOAD,
     INITIATE_UPLOAD_RESPONSE,
     MAX_EXPEDITED,
-    SPECIFIER,
+    REQUESTS,
+    SdoFrame,
+    is_initiate,
+    mux_in,
 )
 from canopen_proto.testing.draws import Draws
 from canopen_proto.testing.faults import (
@@ -36,7 +35,7 @@ from canopen_proto.testing.faults import (
     Replace,
     Sudden,
 )
-from canopen_proto.testing.patterns import Names, Pattern, as_pattern, is_remote, mux_of, sdo_read, sdo_request, sdo_write
+from canopen_proto.testing.patterns import Names, Pattern, as_pattern, sdo_read, sdo_request, sdo_write
 
 
 class Transit(NamedTuple):
@@ -115,7 +114,7 @@ class ArmedFault:
         """Whether a fault that answers for a device can answer this request: one that begins a transfer."""
         if not isinstance(self.fault, Refuse | Lie):
             return True
-        return len(frame.data) >= 4 and frame.data[0] & SPECIFIER in _BEGINNINGS
+        return len(frame.data) >= 4 and is_initiate(frame.data[0])
 
     def alter(self, transit: Transit) -> list[Transit]:
         """Return what a FrameFault makes of a frame on its way."""
@@ -147,7 +146,7 @@ class ArmedFault:
 
     def _corrupted(self, frame: Frame, flip: bytes) -> Frame:
         data = frame.data
-        if is_remote(frame) or not data:
+        if frame.key & KEY_REMOTE or not data:
             return frame
         bits = int.from_bytes(flip[: len(data)].ljust(len(data), b"\0")) or 1 << self._draws.between(0, 8 * len(data) - 1)
         return Frame(frame.can_id, (int.from_bytes(data) ^ bits).to_bytes(len(data)), frame.flags)
@@ -155,20 +154,17 @@ class ArmedFault:
     def answer(self, request: Frame, names: Names) -> Frame:
         """Return what a device answers to an SDO request in the place of its own answer."""
         fault = self.fault
-        index, subindex = split_mux(mux_of(request))
+        index, subindex = split_mux(mux_in(request.data))
         if isinstance(fault, Refuse):
             data = INITIATE.pack(ABORT, index, subindex, fault.code)
         else:
             assert isinstance(fault, Lie)
-            if request.data[0] & SPECIFIER == BLOCK_UPLOAD:
+            if REQUESTS[request.data[0]] is SdoFrame.BLOCK_UPLOAD:
                 data = INITIATE.pack(ABORT, index, subindex, AbortCode.INVALID_COMMAND)  # then it is asked without blocks
             else:
                 value = self._told(fault, names)
                 data = EXPEDITED.pack(INITIATE_UPLOAD_RESPONSE | EXPEDITED_BITS[len(value)], index, subindex, value)
         return Frame(request.can_id - SDO_CLIENT_TO_SERVER + SDO_SERVER_TO_CLIENT, data)
-
-
-_BEGINNINGS: Final = frozenset((INITIATE_DOWNLOAD, INITIATE_UPLOAD, BLOCK_UPLOAD, BLOCK_DOWNLOAD))
 
 
 def _patterns_of(fault: Fault) -> Iterable[Pattern]:

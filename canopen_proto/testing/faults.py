@@ -51,7 +51,8 @@ class Fault:
 
     def __post_init__(self) -> None:
         __tracebackhide__ = True
-        self._take_times("since", "until")
+        for each in fields(self):
+            self._check(each.name, optional=each.default is None)
         if not isinstance(self.chance, int | float) or not 0 <= self.chance <= 1:
             raise LocalProtocolError(f"a chance is 0 to 1, not {self.chance!r}")
         if self.when is not None and not callable(self.when):
@@ -79,11 +80,18 @@ class Fault:
         """The numbers of the frames that are hit; empty: all."""
         return (self.nth,) if isinstance(self.nth, int) else self.nth
 
-    def _take_times(self, *names: str) -> None:
-        """Check fields that are times, ns."""
+    def _check(self, name: str, *, optional: bool) -> None:
+        """Check a field whose name tells what it holds: a time (ns), a node-ID, bytes of a frame. optional: it may be None."""
         __tracebackhide__ = True
-        for name in names:
-            object.__setattr__(self, name, nanoseconds(getattr(self, name), f"{name} of {type(self).__name__}"))
+        value = getattr(self, name)
+        if optional and value is None:
+            return
+        if name in _TIMES:
+            object.__setattr__(self, name, nanoseconds(value, f"{name} of {type(self).__name__}"))
+        elif name == "node_id":
+            check_node_id(value)
+        elif name in _BYTES:
+            _check_data(name, value)
 
 
 # ---- what happens to frames ----
@@ -123,22 +131,12 @@ class Copy(FrameFault):
 
     later: Time = 0
 
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        self._take_times("later")
-
 
 @dataclass(frozen=True)
 class Delay(FrameFault):
     """The frame comes late, by so many ns, and so do those behind it that have its identifier: an answer that is too late."""
 
     by: Time = SECOND
-
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        self._take_times("by")
 
 
 @dataclass(frozen=True)
@@ -152,7 +150,6 @@ class Reorder(FrameFault):
     def __post_init__(self) -> None:
         __tracebackhide__ = True
         super().__post_init__()
-        self._take_times("by")
         if not self.gateway:
             raise LocalProtocolError(
                 "a CAN bus and its controllers keep the order of frames with one identifier, and only a gateway does not. "
@@ -169,22 +166,12 @@ class Corrupt(FrameFault):
 
     flip: bytes = b""
 
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        _check_data("flip", self.flip)
-
 
 @dataclass(frozen=True)
 class Replace(FrameFault):
     """The frame has other data: the device answers something else. data: 0 to 8 bytes."""
 
     data: bytes = b""
-
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        _check_data("data", self.data)
 
 
 # ---- what devices do ----
@@ -205,7 +192,6 @@ class Refuse(Fault):
     def __post_init__(self) -> None:
         __tracebackhide__ = True
         super().__post_init__()
-        check_node_id(self.node_id)
         if not isinstance(self.code, int) or not 0 <= self.code < 1 << 32:
             raise LocalProtocolError(f"an abort code is a number of 32 bits, such as AbortCode.LOCAL_CONTROL, not {self.code!r}")
 
@@ -226,11 +212,6 @@ class Lie(Fault):
     value: Value
     _in_subject = ("node_id", "key")
 
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        check_node_id(self.node_id)
-
     @property
     def subject(self) -> str:
         return f"about {key_text(self.key)} of node {self.node_id}"
@@ -249,8 +230,6 @@ class Sudden(Fault):
         super().__post_init__()
         if self.on is not None and self.at is not None:
             raise LocalProtocolError("a fault happens at a time or on a frame: give `at` or `on`, not both")
-        if self.at is not None:
-            self._take_times("at")
         if self.on is not None:
             object.__setattr__(self, "on", as_pattern(self.on))
 
@@ -261,11 +240,6 @@ class NodeFault(Sudden):
 
     node_id: int
     _in_subject = ("node_id",)
-
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        check_node_id(self.node_id)
 
     @property
     def subject(self) -> str:
@@ -279,11 +253,6 @@ class Pause(NodeFault):
 
     lasts: Time = NEVER
 
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        self._take_times("lasts")
-
 
 @dataclass(frozen=True)
 class Reset(NodeFault):
@@ -295,11 +264,6 @@ class BusOff(NodeFault):
     """The CAN controller of a device goes bus-off for so many ns: nothing comes in or out, and the device knows it."""
 
     lasts: Time = SECOND
-
-    def __post_init__(self) -> None:
-        __tracebackhide__ = True
-        super().__post_init__()
-        self._take_times("lasts")
 
 
 @dataclass(frozen=True)
@@ -313,7 +277,6 @@ class SecondMaster(Sudden):
     def __post_init__(self) -> None:
         __tracebackhide__ = True
         super().__post_init__()
-        self._take_times("apart")
         if not self.frames:
             raise LocalProtocolError('what does the second master send? SecondMaster("000#0200")')
         for text in self.texts:
@@ -330,6 +293,7 @@ class SecondMaster(Sudden):
 
 
 _TIMES: Final = ("since", "until", "at", "by", "later", "lasts", "apart")
+_BYTES: Final = ("flip", "data")
 
 
 def _said(name: str, value: object) -> str:

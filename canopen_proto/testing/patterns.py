@@ -21,7 +21,6 @@ from canopen_proto.dictionary.standard import STANDARD, find_standard
 from canopen_proto.frame import (
     EMCY,
     ERROR_CONTROL,
-    KEY_REMOTE,
     NMT,
     RPDO1,
     SDO_CLIENT_TO_SERVER,
@@ -31,28 +30,19 @@ from canopen_proto.frame import (
     Frame,
 )
 from canopen_proto.machine import LocalProtocolError, check_node_id
-from canopen_proto.multiplexer import Mux, mux, mux_text, place_of
+from canopen_proto.multiplexer import mux, mux_text, place_of
 from canopen_proto.nmt import STATE_OF_BYTE, NmtCommand, NmtState
-from canopen_proto.sdo.codec import (
-    ABORT,
-    BLOCK_DOWNLOAD,
-    BLOCK_UPLOAD,
-    EXPEDITED_BIT,
-    INITIATE,
-    INITIATE_DOWNLOAD,
-    INITIATE_UPLOAD,
-    MAX_EXPEDITED,
-    SIZE_BIT,
-    SPECIFIER,
-)
+from canopen_proto.sdo.codec import ABORT, REQUESTS, SdoFrame, expedited_data, mux_in, number_in
 
 Names: TypeAlias = Callable[[int], "ObjectDictionary | None"]
 """Returns the dictionary of a node-ID, or None."""
 
 _PDO_STEP: Final = 0x100
 _PDOS: Final = 4
-_WRITES: Final = (INITIATE_DOWNLOAD, BLOCK_DOWNLOAD)
-_READS: Final = (INITIATE_UPLOAD, BLOCK_UPLOAD)
+_BEGINNINGS: Final = {
+    "sdo write": (SdoFrame.DOWNLOAD, SdoFrame.BLOCK_DOWNLOAD),
+    "sdo read": (SdoFrame.UPLOAD, SdoFrame.BLOCK_UPLOAD),
+}
 _STANDARD_NAMES: Final = {name: variable for variable in STANDARD.values() for name in variable.names}
 
 
@@ -290,18 +280,18 @@ def _fits_object(pattern: Pattern, frame: Frame, names: Names) -> bool:
     data = frame.data
     if not _node(SDO_CLIENT_TO_SERVER, frame, pattern) or len(data) < 4:
         return False
-    is_write = pattern.service == "sdo write"
-    if data[0] & SPECIFIER not in (_WRITES if is_write else _READS) or mux_of(frame) != pattern.variable(names).mux:
+    asked = REQUESTS[data[0]]
+    if asked not in _BEGINNINGS[pattern.service] or mux_in(data) != pattern.variable(names).mux:
         return False
     wanted = pattern.data(names)
-    return wanted is None or expedited_data(frame) == wanted
+    return wanted is None or (asked is SdoFrame.DOWNLOAD and expedited_data(data) == wanted)
 
 
 def _fits_abort(pattern: Pattern, frame: Frame, names: Names) -> bool:
     is_it = _node(SDO_CLIENT_TO_SERVER, frame, pattern) or _node(SDO_SERVER_TO_CLIENT, frame, pattern)
     if not is_it or len(frame.data) < 8 or frame.data[0] != ABORT:
         return False
-    return pattern.number in (-1, INITIATE.unpack(frame.data)[3])
+    return pattern.number in (-1, number_in(frame.data))
 
 
 _FITS: Final[dict[str, Callable[[Pattern, Frame, Names], bool]]] = {
@@ -320,26 +310,6 @@ _FITS: Final[dict[str, Callable[[Pattern, Frame, Names], bool]]] = {
     "sdo read": _fits_object,
     "sdo abort": _fits_abort,
 }
-
-
-def mux_of(frame: Frame) -> Mux:
-    """Return the object that a frame which begins or aborts an SDO transfer names."""
-    data = frame.data
-    return mux(data[1] | data[2] << 8, data[3])
-
-
-def expedited_data(frame: Frame) -> bytes | None:
-    """Return the data bytes of an expedited SDO frame; None for another SDO frame."""
-    command = frame.data[0]
-    if not command & EXPEDITED_BIT or command & SPECIFIER == BLOCK_DOWNLOAD:
-        return None
-    unused = command >> 2 & 3 if command & SIZE_BIT else 0
-    return frame.data[4 : 4 + MAX_EXPEDITED - unused]
-
-
-def is_remote(frame: Frame) -> bool:
-    """Whether it is a remote frame, which has no data."""
-    return bool(frame.key & KEY_REMOTE)
 
 
 def _variable(node_id: int, key: Key, names: Names) -> Variable:

@@ -104,11 +104,11 @@ class BootOutcome:
         return self.letter.is_failure
 
     def __str__(self) -> str:
-        """Return one sentence with all that is known."""
+        """Return one sentence with all that is known: words first, the letter and the time at its end."""
         facts = [self._values(), "" if self.abort_code is None else f"abort 0x{self.abort_code:08X}, {text_of(self.abort_code)}"]
         seen = "; ".join(filter(None, (*facts, self.remark)))
-        outcome = f"node {self.node_id}: {self.letter}, {self.letter.meaning}"
-        return f"{outcome}{': ' if seen else ''}{seen} ({self.elapsed / SECOND:.3g} s)"
+        outcome = f"node {self.node_id}: {self.letter.meaning}"
+        return f"{outcome}{': ' if seen else ''}{seen} ({self.letter}, {self.elapsed / SECOND:.3g} s)"
 
     def _values(self) -> str:
         place = "" if self.object is None else "0x{:04X}:{:02X}".format(*self.object)

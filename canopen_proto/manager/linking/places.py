@@ -15,6 +15,7 @@ from dataclasses import replace
 
 from canopen_proto.cob_id import check_can_id
 from canopen_proto.dictionary import Direction, Variable
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID
 from canopen_proto.manager.linking.model import KnownNode, LinkedPdo, Timing
 from canopen_proto.multiplexer import Mux
@@ -134,7 +135,7 @@ def _obstacle(member: KnownNode, slot: PdoSlot, entries: tuple[int, ...], timing
     """Return why a PDO cannot have these entries and times; empty if it can."""
     pdo = slot.pdo
     if slot.capacity < len(entries) and pdo.entries != entries:
-        return f"room for {slot.capacity} objects only" if slot.capacity else "a fixed mapping"
+        return f"room for {counted(slot.capacity, 'object')} only" if slot.capacity else "a fixed mapping"
     if not slot.can_move and (not pdo.is_valid or pdo.cob_id & COB_ID_EXTENDED or check_can_id(pdo.cob_id) is not None):
         return f"a fixed COB-ID, 0x{pdo.cob_id:X}"
     if pdo.direction is Direction.RPDO:
