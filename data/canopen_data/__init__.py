@@ -179,7 +179,7 @@ def init(folder: str | Path | None = None, *, force: bool = False) -> list[Copie
         goal.mkdir(parents=True, exist_ok=True)
         return [_copy(name, goal / name, force) for name in (*DICTIONARY_FILES, *CHAIN_FILES)]
     except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
-        hint = "`canopen data init --to FOLDER` copies them to another folder"
+        hint = "`canopen data init -o FOLDER` copies them to another folder"
         raise DataError(f"cannot copy the data files to {goal}: {error}", hint) from None
 
 

@@ -12,9 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from canopen_data.description import Commissioning, DeviceDescription, FileInfo, FileKind
 from canopen_proto import indices
 from canopen_proto.datatypes import Value
 from canopen_proto.dictionary.model import ObjectDictionary
@@ -23,10 +22,12 @@ from canopen_proto.frame import COB_ID_EXTENDED, EMCY, RPDO1, RPDO2, RPDO3, RPDO
 from canopen_proto.machine import LocalProtocolError, check_node_id
 from canopen_proto.multiplexer import Mux, split_mux
 
+if TYPE_CHECKING:
+    from canopen_data.description import Commissioning, DeviceDescription, FileInfo
+
 _CAN_ID: Final = 0x7FF
 _PDO_RECORDS: Final = (indices.RPDO_COMMUNICATION, indices.TPDO_COMMUNICATION)
 _PDO_BASES: Final = (TPDO1, RPDO1, TPDO2, RPDO2, TPDO3, RPDO3, TPDO4, RPDO4)
-_OF_ONE_DEVICE: Final = (FileKind.DCF, FileKind.XDC)
 
 
 def with_configured(
@@ -46,13 +47,15 @@ def with_configured(
     and LocalProtocolError if neither argument nor description has a node-ID. Limits are not checked: a device may hold a value
     that its EDS does not allow.
     """
+    from canopen_data.description import FileKind  # only here: a simulated drive needs none of it
+
     commissioning = commissioning or description.commissioning
     if commissioning is None or commissioning.node_id is None:
         raise LocalProtocolError("a DCF is of one device: its commissioning needs a node-ID")
     check_node_id(commissioning.node_id)
     if file_info is None:
         file_info = description.file_info
-        if description.kind not in _OF_ONE_DEVICE:
+        if description.kind not in (FileKind.DCF, FileKind.XDC):
             file_info = replace(file_info, last_eds=file_info.file_name)
     return replace(
         description,
@@ -107,6 +110,8 @@ def without_configured(description: DeviceDescription) -> DeviceDescription:
 
     Configured values, commissioning, connected modules, denotations, the files of DOMAINs and LastEDS are removed.
     """
+    from canopen_data.description import FileKind
+
     return replace(
         description,
         dictionary=without_configured_values(description.dictionary),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from canopen_proto.explained import Explained
+from canopen_proto.explained import Explained, counted
 from canopen_proto.machine import LocalProtocolError
 
 __all__ = ["DictionaryError", "Finding", "Severity"]
@@ -56,7 +56,7 @@ class DictionaryError(Explained, LocalProtocolError, ValueError):
         self.findings: tuple[Finding, ...] = tuple(findings)
         first, *rest = [str(each) for each in self.findings[:MAX_SHOWN]]
         hidden = len(self.findings) - MAX_SHOWN
-        also = [*rest, f"{hidden} more errors"] if hidden > 0 else rest
+        also = [*rest, counted(hidden, "more error")] if hidden > 0 else rest
         super().__init__("CO301", first, also=also, tries=tries or ("correct the file",))
 
     @property

@@ -24,6 +24,7 @@ from typing import Final, NamedTuple
 
 from canopen_data.findings import Finding, Severity
 from canopen_proto.dictionary.model import Access, Direction
+from canopen_proto.explained import counted
 
 _COLUMN: Final = re.compile(r"\S+")
 _HEX: Final = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{1,16}", re.ASCII)
@@ -197,7 +198,7 @@ def _has_columns(cells: tuple[Cell, ...], names: tuple[str, ...], findings: list
         return True
     at = cells[len(names)] if len(cells) > len(names) else cells[-1]
     hint = " (columns are separated by white space)" if any(mark in cells[0].text for mark in ",;") else ""
-    message = f"a row has {len(names)} columns ({', '.join(names)}), not {_counted(cells)}{hint}"
+    message = f"a row has {counted(len(names), 'column')} ({', '.join(names)}), not {_counted(cells)}{hint}"
     findings.append(at.error("columns", message))
     return False
 

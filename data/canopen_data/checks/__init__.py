@@ -27,6 +27,7 @@ from canopen_data.checks import cob_ids, device, mappings, profiles, structure, 
 from canopen_data.checks.subject import Rule, Subject
 from canopen_data.description import DeviceDescription
 from canopen_data.findings import Finding, Severity
+from canopen_proto.explained import counted
 
 __all__ = ["RULES", "Rule", "check"]
 
@@ -59,7 +60,7 @@ def check(description: DeviceDescription) -> list[Finding]:
             worst = min(worst, finding.severity, key=list(Severity).index)
     found = sorted(_once(found, subject.shared), key=lambda finding: (finding.line, finding.column))
     if hidden:
-        found.append(Finding(worst, "too-many", f"{hidden} more findings are not listed", description.source))
+        found.append(Finding(worst, "too-many", f"{counted(hidden, 'more finding')} not listed", description.source))
     return found
 
 
@@ -74,5 +75,5 @@ def _once(found: Iterable[Finding], shared: Collection[tuple[str, int, int]]) ->
         elif first.setdefault(place, finding) is not finding:
             more[place] += 1
     for place, finding in first.items():
-        told = f"; the same of {more[place]} more sub-objects" if more[place] else ""
+        told = f"; the same of {counted(more[place], 'more sub-object')}" if more[place] else ""
         yield replace(finding, message=finding.message + told)

@@ -14,6 +14,7 @@ from canopen_data.findings import Finding, first_of
 from canopen_proto import indices
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary.model import Object, ObjectType, Variable
+from canopen_proto.explained import counted
 
 MAX_NAME: Final = 241
 """Characters of a ParameterName (CiA 306-1)."""
@@ -96,7 +97,7 @@ def check_objects(subject: Subject) -> Iterator[Finding]:
             yield from _check_entries(subject, each)
         elif each.object_type is ObjectType.VAR and any(subindex not in (0, STRUCTURE) for subindex in each.variables):
             yield subject.of_object(
-                "var-with-entries", each.index, f"it is a VAR, but has {len(each.variables)} sub-objects", "ObjectType"
+                "var-with-entries", each.index, f"it is a VAR, but has {counted(len(each.variables), 'sub-object')}", "ObjectType"
             )
 
 

@@ -24,6 +24,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 from canopen_data.findings import Finding, Severity
+from canopen_proto.explained import counted
 
 MAX_FILE_SIZE: Final = 16 * 1024 * 1024
 """Bytes. The largest EDS in the field are below 2 MiB."""
@@ -81,7 +82,7 @@ class Findings:
         """Return the findings in the order of the file."""
         found = sorted(self._list, key=lambda each: (each.line, each.column))
         if self._hidden:
-            found.append(Finding(self._worst, "too-many", f"{self._hidden} more findings are not listed", self.source))
+            found.append(Finding(self._worst, "too-many", f"{counted(self._hidden, 'more finding')} not listed", self.source))
         return tuple(found)
 
 

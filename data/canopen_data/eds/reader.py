@@ -30,6 +30,7 @@ from canopen_data.eds import device
 from canopen_data.eds.compact import Compact
 from canopen_data.eds.encodings import text_of
 from canopen_data.eds.ini import MAX_FILE_SIZE, EdsDocument, Findings, Section, quoted
+from canopen_data.eds.keys import Fields
 from canopen_data.eds.modules import Modules
 from canopen_data.eds.numbers import read_number
 from canopen_data.eds.unused import report_unused
@@ -95,7 +96,7 @@ def read_eds(
         device_info=info,
         commissioning=commissioning,
         dummies=device.dummies(document, findings),
-        comments=device.Fields(document.named.get("comments"), findings).comments(),
+        comments=Fields(document.named.get("comments"), findings).comments(),
         mandatory=_list(document, "mandatoryobjects", findings),
         optional=_list(document, "optionalobjects", findings),
         manufacturer=_list(document, "manufacturerobjects", findings),
@@ -113,7 +114,7 @@ def read_eds(
 
 
 def _list(document: EdsDocument, name: str, findings: Findings) -> tuple[int, ...]:
-    return device.Fields(document.named.get(name), findings).indices("SupportedObjects")
+    return Fields(document.named.get(name), findings).indices("SupportedObjects")
 
 
 class _Objects:

@@ -24,7 +24,8 @@ from collections.abc import Iterable, Iterator
 from typing import Final, TypeAlias
 
 from canopen_data.describing import lists_of
-from canopen_data.description import BIT_RATES, Commissioning, DeviceDescription, FileInfo, Module
+from canopen_data.description import BIT_RATES, DeviceDescription, DeviceInfo, Module
+from canopen_data.eds.keys import COMMISSIONING, FEATURES, FILE_INFO, MODULE_INFO, PRODUCT, flag_text, written
 from canopen_data.eds.writer_values import (
     BYTES_KEY,
     NOT_READ_KEY,
@@ -41,18 +42,20 @@ Entries: TypeAlias = dict[str, str]
 Sections: TypeAlias = dict[str, Entries]
 """By name, in the order of the file."""
 
-COMMISSIONING: Final = "DeviceComissioning"
 OBJECT_LISTS: Final = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 _HAS_SUB_OBJECTS: Final = (ObjectType.ARRAY, ObjectType.RECORD, ObjectType.DEFSTRUCT)
 
 
 def sections_of(description: DeviceDescription) -> Sections:
     """Return every fact that CiA 306 has a place for, section by section."""
-    sections: Sections = {"FileInfo": _file_info(description.file_info), "DeviceInfo": _device_info(description)}
+    sections: Sections = {
+        "FileInfo": written(FILE_INFO, description.file_info),
+        "DeviceInfo": _device_info(description.device_info),
+    }
     if description.commissioning is not None:
-        sections[COMMISSIONING] = _commissioning(description.commissioning)
+        sections["DeviceComissioning"] = written(COMMISSIONING, description.commissioning)
     if description.dummies is not None:
-        sections["DummyUsage"] = {f"Dummy{index:04X}": _flag(usable) for index, usable in description.dummies.items()}
+        sections["DummyUsage"] = {f"Dummy{index:04X}": flag_text(usable) for index, usable in description.dummies.items()}
     sections["Comments"] = _comments(description.comments)
     for name, found in zip(OBJECT_LISTS, _lists(description), strict=True):
         sections[name] = _counted("SupportedObjects", map(_index, found))
@@ -126,7 +129,7 @@ def _variable(variable: Variable, name: str, object_type: ObjectType, whole: Obj
             _add(entries, "ParameterValue", text_beside(variable.configured, variable.data_type))
             entries[BYTES_KEY] = octets
     _add(entries, NOT_READ_KEY, one_line(variable.not_read))
-    entries["PDOMapping"] = _flag(variable.pdo_mappable)
+    entries["PDOMapping"] = flag_text(variable.pdo_mappable)
     _add(entries, "ObjFlags", _flags(variable.object_flags | (whole.object_flags if whole else 0)))
     _add(entries, "UploadFile", one_line(variable.upload_file))
     _add(entries, "DownloadFile", one_line(variable.download_file))
@@ -136,69 +139,14 @@ def _variable(variable: Variable, name: str, object_type: ObjectType, whole: Obj
     return entries
 
 
-def _file_info(info: FileInfo) -> Entries:
-    entries: Entries = {}
-    _add(entries, "FileName", one_line(info.file_name))
-    entries["FileVersion"] = str(info.file_version)
-    entries["FileRevision"] = str(info.file_revision)
-    texts = {
-        "LastEDS": info.last_eds,
-        "EDSVersion": info.eds_version,
-        "Description": info.description,
-        "CreationTime": info.creation_time,
-        "CreationDate": info.creation_date,
-        "CreatedBy": info.created_by,
-        "ModificationTime": info.modification_time,
-        "ModificationDate": info.modification_date,
-        "ModifiedBy": info.modified_by,
-    }
-    for key, text in texts.items():
-        _add(entries, key, one_line(text))
-    return entries
-
-
-def _device_info(description: DeviceDescription) -> Entries:
-    info = description.device_info
-    entries: Entries = {}
-    _add(entries, "VendorName", one_line(info.vendor_name))
-    _add(entries, "VendorNumber", _identity(info.vendor_number))
-    _add(entries, "ProductName", one_line(info.product_name))
-    _add(entries, "ProductNumber", _identity(info.product_number))
-    _add(entries, "RevisionNumber", _identity(info.revision_number))
-    _add(entries, "OrderCode", one_line(info.order_code))
-    entries |= {f"BaudRate_{rate}": _flag(rate in info.bit_rates) for rate in BIT_RATES}
-    entries["SimpleBootUpMaster"] = _flag(info.simple_boot_up_master)
-    entries["SimpleBootUpSlave"] = _flag(info.simple_boot_up_slave)
-    entries["Granularity"] = str(info.granularity)
-    entries["DynamicChannelsSupported"] = str(info.dynamic_channels_supported)
-    entries["CompactPDO"] = str(info.compact_pdo)
-    entries["GroupMessaging"] = _flag(info.group_messaging)
-    _add(entries, "NrOfRXPDO", _count(info.rpdo_count))
-    _add(entries, "NrOfTXPDO", _count(info.tpdo_count))
-    entries["LSS_Supported"] = _flag(info.lss_supported)
-    return entries
-
-
-def _commissioning(facts: Commissioning) -> Entries:
-    entries: Entries = {}
-    _add(entries, "NodeID", _count(facts.node_id))
-    _add(entries, "NodeName", one_line(facts.node_name))
-    _add(entries, "Baudrate", _count(facts.bit_rate))
-    _add(entries, "NetNumber", _count(facts.net_number))
-    _add(entries, "NetworkName", one_line(facts.network_name))
-    entries["CANopenManager"] = _flag(facts.canopen_manager)
-    _add(entries, "LSS_SerialNumber", _count(facts.lss_serial_number))
-    return entries
+def _device_info(info: DeviceInfo) -> Entries:
+    bit_rates = {f"BaudRate_{rate}": flag_text(rate in info.bit_rates) for rate in BIT_RATES}
+    return written(PRODUCT, info) | bit_rates | written(FEATURES, info)
 
 
 def _module(module: Module) -> Sections:
     prefix = f"M{module.number}"
-    info: Entries = {}
-    _add(info, "ProductName", one_line(module.product_name))
-    _add(info, "ProductVersion", _count(module.product_version))
-    _add(info, "ProductRevision", _count(module.product_revision))
-    _add(info, "OrderCode", one_line(module.order_code))
-    sections = {f"{prefix}ModuleInfo": info}
+    sections = {f"{prefix}ModuleInfo": written(MODULE_INFO, module)}
     if module.comments:
         sections[f"{prefix}Comments"] = _comments(module.comments)
     if module.fixed_objects:
@@ -243,20 +191,8 @@ def _add(entries: Entries, key: str, text: str) -> None:
         entries[key] = text
 
 
-def _flag(value: bool) -> str:
-    return "1" if value else "0"
-
-
 def _flags(value: int) -> str:
     return f"0x{value:X}" if value else ""
-
-
-def _count(value: int | None) -> str:
-    return "" if value is None else str(value)
-
-
-def _identity(value: int | None) -> str:
-    return "" if value is None else f"0x{value:08X}"
 
 
 def _index(value: int) -> str:
