@@ -29,6 +29,8 @@ _SHOWN: Final = re.compile(
 _RAW_DLC: Final = re.compile(r"_[0-9A-Fa-f]$")  # how candump shows a DLC of 9 to 15, which means 8 bytes
 _BYTES: Final = re.compile(r"(?:[0-9A-Fa-f]{2}){0,8}")
 _ERROR_FRAME: Final = 0x20000000
+LOST: Final = "20000004#0001000000000000"
+"""linux/can/error.h: CAN_ERR_CRTL, with CAN_ERR_CRTL_RX_OVERFLOW in data[1]."""
 
 
 class NotAFrameError(ValueError):
@@ -46,10 +48,11 @@ def read_candump(lines: Iterable[str], skip: Skip) -> Iterator[Record]:
     """Yield the records of lines; empty lines are allowed. skip: told of each line that is no frame of classical CAN. Raises
     LogDamagedError for a line that is not candump's."""
     for number, line in enumerate(lines, 1):
-        if not line.strip():
+        text = line.strip()
+        if not text:
             continue
         try:
-            yield parse_line(line.strip())
+            yield parse_line(text)
         except NotAFrameError as reason:
             skip(str(reason), is_overrun=reason.is_overrun)
         except ValueError as error:
@@ -84,7 +87,7 @@ def _logged_frame(text: str) -> Frame:
     if data.startswith("#"):
         raise NotAFrameError("a CAN FD frame")
     _check_identifier(identifier, data)
-    return Frame.parse(_RAW_DLC.sub("", text))
+    return Frame.parse(_RAW_DLC.sub("", text) if "_" in text else text)
 
 
 def _shown_frame(identifier: str, length: str, rest: str) -> Frame:
@@ -106,6 +109,22 @@ def _check_identifier(identifier: str, data: str) -> None:
         raise NotAFrameError("an error frame", is_overrun=report.overrun)
 
 
+def log_line(record: Record) -> str:
+    """Return the line of a frame in a log, with its end."""
+    return f"{_head(record.time, record.channel)} {record.frame} {'T' if record.sent else 'R'}\n"
+
+
+def lost_line(time: int, channel: str) -> str:
+    """Return the line that says that frames are missing here: SocketCAN's error frame of a receive buffer that overran. time,
+    channel: as of a Record."""
+    return f"{_head(time, channel)} {LOST} R\n"
+
+
+def _head(time: int, channel: str) -> str:
+    seconds, fraction = divmod(time // 1000, 10**6)
+    return f"({seconds:010d}.{fraction:06d}) {channel or DEFAULT_CHANNEL}"
+
+
 class CandumpWriter:
     """Writes `.log`. Each line goes to the system at once, so that a killed process leaves all of them. file: open for
     writing."""
@@ -116,9 +135,7 @@ class CandumpWriter:
 
     def write(self, record: Record) -> None:
         """Add a line."""
-        seconds, fraction = divmod(record.time // 1000, 10**6)
-        direction = "T" if record.sent else "R"
-        self._file.write(f"({seconds:010d}.{fraction:06d}) {record.channel or DEFAULT_CHANNEL} {record.frame} {direction}\n")
+        self._file.write(log_line(record))
 
     def close(self) -> None:
         """Close the file."""

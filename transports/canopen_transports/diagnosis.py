@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
+from canopen_proto.explained import counted
 from canopen_transports.errors import (
     BAD_LOCATOR,
     BUS_LOST,
@@ -282,7 +283,7 @@ def not_acknowledged(locator: Locator, doing: str, seen: str, received: int) -> 
 def no_room(locator: Locator, doing: str, seconds: float, received: int, last_error: str) -> TransportError:
     """Return the error for a transmit queue that stayed full for so many seconds. received, last_error: see the transports.
     doing: what was tried."""
-    heard = f"{received} frames received so far" if received else "no frame ever received"
+    heard = f"{counted(received, 'frame')} received so far" if received else "no frame ever received"
     seen = f"no room in the transmit queue for {seconds:g} s; {heard}" + (f"; {last_error}" if last_error else "")
     return not_acknowledged(locator, doing, seen, received)
 

@@ -18,6 +18,7 @@ the middle, raises an error after all frames that can be read.
 from __future__ import annotations
 
 import codecs
+import os
 from collections.abc import Callable, Generator, Iterator
 from io import BufferedReader, TextIOWrapper
 from pathlib import Path
@@ -99,6 +100,7 @@ class LogReader:
         self.overruns = 0
         self.last_skip = ""
         self._stream = stream
+        self._file: BufferedReader | None = None
         self._kind = ".log" if stream is not None or path.suffix.lower() == ".txt" else kind_of(path)
 
     def __iter__(self) -> Generator[Record]:
@@ -108,6 +110,7 @@ class LogReader:
                 yield from self._records(self._stream, ".pcap" if self._stream.peek(4)[:4] in MAGICS else ".log")
             else:
                 with open(self.path, "rb") as file:
+                    self._file = file
                     yield from self._records(file, self._kind)
         except OSError as error:
             raise _no_access("read", self.path, error) from error
@@ -116,6 +119,16 @@ class LogReader:
             cause = "the file is damaged, or of another kind than its name says"
             tries = error.tries or (_STATS,)
             raise LogFileError(f"{place} is not understood", str(error), cause, tries, line=error.line) from error
+
+    @property
+    def share(self) -> float | None:
+        """How much of the file was read so far, 0 to 1; None: nobody knows, as of a stream, or of a file that is closed."""
+        file = self._file
+        try:
+            size = 0 if file is None or file.closed else os.fstat(file.fileno()).st_size
+            return None if file is None or not size else min(1.0, file.tell() / size)
+        except (OSError, ValueError):
+            return None
 
     def _records(self, file: BufferedReader, kind: str) -> Iterator[Record]:
         if kind in _BINARY:

@@ -79,7 +79,8 @@ class VirtualTransport(AsyncResource):
         self._receiver: Callable[[Frame, Time], None] | None = None
         names = _buses.get()
         if name not in names:
-            names[name] = (_stand_in.get() or _new_line)(name)
+            stands_in = _stand_in.get()
+            names[name] = VirtualLine() if stands_in is None else stands_in(name)
         self._line = names[name]
         self._line.join(self)
 
@@ -163,7 +164,3 @@ def stand_in(line: Callable[[str], VirtualLine]) -> None:
 def has_stand_in() -> bool:
     """Whether `stand_in` was called in this run."""
     return _stand_in.get() is not None
-
-
-def _new_line(name: str) -> VirtualLine:
-    return VirtualLine()

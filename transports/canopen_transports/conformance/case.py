@@ -21,6 +21,7 @@ from canopen_proto.verdict import NotApplicable, Result, Verdict, ViolationError
 from canopen_transports.conformance import leftovers
 from canopen_transports.conformance.bench import Site, TransportBench
 from canopen_transports.loop import current_loop
+from canopen_transports.loop.beside import beside
 
 LIMIT: Final = 120.0
 """Seconds. In virtual time a case that hangs gets there at once."""
@@ -67,9 +68,8 @@ class TransportCase:
         loop = current_loop()
         before = leftovers.held()
         with loop.move_on_after(LIMIT) as limit:
-            async with site.open_bus() as bus, AsyncExitStack() as stack, loop.open_nursery() as nursery:
+            async with site.open_bus() as bus, AsyncExitStack() as stack, beside(loop.open_nursery()) as nursery:
                 await self.body(TransportBench(site, bus, stack, nursery))
-                nursery.cancel_scope.cancel()
         expect(not limit.cancelled_caught, f"{self.title}: the case hangs; it was not over after {LIMIT:g} s")
         left = sorted(leftovers.held() - before)
         expect(not left, f"all members are closed, but this is left open: {', '.join(left)}")
