@@ -18,6 +18,7 @@ from canopen_check.sdo_cases import DEVICE_TYPE, NO_OBJECT
 from canopen_check.storing_cases import save
 from canopen_proto.cob_id import is_valid
 from canopen_proto.dictionary import Variable
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID, RoutingKey, key_of_cob_id
 from canopen_proto.indices import SDO_CLIENTS
 from canopen_proto.nmt import NmtCommand
@@ -137,7 +138,7 @@ def saved_clients(bench: Bench) -> Procedure[str]:
         for index, to_server, to_client in saved:
             for subindex, cob_id in ((TO_SERVER, to_server), (TO_CLIENT, to_client)):
                 yield from bench.expect_number(index, subindex, cob_id, "saved, after reset communication")
-    return f"{len(found)} clients"
+    return counted(len(found), "client")
 
 
 CASES: Final = (

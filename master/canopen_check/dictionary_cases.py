@@ -29,6 +29,7 @@ from canopen_check.sdo_cases import (
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Access, Object, ObjectType, Variable
 from canopen_proto.dictionary.download_order import NO_DOWNLOAD
+from canopen_proto.explained import counted
 from canopen_proto.indices import COMMUNICATION_AREA, ERROR_REGISTER, MANUFACTURER_AREA, MANUFACTURER_STATUS_REGISTER
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.procedures.steps import Procedure, SdoTransferError
@@ -87,7 +88,7 @@ def expect_defaults(bench: Bench, variables: Iterable[Variable]) -> Procedure[st
         yield from bench.reset()
         yield from for_each(bench, doubtful, look_again)
     told = f", {named_before} of them with another value, as named before" if named_before else ""
-    return f"{count} objects{told}"
+    return f"{counted(count, 'object')}{told}"
 
 
 def _name(bench: Bench, variable: Variable, seen: bytes) -> NoReturn:
@@ -123,7 +124,7 @@ def read_all(bench: Bench) -> Procedure[str]:
     """4.1: every readable object can be read, with the length of its type."""
     readable = [variable for variable in bench.dictionary if variable.access.readable]
     count = yield from for_each(bench, readable, partial(_read, bench))
-    return f"{count} objects"
+    return counted(count, "object")
 
 
 def _read(bench: Bench, variable: Variable) -> Procedure[None]:
@@ -153,7 +154,7 @@ def write_read_only(bench: Bench) -> Procedure[str]:
 
     constant = [variable for variable in bench.dictionary if not variable.access.writable]
     count = yield from for_each(bench, constant, look)
-    return f"{count} objects"
+    return counted(count, "object")
 
 
 def compare_structure(bench: Bench) -> Procedure[str]:
@@ -170,7 +171,7 @@ def compare_structure(bench: Bench) -> Procedure[str]:
             expect_equal(structure >> 8, int(described.variables[1].data_type), f"the data type in {label}")
 
     count = yield from for_each(bench, found, look)
-    return f"{count} objects"
+    return counted(count, "object")
 
 
 def check_limits(bench: Bench) -> Procedure[str]:
@@ -201,7 +202,7 @@ def check_limits(bench: Bench) -> Procedure[str]:
         if beyond is not None and within is not None
     ]
     yield from for_each(bench, limits, look)
-    return f"{len(found)} objects"
+    return counted(len(found), "object")
 
 
 def write_back(bench: Bench) -> Procedure[str]:
@@ -224,7 +225,7 @@ def write_back(bench: Bench) -> Procedure[str]:
         and not (variable.object_flags | bench.dictionary.objects[variable.index].object_flags) & NO_DOWNLOAD
     ]
     count = yield from for_each(bench, found, look)
-    return f"{count} objects"
+    return counted(count, "object")
 
 
 def access_all(bench: Bench) -> Procedure[str]:

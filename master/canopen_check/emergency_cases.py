@@ -15,6 +15,7 @@ from canopen_check.pdo_tools import key_of, length_of, set_up, usable
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Direction
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID, EMCY
 from canopen_proto.nmt import NmtCommand
 from canopen_proto.pdo.consumer import EMCY_PDO_NOT_PROCESSED
@@ -51,7 +52,7 @@ def empty_history(bench: Bench) -> Procedure[str]:
         expect_refusal((yield from bench.refusal_of_read(HISTORY, 1)), NO_DATA, "reading 0x1003:01 of an empty history")
     else:
         yield from bench.read(HISTORY, 1)
-    return f"{count} errors"
+    return counted(count, "error")
 
 
 def force_error(bench: Bench) -> Procedure[bytes]:

@@ -15,6 +15,7 @@ from canopen_check.expectations import TimingError
 from canopen_check.heartbeat_cases import EMCY_CONNECTION_LOST, check_not_early, highest
 from canopen_check.heartbeat_cases import PRODUCER as HEARTBEAT
 from canopen_proto import indices
+from canopen_proto.explained import counted
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, RoutingKey
 from canopen_proto.guarding import TOGGLE
 from canopen_proto.indices import COB_ID_EMERGENCY
@@ -154,7 +155,7 @@ def _heartbeats(bench: Bench, *, guard: bool, ask: bool) -> Procedure[str]:
     for each in heard:
         expect_equal(each.frame.data, bytes((NmtState.PRE_OPERATIONAL,)), "the data of a heartbeat in pre-operational")
     yield from expect_no_error(bench, PERIOD * FACTOR * 2, "an emergency message though there is a heartbeat")
-    return f"{len(heard)} heartbeats"
+    return counted(len(heard), "heartbeat")
 
 
 def heartbeat_on(bench: Bench) -> Procedure[str]:

@@ -11,6 +11,7 @@ from canopen_check.emergencies import code_of, errors_heard, expect_no_error, ne
 from canopen_check.expectations import TimingError, expect_refusal
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
+from canopen_proto.explained import counted
 from canopen_proto.frame import ERROR_CONTROL, MAX_NODE_ID, RoutingKey
 from canopen_proto.indices import COB_ID_EMERGENCY
 from canopen_proto.machine import MILLISECOND, SECOND, Time
@@ -50,7 +51,7 @@ def count_heartbeats(bench: Bench) -> Procedure[str]:
     heard = yield from bench.expect_period(bench.error_control_key, COUNTED, PERIOD, "the heartbeat")
     for each in heard:
         expect_equal(each.frame.data, bytes((NmtState.PRE_OPERATIONAL,)), "the data of a heartbeat in pre-operational")
-    return f"{len(heard)} heartbeats"
+    return counted(len(heard), "heartbeat")
 
 
 def stop_heartbeat(bench: Bench) -> Procedure[None]:
@@ -116,7 +117,7 @@ def monitor_in_time(bench: Bench) -> Procedure[str]:
     sent = f"heartbeats came each {MONITORED // 2 // MILLISECOND} ms, the consumer time is {MONITORED // MILLISECOND} ms"
     for each in errors_heard(bench):
         raise TimingError(f"{sent}, and an emergency message came too: {each.frame}")
-    return f"{len(monitored)} entries"
+    return counted(len(monitored), "entry")
 
 
 def check_not_early(after: Time, time: Time, what: str) -> None:
@@ -149,7 +150,7 @@ def monitor_late(bench: Bench) -> Procedure[str]:
         yield from expect_lost(bench, node_id)
         yield from bench.write(CONSUMER, subindex, 0)
         yield from bench.sleep(REACTION_TIME)
-    return f"{len(monitored)} entries"
+    return counted(len(monitored), "entry")
 
 
 def monitor_after_reset(bench: Bench) -> Procedure[None]:

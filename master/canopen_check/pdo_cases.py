@@ -36,6 +36,7 @@ from canopen_check.sdo_cases import NO_OBJECT
 from canopen_proto import indices
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.dictionary import Direction
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_EXTENDED, COB_ID_INVALID, COB_ID_NO_RTR
 from canopen_proto.indices import COB_ID_SYNC
 from canopen_proto.machine import MILLISECOND, SECOND
@@ -87,7 +88,7 @@ def scan(direction: Direction, bench: Bench) -> Procedure[str]:
     if beyond <= MAX_PDOS:
         index = Pdo(direction, beyond).communication
         expect_refusal((yield from bench.refusal_of_read(index, COB_ID)), NO_OBJECT, f"reading 0x{index:04X}:01")
-    return f"{len(pdos)} PDOs"
+    return counted(len(pdos), "PDO")
 
 
 def _look_at_parameter(bench: Bench, place: tuple[Pdo, int]) -> Procedure[None]:
@@ -139,7 +140,7 @@ def answers_requests(state: NmtState, bench: Bench) -> Procedure[str]:
     yield from for_each(bench, usable(bench, Direction.TPDO), look)
     if not count:
         does_not_apply("no TPDO allows remote requests")
-    return f"{count} times"
+    return counted(count, "time")
 
 
 def _look_for_answers(bench: Bench, pdo: Pdo, live: bool) -> Procedure[None]:
@@ -175,7 +176,7 @@ def _each_tpdo(
     yield from for_each(bench, [(pdo, transmission_type) for pdo in able for transmission_type in types], try_it)
     if not count:
         does_not_apply("no TPDO supports it")
-    return "; ".join((f"{count} times", *sorted(seen - {""})))
+    return "; ".join((f"{counted(count, 'time')}", *sorted(seen - {""})))
 
 
 def event_driven(state: NmtState, bench: Bench) -> Procedure[str]:
@@ -235,10 +236,11 @@ def _look_for_nth_sync(period: int, bench: Bench, pdo: Pdo, live: bool) -> Proce
     came = yield from _after_syncs(bench, pdo, [None] * 2 * period)
     if live:
         expect(
-            sum(came) == 2 and came[:period] == came[period:], f"{pdo} of type {period} came {came} times after {len(came)} SYNCs"
+            sum(came) == 2 and came[:period] == came[period:],
+            f"{pdo} of type {period} came {came} times after {counted(len(came), 'SYNC')}",
         )
     else:
-        expect_equal(sum(came), 0, f"the number of {pdo} after {len(came)} SYNCs")
+        expect_equal(sum(came), 0, f"the number of {pdo} after {counted(len(came), 'SYNC')}")
 
 
 def _after_syncs(bench: Bench, pdo: Pdo, counters: Sequence[int | None]) -> Procedure[list[int]]:

@@ -30,6 +30,7 @@ from canopen_check.sdo_cases import NOT_NOW
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Access, Direction, Variable
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.multiplexer import mapped, mapping_entry, mux
 from canopen_proto.nmt import NmtCommand
@@ -76,7 +77,7 @@ def default_mappings(bench: Bench) -> Procedure[str]:
         expect(bits <= MAX_BITS, f"{pdo} carries {bits} bits")
 
     yield from for_each(bench, all_pdos(bench, *BOTH), look)
-    return f"{count} entries"
+    return counted(count, "entry")
 
 
 def _check_entry(bench: Bench, pdo: Pdo, entry: int) -> None:
@@ -123,7 +124,7 @@ def new_mapping(bench: Bench) -> Procedure[str]:
         yield from bench.expect_number(pdo.mapping, 1, entry, "with a new mapping")
 
     yield from for_each(bench, pdos, look)
-    return f"{len(pdos)} PDOs"
+    return counted(len(pdos), "PDO")
 
 
 def without_procedure(bench: Bench) -> Procedure[str]:
@@ -141,7 +142,7 @@ def without_procedure(bench: Bench) -> Procedure[str]:
             bench.notes.remark(f"{pdo} takes the own value of an entry of an enabled mapping; CiA's tool wants it refused")
 
     yield from for_each(bench, pdos, look)
-    return f"{len(pdos)} PDOs"
+    return counted(len(pdos), "PDO")
 
 
 def while_valid(bench: Bench) -> Procedure[str]:
@@ -157,7 +158,7 @@ def while_valid(bench: Bench) -> Procedure[str]:
         expect_refusal(refusal, NOT_NOW, f"a new mapping of {pdo}, which is valid,")
 
     yield from for_each(bench, pdos, look)
-    return f"{len(pdos)} PDOs"
+    return counted(len(pdos), "PDO")
 
 
 def too_many(bench: Bench) -> Procedure[str]:
@@ -171,7 +172,7 @@ def too_many(bench: Bench) -> Procedure[str]:
         expect_refusal(refusal, TOO_MANY, f"{MAX_ENTRIES + 1} objects in {pdo}")
 
     yield from for_each(bench, pdos, look)
-    return f"{len(pdos)} PDOs"
+    return counted(len(pdos), "PDO")
 
 
 def too_long(bench: Bench) -> Procedure[str]:
@@ -191,7 +192,7 @@ def too_long(bench: Bench) -> Procedure[str]:
         expect_refusal(refusal, TOO_LONG, f"{sum(bits for _, _, bits in map(mapped, entries))} bits in {pdo}")
 
     yield from for_each(bench, pdos, look)
-    return f"{len(pdos)} PDOs"
+    return counted(len(pdos), "PDO")
 
 
 def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: Collection[AbortCode]) -> Procedure[str]:
@@ -210,7 +211,7 @@ def _each(bench: Bench, direction: Direction, found: Sequence[Variable], valid: 
             raise ViolationError(f"{what} was refused with 0x{refusal:08X}")
 
     yield from for_each(bench, pdos, look)
-    return f"{variable.label} in {len(pdos)} PDOs"
+    return f"{variable.label} in {counted(len(pdos), 'PDO')}"
 
 
 def map_rightly(direction: Direction, bench: Bench) -> Procedure[str]:

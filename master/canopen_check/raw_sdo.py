@@ -10,14 +10,12 @@ from typing import Final
 from canopen_check.bench import ANSWER_TIME, Bench
 from canopen_proto.procedures.steps import Procedure
 from canopen_proto.sdo.codec import (
-    ABORT,
     DOWNLOAD_SEGMENT,
     INITIATE_DOWNLOAD,
     INITIATE_UPLOAD,
     LAST,
     RESPONSES,
     SIZE_BIT,
-    SPECIFIER,
     TOGGLE,
     UPLOAD_SEGMENT,
     SdoFrame,
@@ -61,7 +59,7 @@ def answer(bench: Bench, what: str) -> Procedure[bytes]:
 
 def abort_code_in(response: bytes) -> int | None:
     """Return the code of an abort; None if the response is not an abort."""
-    return number_in(response) if response[0] & SPECIFIER == ABORT else None
+    return number_in(response) if RESPONSES[response[0]] is SdoFrame.ABORT else None
 
 
 def expect_response(response: bytes, expected: SdoFrame, what: str, place: tuple[int, int] | None = None) -> None:

@@ -27,6 +27,7 @@ from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.datatypes import DataType, range_of
 from canopen_proto.dictionary import Variable
+from canopen_proto.explained import counted
 from canopen_proto.indices import GUARD_TIME, INHIBIT_TIME_EMERGENCY, RESTORE_DEFAULT_PARAMETERS, STORE_PARAMETERS
 from canopen_proto.pdo.settings import EVENT_TIMER, place_of
 from canopen_proto.procedures.steps import Procedure
@@ -302,10 +303,10 @@ def read_segmented(bench: Bench) -> Procedure[str]:
     """2.16: an object of more than four bytes comes in segments, as many bytes as announced."""
     variable = long_object(bench)
     content = yield from segmented_upload(bench, variable.index, variable.subindex)
-    expect(len(content) > 4, f"{variable.label} came in segments with {len(content)} bytes")
+    expect(len(content) > 4, f"{variable.label} came in segments with {counted(len(content), 'byte')}")
     if variable.size is not None:
         expect_equal(len(content), variable.size, f"the number of bytes of {variable.label}")
-    return f"{variable.label}: {len(content)} bytes"
+    return f"{variable.label}: {counted(len(content), 'byte')}"
 
 
 def wrong_toggle(bench: Bench) -> Procedure[None]:
@@ -332,7 +333,7 @@ def read_segmented_content(bench: Bench) -> Procedure[str]:
         expect_equal((yield from upload_segments(bench)), first, f"{variable.label}, begun again in mid-transfer,")
     expect_equal((yield from segmented_upload(bench, *place)), first, f"{variable.label}, read again,")
     holds(bench, variable, first, "in segments")
-    return f"{variable.label}: {len(first)} bytes"
+    return f"{variable.label}: {counted(len(first), 'byte')}"
 
 
 CASES: Final = (

@@ -25,6 +25,7 @@ from canopen_check.pdo_cases import EVENT_TIME, PROFILE_EVENTS
 from canopen_check.pdo_tools import Pdo, has, key_of, length_of, mapped_variable, set_up, usable
 from canopen_check.raw_sdo import initiate
 from canopen_proto.dictionary import Direction
+from canopen_proto.explained import counted
 from canopen_proto.frame import MAX_NODE_ID, NMT
 from canopen_proto.indices import DEVICE_TYPE, NMT_STARTUP
 from canopen_proto.machine import SECOND
@@ -85,7 +86,7 @@ def expect_tpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:
     """Check that a TPDO comes by its event timer, or, if `lives` is False, that it does not."""
     if pdo is not None:
         heard = yield from bench.frames_within(key_of(bench, pdo), 1 * SECOND)
-        expect(bool(heard) is lives, f"{pdo} came {len(heard)} times")
+        expect(bool(heard) is lives, f"{pdo} came {counted(len(heard), 'time')}")
 
 
 def expect_rpdo(bench: Bench, pdo: Pdo | None, lives: bool) -> Procedure[None]:

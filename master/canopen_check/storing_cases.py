@@ -20,6 +20,7 @@ from canopen_proto.abort import AbortCode
 from canopen_proto.cob_id import RESTRICTED_CAN_IDS
 from canopen_proto.datatypes import DataType
 from canopen_proto.dictionary import Variable
+from canopen_proto.explained import counted
 from canopen_proto.frame import COB_ID_INVALID
 from canopen_proto.indices import COB_ID_EMERGENCY, COB_ID_SYNC, COB_ID_TIME_STAMP
 from canopen_proto.machine import SECOND
@@ -173,7 +174,7 @@ def restricted_can_ids(bench: Bench) -> Procedure[str]:
         expect_equal((yield from bench.number(*place)), inactive, f"{variable.label}, after refused writes,")
 
     count = yield from for_each(bench, _cob_ids(bench), look)
-    return f"{count} objects"
+    return counted(count, "object")
 
 
 _RESTORING: Final = (RESTORE, STORE)

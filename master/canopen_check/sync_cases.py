@@ -19,6 +19,7 @@ from canopen_check.storing_cases import keep, save
 from canopen_proto import indices
 from canopen_proto.abort import AbortCode
 from canopen_proto.dictionary import Direction
+from canopen_proto.explained import counted
 from canopen_proto.frame import SYNC, key_of_cob_id
 from canopen_proto.machine import MICROSECOND, MILLISECOND, SECOND
 from canopen_proto.nmt import NmtCommand
@@ -63,7 +64,7 @@ def count_syncs(bench: Bench) -> Procedure[str]:
     """6.2: one SYNC per communication cycle period."""
     yield from produce(bench)
     heard = yield from bench.expect_period(bench.sync_key, COUNTED, PERIOD, "SYNC")
-    return f"{len(heard)} SYNCs"
+    return counted(len(heard), "SYNC")
 
 
 def count_tpdos(bench: Bench) -> Procedure[str]:
@@ -87,7 +88,7 @@ def count_tpdos(bench: Bench) -> Procedure[str]:
         expect_equal(len(heard), SYNCS // EACH_TENTH, f"the number of {pdo} of type {EACH_TENTH} after {SYNCS} SYNCs")
 
     yield from for_each(bench, pdos, look)
-    return f"{len(pdos)} TPDOs"
+    return counted(len(pdos), "TPDO")
 
 
 def stop_producing(bench: Bench) -> Procedure[None]:
@@ -170,7 +171,7 @@ def kept_producer(bench: Bench) -> Procedure[None]:
     yield from keep(bench, [(COB_ID_SYNC, 0, cob_id), (CYCLE_PERIOD, 0, PERIOD // MICROSECOND)])
     yield from bench.expect_number(OVERFLOW, 0, 5, "saved, after a reset")
     heard = yield from bench.frames_within(bench.sync_key, 1 * SECOND)
-    expect(len(heard) >= 5, f"{len(heard)} SYNCs came in 1 s, with a period of 0.1 s that was saved")
+    expect(len(heard) >= 5, f"{counted(len(heard), 'SYNC')} came in 1 s, with a period of 0.1 s that was saved")
     expect(all(len(each.frame.data) == 1 for each in heard), "the SYNCs have no counter, though one was saved")
     yield from bench.silence_sync()
     yield from put_back(bench)
